@@ -29,7 +29,7 @@ PROCESSORS ?= Haswell
 
 demo:
 	@tools/environment.sh .venv ros
-	.venv/bin/python -m handeye_ros.node.demo --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
+	.venv/bin/python tools/demo.py --bag '$(BAG)' --config '$(CONFIG)' --out '$(OUT)'
 
 # Every part of the product, in the environment of the demo; without the long tests, and with
 # fewer examples of each property.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 import os
 from pathlib import Path
@@ -21,16 +22,15 @@ import sys
 import tempfile
 import time
 import traceback
+from typing import Any
 
 from handeye_ros.bags.bag_write import cloud_cdr
-from handeye_ros.bags.session_files import files_of
-from handeye_ros.bags.session_reading import read_session
-from handeye_ros.bags.session_store import OutputFolders, resumed
-from handeye_ros.bags.session_writing import SessionStore
+from handeye_ros.bags.session import files_of, OutputFolders, read_session, resumed, SessionFiles
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.node.live import LiveSession
+from handeye_ros.node.pool import Pool
 from handeye_ros.sampling.stops import sample_of
 from mcap.reader import make_reader
 import numpy as np
@@ -75,12 +75,26 @@ def stop(start: int, place: float) -> Iterator[TimedPose | Profile]:
         yield profile(stamp + 1)
 
 
+class Inline(Pool):
+    """Runs functions in this process, which is killed."""
+
+    def submit(self, function: Any, *args: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args))
+        except HandeyeError as error:
+            future.set_exception(error)
+        return future
+
+
 def work(output_dir: Path, acknowledge: int) -> None:
     """Go on with the last session: take samples, and sometimes remove one, for ever."""
     config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, OutputFolders())
-    live = LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder, found))
+    pool = Inline()
+    live = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found), pool,
+                       pool, lambda: None)
     if found:
-        live.samples.restore(found.session(config), found.config)
+        live.restore(found.session(config), found.config)
     rng, start = random.Random(), time.time_ns()
     while True:
         start += 2 * NS
@@ -89,11 +103,11 @@ def work(output_dir: Path, acknowledge: int) -> None:
                 live.add_poses([item])
             else:
                 live.add_profile(item)
-        number = int(live.samples.take().split()[1])
+        number = int(live.take_sample().split()[1])
         os.write(acknowledge, f'{TAKEN} {number}\n'.encode())
         if rng.random() < 0.2:
             os.write(acknowledge, f'{REMOVING} {number}\n'.encode())
-            number = int(live.samples.remove_last().split()[2].rstrip(','))
+            number = int(live.remove_last_sample().split()[2].rstrip(','))
             os.write(acknowledge, f'{REMOVED} {number}\n'.encode())
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handeye_ros import pipeline, tabulated
 from handeye_ros.bags.bag import read
-from handeye_ros.bags.session_reading import is_session, read_session
+from handeye_ros.bags.session import is_session, read_session
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
 from handeye_ros.results.evidence import config_of, Evidence, recording_of

@@ -9,9 +9,11 @@ import signal
 import sys
 from typing import Any
 
-from handeye_ros.node.domain import claimed_domain
 from hypothesis import settings
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / 'support'))
+from domain import claimed_domain  # noqa: E402
 
 NOT_RUN = pytest.StashKey[str]()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from command import ROOT
 from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
-from handeye_ros.bags.session_writing import SessionStore
+from handeye_ros.bags.session import SessionFiles
 from handeye_ros.config import load
 from handeye_ros.evidence import evidence
 
@@ -16,7 +16,7 @@ def test_stops_that_were_taken_again_are_no_second_run(tmp_path: Path) -> None:
     config = load(ROOT / 'config' / 'plate.yaml')
     recording = read(ROOT / 'bags' / 'plate', config)
     session = pipeline.gather(recording.profiles, recording.poses, config)
-    store = SessionStore(lambda config: tmp_path)
+    store = SessionFiles(lambda config: tmp_path)
     outcomes = session.outcomes
     for outcome in (*outcomes, *outcomes[:3]):
         store.add(outcome, config)

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from handeye_ros.bags.bag import Recording
-    from handeye_ros.bags.session_reading import Stored
+    from handeye_ros.bags.session import Stored
     from handeye_ros.config import Config
     from handeye_ros.sampling.session import Session
 
@@ -70,7 +70,7 @@ def stored_session(path: Path) -> 'Stored | None':
     """Return the session in a folder, None if there is none."""
     if not path.is_dir():
         return None
-    from handeye_ros.bags.session_reading import is_session, read_session
+    from handeye_ros.bags.session import is_session, read_session
     return read_session(path) if is_session(path) else None
 
 

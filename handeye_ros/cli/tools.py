@@ -185,7 +185,7 @@ def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain
 def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
     from handeye_ros.bags.bag import read, read_poses
-    from handeye_ros.bags.session_reading import source_of_session
+    from handeye_ros.bags.session import source_of_session
     from handeye_ros.robot.model import Arm
     from handeye_ros.robot.samples import JointRecording, source_of
     stored = stored_session(path)

@@ -17,13 +17,11 @@ import sys
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.node.errors import TopicsError
-from handeye_ros.node.executable import exit_code, RCLError, ros, spin
-from handeye_ros.node.intake import STREAM, TFMessage, THROTTLE
-from handeye_ros.node.publishers import pose_stamped, time_message
+from handeye_ros.node.main import exit_code, spin
+from handeye_ros.node.outputs import pose_stamped, time_message
+from handeye_ros.node.streams import STREAM, TFMessage, THROTTLE
 from handeye_ros.robot.model import Arm
 from handeye_ros.robot.urdf import read_arm, read_chain
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
@@ -42,6 +40,8 @@ class CorrectedPose(Node):
                       if TFMessage else None)
         self.create_subscription(JointState, options.joint_topic, self._on_joints, STREAM,
                                  raw=True)
+        self.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
+                               f'{arm.chain.flange} in {arm.chain.base}')
 
     def _on_joints(self, data: bytes) -> None:
         try:
@@ -65,16 +65,7 @@ def run(options: argparse.Namespace) -> None:
     """Run the node until Ctrl-C; raises InputError."""
     arm = read_arm(options.kinematics) if options.kinematics else Arm(
         read_chain(options.urdf, options.base, options.flange)[1])
-    with ros():
-        try:
-            node = CorrectedPose(arm, options)
-        except RCLError as error:
-            raise TopicsError(str(error)) from error
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        node.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
-                               f'{arm.chain.flange} in {arm.chain.base}')
-        spin(executor)
+    spin(lambda: CorrectedPose(arm, options))
 
 
 def main() -> int:

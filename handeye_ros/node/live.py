@@ -1,211 +1,832 @@
 """
 A running session without ROS: streams, samples, review, answer and verification.
 
-One thread evaluates the stops, which is urgent. Another computes review, advice and a new answer,
-always for the newest state, so that no work accumulates.
+One thread owns the samples: one after the other, it evaluates the stops that are over, does what
+services ask for, and begins what follows from the samples. Evaluations and long computations run
+in two other processes, and the thread waits for the short ones only. One lock protects what
+messages change; it is held at most for one message. What is used is stored, and what is stored is
+used: a sample is taken when its event is on the disk.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass, replace
+import fcntl
+from functools import partial
+import os
+from pathlib import Path
+import sys
 import threading
 import traceback
+from typing import Any, TypeVar
 
-from handeye_ros.bags.session_store import OutputFolders, Store
-from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Calibration, TimedPose
-from handeye_ros.errors import HandeyeError
-from handeye_ros.node.answer import Answer, Reviewer
-from handeye_ros.node.live_verify import LiveVerification
-from handeye_ros.node.samples import LiveSamples
-from handeye_ros.node.streams import Streams
-from handeye_ros.node.worker import Evaluator, Progress, Runner, trim_memory
-from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import Outcome
+from handeye_ros import pipeline
+from handeye_ros.bags.session import CONFIGURED, Event, OutputFolders, REMOVED, SessionFiles
+from handeye_ros.checks.review import (
+    count_of,
+    flat_crossing,
+    Review,
+    review,
+    sample_summary,
+)
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
+from handeye_ros.errors import DataError, FeatureError, HandeyeError, InputError, UnwritableError
+from handeye_ros.guidance.advice import Advice
+from handeye_ros.guidance.score import extremes
+from handeye_ros.node.arrivals import Arrivals, Latest
+from handeye_ros.node.pool import ENDED, Pool, PoolEndedError, trim_memory
+from handeye_ros.node.state import calibration_summary
+from handeye_ros.output import folder_name, write_whole
+from handeye_ros.results import calibration_file, exports
+from handeye_ros.sampling.session import Session, silent_poses
+from handeye_ros.sampling.stops import judged, needed, Outcome, result_of, sample_of, Stop
+from handeye_ros.verification.session import VerificationSession
+from handeye_ros.verification.verification import sentence, Verification, yaml_text
+import numpy as np
+
+# Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.
+SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
+               'sampling.settle_time', 'time_offset', 'rotation_lag_std')
+ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
+               'sampling.min_crossing_angle')
+COMPUTED = 'the calibration is computed'
+MOST_STOPS = 16  # waiting for evaluation: at most 7 MB each with 1280 points a profile
+KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
+SURE_FREEDOM = 6  # smallest degrees of freedom of a review for valid angles at the edges
+# s without a pose after which the pose is unknown: while profiles arrive, and if both stop
+POSES_SILENT, BOTH_SILENT = 2.0, 30.0
+PROFILES_COME = 1.0  # s since the last profile
+
+Result = TypeVar('Result')
 
 
-class Threads:
-    """Threads that repeat one task each when they are woken; failures are kept as text."""
+@dataclass(frozen=True)
+class Attempt:
+    """Result of the last attempt to take a sample; number: 0 without a sample."""
 
-    def __init__(self, on_failure: Callable[[str], object]) -> None:
-        """Start with none; on_failure: receives the traceback of a failed task."""
-        self._on_failure = on_failure
-        self._failures: dict[str, str] = {}
-        self._ended = False
+    accepted: bool
+    number: int
+    text: str
 
-    @property
-    def failure(self) -> str:
-        """Return why the last run of each task failed, '' if it did not."""
-        return '; '.join(self._failures.values())
 
-    def start(self, wake: threading.Event, work: Callable[[], None]) -> None:
-        """Start a thread that runs a task each time it is woken, until the process ends."""
-        threading.Thread(target=self._run, args=(wake, work), name=work.__name__,
-                         daemon=True).start()
+@dataclass(frozen=True, eq=False)
+class Derived:
+    """
+    What follows from the samples: their review and the advice.
 
-    def stop(self) -> None:
-        """Start no further tasks, and report no further failures."""
-        self._ended = True
+    review: None where there is none, no_review: why; reviewed: the samples in the order of the
+    agreements of the review; advised: the number of the last sample in the advice, 0 for none;
+    basis: identifies samples and settings that it follows from.
+    """
 
-    def _run(self, wake: threading.Event, work: Callable[[], None]) -> None:
-        while not self._ended:
-            wake.wait()
-            wake.clear()
-            try:
-                work()
-                self._failures.pop(work.__name__, None)
-            except HandeyeError as error:  # such as a process that ended: one more try
-                if work.__name__ not in self._failures:
-                    wake.set()
-                self._failures[work.__name__] = str(error)
-            except Exception as error:  # noqa: BLE001 - the thread must continue
-                if self._ended:
-                    return
-                self._failures[work.__name__] = (
-                    f'the work on the samples failed, which should not happen: {error!r}; see '
-                    'the log, and please report it')
-                self._on_failure(traceback.format_exc())
+    advice: Advice
+    advised: int = 0
+    review: Review | None = None
+    no_review: str = ''
+    reviewed: tuple[Outcome, ...] = ()
+    basis: object = None
+
+
+def derive(samples: Sequence[Sample], included: Sequence[bool], config: Config, seen: Array,
+           refused: Sequence[Array]) -> tuple[Review | None, str, Advice]:
+    """Return the review of samples or why there is none, and the advice; see pipeline.advise."""
+    found, reason = None, ''
+    try:
+        found = review(samples, included, config)
+    except DataError as error:
+        reason = str(error)
+    used = sorted((sample for sample, use in zip(samples, included, strict=True) if use),
+                  key=lambda sample: sample.stamp)
+    return found, reason, pipeline.advise(used, config, seen, refused)
 
 
 class LiveSession:
     """
-    All functions of the running node, composed of parts.
+    All functions of the running node.
 
-    on_outcome: called with each new outcome of a stop; on_change: after every change of the state;
-    on_failure: with the traceback of a failed task of a thread.
+    Whoever holds lock may use session, waiting and early; all else is changed by the thread alone,
+    and read at any time. calibration: the last answer that was not refused; missing: why there is
+    none; withdrawn: why the previous one was withdrawn; file: where it was saved, '' if it was
+    not; last: the last evaluated outcome; attempt: the last attempt to take a sample; verdict: of
+    the last verification; extremes: visible points (k, 2) at the ends of the field of view.
     """
 
-    def __init__(self, config: Config, folders: OutputFolders, store: Store | None = None,
-                 solver: Runner | None = None, evaluation: Runner | None = None) -> None:
+    def __init__(self, config: Config, folders: OutputFolders, files: SessionFiles,
+                 evaluator: Pool, solver: Pool, changed: Callable[[], object]) -> None:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
-        solver: runs long computations; evaluation: runs the evaluation of stops.
+        evaluator, solver: where stops are evaluated, and long computations run; changed: called by
+        the thread after every change.
         """
-        self.folders = folders
-        self.solver, self._evaluator = solver or Runner(), Evaluator(evaluation or Runner())
-        self.progress = Progress()
-        self.streams = Streams(config)
-        self.samples = LiveSamples(self.streams, self._evaluator, store or Store(), self.progress)
-        self.reviewer = Reviewer(self.samples, self.solver)
-        self.answer = Answer(self.samples, self.solver, folders, self.progress)
-        self.verification = LiveVerification(self.samples, self.answer, folders, self.solver,
-                                             self.progress)
-        self._evaluated = threading.Event()  # wakes the thread of review, advice and answer
-        self.threads = Threads(lambda text: self.on_failure(text))
-        self.samples.objection = self.reviewer.objection
-        self.samples.on_outcome = lambda outcome: self.on_outcome(outcome)
-        self.on_outcome: Callable[[Outcome], None] = lambda outcome: None
-        self.on_failure: Callable[[str], object] = lambda text: None
-        self.on_change: Callable[[], None] = lambda: None
-        for component in (self.progress, self.answer, self.reviewer, self.verification):
-            component.on_change = lambda: self.on_change()
+        self.config, self.folders, self.files = config, folders, files
+        self.evaluator, self.solver, self._changed = evaluator, solver, changed
+        self.lock = threading.Lock()
+        self.session = Session(config)
+        self.waiting: deque[Stop] = deque()  # complete stops, not yet evaluated
+        self.early: Stop | None = None  # the current stop, once it has enough profiles
+        self.arrivals, self.latest = Arrivals(), Latest(self.lock)
+        self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
+        self._skipped = 0  # number of dropped stops
 
-    @property
-    def config(self) -> Config:
-        """Return the current settings."""
-        return self.streams.config
+        self._wake = threading.Event()
+        self._asked: deque[Callable[[], None]] = deque()
+        self._thread: threading.Thread | None = None
+        self._ended = False
+        self._works: list[str] = []  # that are running, in words
+        self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
+        self._unstored: set[int] = set()  # numbers of stops that could not be stored
+        self._settings = self._cleared = 0  # how often they were changed, or all was cleared
+        self._evaluation_trouble = self._store_trouble = self._failure = ''
+
+        self.attempt: Attempt | None = None
+        self.last: Outcome | None = None
+        self._refused: dict[int, Array] = {}  # T_base_flange of stops without a sample, by start
+        self.extremes = np.zeros((0, 2))
+        self.derived = Derived(pipeline.advise((), config))
+        self._deriving = self._outdated = self._requested = False
+        self._failed: object = None  # basis of a derivation whose process ended
+
+        self.calibration: Calibration | None = None
+        self.missing = self.withdrawn = self.file = ''
+        self._solved: frozenset[tuple[int, ...]] = frozenset()  # samples of the answer
+        self._saved: tuple[object, str] = None, ''  # what was saved, and the message
+        self._claims: dict[Path, int] = {}  # locks of folders of results
+        self._verifying: VerificationSession | None = None
+        self.verdict = ''
+
+    # messages
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Add a profile."""
+        self.arrivals.add('profile', profile.stamp)
+        self.latest.add(profiles=[profile])
+        with self.lock:
+            self.session.add_profile(profile)
+            self._queue_stops()
+            if self._verifying and self._verifying.scans:
+                self._verifying.parts[-1].add_profile(profile)
+
+    def add_poses(self, poses: Sequence[TimedPose]) -> None:
+        """Add poses."""
+        self.latest.add(poses=poses)
+        with self.lock:
+            for pose in poses:
+                self.arrivals.add('pose', pose.stamp)
+                self.session.add_pose(pose)
+            self.early = self.session.early() or self.early
+            self._queue_stops()
+            if self._verifying and self._verifying.scans:
+                self._verifying.parts[-1].add_poses(poses)
+
+    def add_joints(self, stamp: int, data: bytes) -> None:
+        """Keep a serialised JointState, to be stored with the stop of its time."""
+        with self.lock:
+            self.joints.append((stamp, data))
+
+    def _queue_stops(self) -> None:
+        """Queue stops for evaluation; drop the oldest if too many wait."""
+        self.session.keep_waiting(MOST_STOPS)
+        self.waiting.extend(self.session.passed())
+        while len(self.waiting) > MOST_STOPS:
+            self.waiting.popleft()
+            self._skipped += 1
+        if self.waiting or self.early:
+            self._wake.set()
+
+    # state
+
+    def copied(self) -> Session:
+        """Return a copy of the session at this moment."""
+        with self.lock:
+            return self.session.copied()
 
     @property
     def framed(self) -> Config:
         """Return the current settings with the frame of the poses as the base frame."""
-        return self.streams.session.with_base(self.config)
+        return self.session.with_base(self.config)
 
     @property
-    def calibration(self) -> Calibration | None:
-        """Return the last answer; None before it, and after a refusal."""
-        return self.answer.calibration
+    def path(self) -> str:
+        """Return the folder of the session, empty before there is one."""
+        return str(self.files.path or '')
+
+    @property
+    def working(self) -> str:
+        """Return the running tasks in words; empty without any."""
+        again = ['the samples are extracted again from their profiles'] * bool(self._stale)
+        return '; '.join([*self._works, *again])
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """Return why samples cannot be stored or computed with, one sentence each."""
+        return tuple(filter(None, (self._store_trouble, self._failure)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return the current warnings, one sentence each."""
-        return (*self.verification.warnings, *self.streams.warnings,
-                *filter(None, (self._evaluator.trouble,)))
+        verifying, skipped = self._verifying, ''
+        if self._skipped:
+            skipped = (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} '
+                       'that waited to be evaluated: the processor cannot keep up; stop less '
+                       'often, or publish fewer points')
+        continues = '' if verifying is None else (
+            f'a verification ({verifying.routine.name}) continues: stops are not samples until '
+            '~/verify_result')
+        return tuple(filter(None, (continues, skipped, self._evaluation_trouble)))
 
-    def copied(self) -> Session:
-        """Return a copy of the session at this moment."""
-        return self.streams.copied()
+    @property
+    def verification(self) -> str:
+        """Return the progress of the verification in words; empty without one."""
+        verifying = self._verifying
+        return verifying.text if verifying else ''
 
-    def add_profile(self, profile: AnyProfile) -> None:
-        """Add a profile."""
-        self.streams.add_profile(profile)
-        self.verification.add_profile(profile)
+    def changes(self, session: Session) -> str:
+        """Return how the samples of a session differ from those of the answer, or ''."""
+        now = _identities(session)
+        removed, added = len(self._solved - now), len(now - self._solved)
+        if not removed and not added:
+            return ''
+        differences = ' and '.join([f'{removed} removed'] * bool(removed)
+                                   + [f'{added} added'] * bool(added))
+        return (f'; it was computed from {count_of(len(self._solved), "sample")}, which have '
+                f'changed since ({differences}): call ~/compute_calibration for an answer from '
+                f'the current {len(now)}')
 
-    def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Add poses."""
-        poses = list(poses)
-        self.streams.add_poses(poses)
-        self.verification.add_poses(poses)
+    # the thread
 
     def start(self) -> None:
-        """Start the threads."""
-        self._evaluator.begin()
-        self.threads.start(self.streams.wake, self._evaluate_stops)
-        self.threads.start(self._evaluated, self._derive)
+        """Start the thread, and the processes, to finish their imports before the first stop."""
+        self._thread = threading.Thread(target=self._run, name='samples', daemon=True)
+        self._thread.start()
+        for pool in (self.evaluator, self.solver):
+            pool.submit(trim_memory)
 
     def stop(self) -> None:
-        """End the threads and worker processes."""
-        self.threads.stop()
+        """End the thread and the processes."""
+        self._ended = True
+        self._wake.set()
+        self.evaluator.stop()
         self.solver.stop()
-        self._evaluator.stop()
 
-    def restore(self, session: Session, old_config: Config) -> str:
-        """Continue with the samples of an earlier run and solve; see LiveSamples.restore."""
-        text = self.samples.restore(session, old_config)
-        self.answer.restored(session)
-        return text
-
-    def replace_session(self, store: Store, session: Session, old_config: Config) -> str:
-        """Continue with another session; see LiveSamples.restore."""
-        with self.samples.work:
-            self.verification.end()
-            self.samples.forget()
-            self.samples.store.close()
-            store.joints, self.samples.store = self.samples.store.joints, store
-            text = self.restore(session, old_config)
-        self._withdraw('another session was opened')
-        return text
-
-    def _evaluate_stops(self) -> None:
-        self.samples.evaluate_all()
-        self.on_change()
-        self._evaluated.set()
-        self.samples.store.sync()
-        trim_memory()
+    def _run(self) -> None:
+        while not self._ended:
+            self._wake.wait()
+            self._wake.clear()
+            try:
+                self.update()
+                self._failure = ''
+            except Exception as error:  # noqa: BLE001 - the thread must continue
+                if self._ended:
+                    return
+                self._failure = (f'the work on the samples failed, which should not happen: '
+                                 f'{error!r}; see the log, and please report it')
+                print(traceback.format_exc(), file=sys.stderr, flush=True)
+        while self._asked:  # nobody waits for ever
+            self._asked.popleft()()
 
     def update(self) -> None:
-        """Run the tasks of the threads once, in this thread."""
-        self.samples.evaluate_all()
+        """Do all that is due: what was asked for, stops, samples of other settings."""
+        evaluated = False
+        while not self._ended:
+            with self.lock:
+                over = bool(self.waiting)
+                if over:
+                    stop: Stop | None = self.waiting.popleft()
+                else:
+                    stop, self.early = self.early, None
+            if stop:
+                self._evaluate(stop, over)
+                evaluated = True
+            elif self._asked:
+                self._asked.popleft()()
+            elif self._stale:
+                self._evaluate_again(self._stale.popleft())
+            else:
+                break
+            self._changed()
+        if evaluated:
+            self.files.sync()
+            trim_memory()
         self._derive()
 
-    def _derive(self) -> None:
-        """Update everything that depends on the current samples."""
-        self.samples.extract_again()
-        self.answer.update()  # first: after a restart a person waits for it
-        self.reviewer.update()
+    def _later(self, work: Callable[[], None]) -> None:
+        """Have the thread do something; without a thread it is done at once."""
+        if self._thread and not self._ended:
+            self._asked.append(work)
+            self._wake.set()
+        else:
+            work()
 
-    # services; each returns its message
+    def _ask(self, work: Callable[[], Result]) -> Result:
+        """Return the result of work done by the thread; raises its exceptions."""
+        answered: Future[Result] = Future()
+
+        def answer() -> None:
+            try:
+                answered.set_result(work())
+            except BaseException as error:  # noqa: BLE001 - it is raised where it was asked for
+                answered.set_exception(error)
+        self._later(answer)
+        return answered.result()
+
+    def _evaluated(self, function: Callable[..., Result], *args: Any) -> Result:
+        """Return the result of a function of a stop; this process helps where the other ends."""
+        try:
+            result = self.evaluator.run(function, *args)
+        except PoolEndedError as error:  # the sample must not be lost
+            self._evaluation_trouble = f'{error}; the node itself has evaluated the stop'
+            return function(*args)
+        self._evaluation_trouble = ''
+        return result
+
+    def _result(self, stop: Stop, config: Config | None = None) -> Sample | Reject:
+        config = config or self.config
+        return self._evaluated(result_of, needed(stop, config), config)
+
+    # samples
+
+    def _evaluate(self, stop: Stop, over: bool) -> None:
+        """Put the outcome of a stop into the session, replacing an earlier one."""
+        if not over and self.session.is_taken(stop):
+            return
+        if self._verifying:
+            self._verify(stop, over)
+            return
+        result = self._result(stop)
+        with self.lock:
+            outcome = self.session.outcome(stop, result)
+            earlier = [o for o in self.session.outcomes if o.number == outcome.number]
+        remark = self._objection(outcome)  # no refusal, as in the solution of a recording
+        try:
+            outcome = self._stored(outcome)
+        except InputError as error:
+            if earlier and outcome.number not in self._unstored:
+                outcome = earlier[0]  # of fewer profiles, but on the disk
+            else:
+                self._unstored.add(outcome.number)
+                outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)),
+                                  refused=str(error))
+        if outcome.sample is None:
+            self._refused[stop.began] = stop.pose(self.config)
+        with self.lock:
+            self.session.put(outcome, over)
+        if earlier and bool(earlier[0].sample) == bool(outcome.sample):
+            return  # the same result with more profiles is not reported again
+        verdict = (f'sample {outcome.number} taken' if outcome.sample else
+                   f'stop {outcome.number} gave no sample')
+        text = '; '.join(filter(None, (sample_summary(outcome.result), remark)))
+        self.attempt = Attempt(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
+        self.last = outcome
+
+    def _stored(self, outcome: Outcome) -> Outcome:
+        """Store an outcome; return the stored form. Raises InputError, kept as trouble."""
+        with self.lock:
+            joints = list(self.joints)
+        try:
+            stored = self.files.add(outcome, self.config, joints)
+        except InputError as error:
+            self._store_trouble = str(error)
+            raise
+        self._store_trouble = ''
+        self._unstored.discard(outcome.number)
+        return stored
+
+    def _evaluate_again(self, number: int) -> None:
+        """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
+        outcome = next((o for o in self.copied().outcomes if o.number == number), None)
+        if outcome is None:
+            return
+        if number in self._unstored:
+            result = self._result(outcome.stop)
+            with self.lock:
+                fresh = self.session.outcome(outcome.stop, result)
+            with suppress(InputError):
+                # its stop is now that on the disk; the session knows it by the one in memory
+                outcome = replace(self._stored(fresh), stop=outcome.stop)
+        else:
+            bare = replace(outcome, result=Reject(outcome.result.stamp, ''))
+            outcome = replace(outcome,
+                              result=self._evaluated(judged, bare, self.config).result)
+        with self.lock:
+            self.session.replace([outcome])
+
+    def _evaluate_all(self, rest: bool) -> None:
+        """Evaluate all stops that wait; rest: the current stop counts as complete."""
+        while self._stale:
+            self._evaluate_again(self._stale.popleft())
+        with self.lock:
+            last = self.session.copied().rest() if rest else []  # raises for mixed frames
+            stops, self.early = [*self.waiting, *last], None
+            self.waiting.clear()
+        for stop in stops:
+            self._evaluate(stop, True)
+
+    def _objection(self, outcome: Outcome) -> str:
+        """Return a sentence if the laser crosses an estimated edge at too small an angle."""
+        last = self.derived.review
+        if outcome.sample is None or last is None or (
+                last.solution.degrees_of_freedom < SURE_FREEDOM):
+            return ''
+        return flat_crossing(outcome.sample, last.solution, self.config)
+
+    def take_sample(self) -> str:
+        """Take a sample at the current stop; raises DataError, or InputError unstored."""
+        return self._ask(self._take)
+
+    def _take(self) -> str:
+        try:
+            stop = self._standing()
+            return self._take_for_verification(stop) if self._verifying else self._take_at(stop)
+        except HandeyeError as error:
+            self.attempt = Attempt(False, 0, str(error))
+            raise
+
+    def _standing(self) -> Stop:
+        """Return the current stop; raises DataError as the session does."""
+        silence = self.arrivals.silence('pose')
+        limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
+        if self.arrivals.counts['pose'] and silence > limit:
+            raise silent_poses(silence)
+        with self.lock:
+            return self.session.current_stop()
+
+    def _take_at(self, stop: Stop) -> str:
+        config = self.config
+        try:
+            sample = self._evaluated(sample_of, needed(stop, config), config)
+        except FeatureError:
+            self._refused[stop.began] = stop.pose(config)
+            raise
+        with self.lock:
+            outcome = self.session.outcome(stop, sample)
+            repeated = any(o.stop.began == stop.began for o in self.session.outcomes)
+        if isinstance(outcome.result, Reject):
+            raise DataError(f'{outcome.result.reason}: move on, and turn the tool')
+        objection = self._objection(outcome)
+        if objection:
+            self._refused[stop.began] = stop.pose(config)
+            raise DataError(f'{objection}, and take the sample again', reason='flat_crossing')
+        outcome = self._stored(outcome)
+        with self.lock:
+            self.session.put(outcome)
+        note = ' again, as the robot has not moved since' if repeated else ''
+        text = f'sample {outcome.number} taken{note}: {sample_summary(sample)}'
+        self.attempt, self.last = Attempt(True, outcome.number, text), outcome
+        return text
+
+    def remove_last_sample(self) -> str:
+        """Forget the last sample; raises DataError when there is none, InputError unstored."""
+        return self._ask(self._remove_last)
+
+    def _remove_last(self) -> str:
+        last = self.copied().last(self._result)
+        if self.files.path:
+            self.files.append(Event(REMOVED, self.config, last.number))
+        with self.lock:
+            self.session.remove(last)
+            count = sum(o.sample is not None for o in self.session.outcomes)
+        return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
+                f'{count} left')
 
     def clear_samples(self) -> str:
         """Forget samples, verification, answer, and all messages; raises InputError."""
-        with self.samples.work:
-            self.verification.end()
-            text = self.samples.clear()
-        self.answer.requested = False
-        self._withdraw('the samples were cleared')
-        return text
+        return self._ask(self._clear)
 
-    def _withdraw(self, reason: str) -> None:
-        """Remove answer, review and guidance."""
-        self.answer.withdraw(reason)
-        with self.streams.lock:
-            self.reviewer.clear()
-        self.on_change()
+    def _clear(self) -> str:
+        note, count = self.files.restart(self.config), self._forget('the samples were cleared')
+        return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
+
+    def _forget(self, why: str) -> int:
+        """Forget stops, messages, and what follows; return the number of samples there were."""
+        self.latest.clear()
+        with self.lock:
+            count = sum(o.sample is not None for o in self.session.outcomes)
+            self.session.clear()
+            self.waiting.clear()
+            self.early = self._verifying = None
+        self._cleared += 1
+        self.attempt, self._refused, self._unstored = None, {}, set()
+        self._stale.clear()
+        self._requested = self._outdated = False
+        self.derived = Derived(pipeline.advise((), self.config))
+        self._withdraw(why)
+        return count
+
+    def restore(self, session: Session, old_config: Config) -> str:
+        """
+        Continue with the stops of an earlier run, and solve; return the message.
+
+        old_config: its settings; the current ones are stored if they differ. Raises
+        UnwritableError.
+        """
+        with self.lock:
+            self.session = session
+        self._refused = {outcome.stop.began: outcome.stop.pose(self.config)
+                         for outcome in session.outcomes if outcome.sample is None}
+        if replace(old_config, session=self.config.session) != self.config:
+            self.files.append(Event(CONFIGURED, self.config))
+        self._requested = self._outdated = bool(session.samples)
+        self._wake.set()
+        count = sum(outcome.sample is not None for outcome in session.outcomes)
+        return f'continuing with {count_of(count, "sample")} of {self.path}'
+
+    def open(self, files: SessionFiles, session: Session, old_config: Config) -> str:
+        """Continue with another session; see restore."""
+        def work() -> str:
+            self._forget('another session was opened')
+            self.files.close()
+            self.files = files
+            return self.restore(session, old_config)
+        return self._ask(work)
 
     def configure(self, config: Config) -> None:
         """Apply another configuration, already checked by params.changed."""
-        old_config = self.config
-        self.verification.configured(old_config, config)
-        self.samples.configure(config)
-        self.answer.configured(old_config, config)
-        self.reviewer.configured(old_config, config)
-        self.streams.wake.set()
+        self._ask(partial(self._configure, config))
+
+    def _configure(self, config: Config) -> None:
+        old, new = flatten(self.config), flatten(config)
+        different = tuple(key for key in new if old[key] != new[key])
+        with self.lock:
+            self.config = config
+            self.session.configure(config)
+            if 'verify.routine' in different:
+                self._verifying = None
+        if any(key.startswith(SAMPLE_KEYS) for key in different):
+            self._stale = deque(outcome.number for outcome in self.session.outcomes)
+        if any(key.startswith(ANSWER_KEYS) for key in different):
+            self._outdated = self._requested
+        self._settings += any(key.startswith((*ANSWER_KEYS, 'guidance.')) for key in different)
+        try:
+            if self.files.path:
+                self.files.append(Event(CONFIGURED, config))
+            self._store_trouble = ''
+        except InputError as error:
+            self._store_trouble = str(error)
+
+    # review, guidance and answer
+
+    def _derive(self) -> None:
+        """Begin what follows from the samples, if they or the settings have changed."""
+        if self._outdated and COMPUTED not in self._works:
+            with suppress(HandeyeError):  # the state reports a refusal
+                self._solve(rest=False)
+        session = self.copied()
+        outcomes = tuple(outcome for outcome in session.outcomes if outcome.sample)
+        sampled = {outcome.stop.began for outcome in outcomes}
+        refused = [T for began, T in self._refused.items() if began not in sampled]
+        basis = (self._cleared, self._settings, len(refused),
+                 [(outcome.number, outcome.stop.began) for outcome in outcomes])
+        if self._deriving or basis == self.derived.basis:
+            return
+        current = self.latest.current(self.config)
+        if current:
+            self.extremes = extremes(np.concatenate([self.extremes, current.points]))
+        included = [not session.excludes(outcome) for outcome in outcomes]
+        with suppress(PoolEndedError):
+            future = self.solver.submit(derive, [o.sample for o in outcomes], included,
+                                        self.config, self.extremes, refused)
+            self._deriving = True
+            future.add_done_callback(lambda done: self._later(
+                partial(self._put_derived, done, outcomes, basis)))
+
+    def _put_derived(self, done: Future[tuple[Review | None, str, Advice]],
+                     outcomes: tuple[Outcome, ...], basis: tuple[Any, ...]) -> None:
+        self._deriving = False
+        try:
+            found, reason, advice = done.result()
+        except ENDED as error:
+            if self._failed != basis:  # one more try
+                self._failed = basis
+                return
+            self._failure = str(PoolEndedError())
+            found, reason, advice = None, str(error), self.derived.advice
+        if basis[0] == self._cleared:
+            advised = max((outcome.number for outcome in outcomes), default=0)
+            self.derived = Derived(advice, advised, found, reason, outcomes, basis)
+        if not self._thread:
+            self._changed()
+
+    def compute_calibration(self) -> str:
+        """
+        Compute the answer from all samples; return the message about it.
+
+        The current stop counts as complete. Raises DataError or InputError where there is no
+        answer; after a DataError the previous answer is withdrawn.
+        """
+        self._requested = True
+        return self._ask(partial(self._solve, rest=True)).result()
+
+    def _solve(self, rest: bool) -> Future[str]:
+        """Begin to solve; return the future of the message. rest: see _evaluate_all."""
+        self._outdated = False
+        answered: Future[str] = Future()
+        try:
+            self._evaluate_all(rest)
+            session, config = self.copied(), self.framed
+            if session.conflict:
+                raise session.conflict
+            session.require_stations()
+        except HandeyeError as error:
+            self._refuse(error)
+            raise
+        samples = Session(config)  # the messages of the streams stay here
+        samples.restore(session.outcomes, session.numbers, session.frame_id)
+        cleared = self._cleared
+        computed = self.solver.submit(pipeline.calibrate_session, samples, config)
+        self._works.append(COMPUTED)
+        computed.add_done_callback(lambda done: self._later(
+            partial(self._put_answer, done, answered, session, cleared)))
+        return answered
+
+    def _put_answer(self, computed: Future[Calibration], answered: Future[str], session: Session,
+                    cleared: int) -> None:
+        self._works.remove(COMPUTED)
+        try:
+            calibration = computed.result()
+        except ENDED:  # no refusal: the previous answer stays, and there is one more try
+            self._outdated = self._failed != COMPUTED
+            self._failed = COMPUTED
+            answered.set_exception(PoolEndedError())
+            return
+        except HandeyeError as error:
+            if cleared == self._cleared:
+                self._refuse(error)
+            answered.set_exception(error)
+            return
+        except Exception as error:
+            answered.set_exception(error)
+            raise
+        if cleared != self._cleared:
+            answered.set_exception(DataError('the samples were cleared while the calibration was '
+                                             'computed, so there is no answer: take new samples'))
+            return
+        config = self.config
+        inputs = [{'topic': config.profile_topic},
+                  {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
+        inputs += [{'session': self.path}] * bool(self.path)
+        self.calibration = replace(calibration,
+                                   provenance={**calibration.provenance, 'inputs': inputs})
+        self._solved, self._failed = _identities(session), None
+        self.withdrawn = self.missing = self.file = ''
+        answered.set_result(calibration_summary(self.calibration))
+
+    def _refuse(self, error: HandeyeError) -> None:
+        """Withdraw the answer after a refusal; what only disturbs the streams withdraws none."""
+        reason = f'the last attempt to compute it was refused ({error})'
+        if isinstance(error, DataError):
+            self._withdraw(reason)
+        elif self.calibration is None:
+            self.missing = reason
+
+    def _withdraw(self, reason: str) -> None:
+        """Remove the answer, with the reason for its state."""
+        self.withdrawn = (f'{reason}; the transform that was published before is not the answer'
+                          if self.calibration or self.withdrawn else '')
+        self.calibration, self.missing = None, reason
+
+    def save_calibration(self) -> str:
+        """Write the answer; return the message. Raises DataError without one, InputError."""
+        return self._ask(self._save)
+
+    def _save(self) -> str:
+        calibration, config = self.calibration, self.config
+        if calibration is None:
+            raise DataError('there is no calibration to save: call ~/compute_calibration first, '
+                            'and check that it succeeds')
+        folder = self._own_folder(config)
+        wanted = calibration, folder, config.save.formats
+        before, text = self._saved
+        if not self.file or before != wanted or not Path(self.file).is_file():
+            named = replace(calibration, name=folder_name(config))
+            saved = exports.save_all(named, folder, config.save.formats)
+            self.file, text = str(saved.files[0]), str(saved)
+            self._saved = wanted, text.replace('wrote ', 'saved already: ').partition(';')[0]
+        note = (f'; {COMPUTED} again: save it again after that'
+                if COMPUTED in self._works else '')
+        return f'{text}{self.changes(self.copied())}{note}'
+
+    def _own_folder(self, config: Config) -> Path:
+        """Return the folder of results; raises InputError if another node saves there too."""
+        folder = self.folders.folder(config)
+        if folder not in self._claims:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                claim = os.open(folder / '.lock', os.O_RDONLY | os.O_CREAT, 0o644)
+            except OSError as error:
+                raise UnwritableError(folder, error.strerror or str(error)) from error
+            try:
+                fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                os.close(claim)
+                raise InputError(f'another running node saves its results in {folder}: set name '
+                                 'or output_dir of this one, so that neither replaces those of '
+                                 'the other') from error
+            self._claims[folder] = claim
+        return folder
+
+    # verification: stops give no samples until its result
+
+    def verify_start(self) -> str:
+        """
+        Begin a verification, or the next part (face, ball, pass) of the current one.
+
+        Raises InputError for the settings, DataError without a calibration.
+        """
+        return self._ask(self._begin_verification)
+
+    def _begin_verification(self) -> str:
+        self._evaluate_all(rest=False)
+        verifying = self._verifying
+        if verifying is None or verifying.is_full:
+            verifying = VerificationSession(self.config)
+            self._verified()  # may read a file
+        else:
+            verifying.go_on()
+        with self.lock:
+            for stop in self.session.copied().rest():  # they began before
+                self.session.leave(stop)
+            self._verifying = verifying
+        advice = 'scan the gauge' if verifying.scans else 'move on, and stop with other tilts'
+        return (f'{verifying.text}; {advice}: what begins from now on counts, until '
+                '~/verify_result')
+
+    def _verify(self, stop: Stop, over: bool) -> Sample | Reject | None:
+        """Add a stop to the verification; one that is not over is replaced when it is."""
+        verifying = self._verifying
+        if over:
+            with self.lock:
+                self.session.leave(stop)
+        if verifying is None or verifying.scans:
+            return None
+        result = verifying.add(stop, self.config, self._result)
+        self.attempt = Attempt(not isinstance(result, Reject), 0,
+                               f'verification: {verifying.text}; {sample_summary(result)}')
+        self.last = Outcome(0, stop, result)
+        return result
+
+    def _take_for_verification(self, stop: Stop) -> str:
+        result = self._verify(stop, True)
+        if result is None:
+            raise DataError(f'{self.verification}: stops do not count, points are taken while the '
+                            'robot moves')
+        if isinstance(result, Reject):
+            raise DataError(result.reason)
+        return f'{self.verification}; {sample_summary(result)}'
+
+    def verify_result(self) -> str:
+        """
+        Write the verdict with its figures; the current stop counts as complete.
+
+        Raises DataError without a verification, a calibration or enough stops, and where it is
+        neither pass nor fail: the verification then continues.
+        """
+        session, calibration, config = self._ask(self._finished_verification)
+        self._works.append('the calibration is verified')
+        try:
+            result = self.solver.run(session.result, calibration, config)
+        finally:
+            self._works.remove('the calibration is verified')
+        return self._ask(partial(self._put_verdict, result))
+
+    def _finished_verification(self) -> tuple[VerificationSession, Calibration, Config]:
+        if self._verifying is None:
+            raise DataError('no verification was started: call ~/verify_start, and measure the '
+                            'artefact')
+        self._evaluate_all(rest=True)
+        with self.lock:
+            return self._verifying.copied(), self._verified(), self.config
+
+    def _put_verdict(self, result: Verification) -> str:
+        self.verdict = sentence(result)
+        config = self.config
+        poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
+        file = self._own_folder(config) / f'verification_{result.routine}.yaml'
+        previous = exports.set_aside(file.parent, [file.name], {file.name})
+        write_whole(file, yaml_text(
+            replace(result, inputs=(config.profile_topic, poses))))
+        text = f'{self.verdict}; {exports.Saved((file,), previous)}'
+        if result.verdict not in ('pass', 'fail'):
+            raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
+        self._verifying = None
+        return text
+
+    def _verified(self) -> Calibration:
+        """Return the calibration of verify.calibration, or the answer; raises HandeyeError."""
+        file = self.config.verify.calibration
+        if file:
+            return calibration_file.read_calibration(Path(file).expanduser())
+        if self.calibration is None:
+            raise DataError('there is no calibration to verify: call ~/compute_calibration, or '
+                            'set verify.calibration to the file of one')
+        return self.calibration
+
+
+def _identities(session: Session) -> frozenset[tuple[int, ...]]:
+    """Return what identifies the samples of a session: numbers are never used again."""
+    return frozenset((outcome.number, outcome.sample.stamp) for outcome in session.outcomes
+                     if outcome.sample and not session.excludes(outcome))

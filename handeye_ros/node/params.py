@@ -10,8 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros.bags.session_reading import Stored
-from handeye_ros.bags.session_store import OutputFolders, resumed
+from handeye_ros.bags.session import OutputFolders, resumed, Stored
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.output import folder_name

@@ -7,14 +7,11 @@ from pathlib import Path
 import sys
 
 from handeye_ros.data import Calibration
-from handeye_ros.errors import HandeyeError, NoRosError
-from handeye_ros.node.errors import SameFrameError, TopicsError, UnpublishedError
-from handeye_ros.node.executable import exit_code, InvalidHandle, RCLError, ros
-from handeye_ros.node.intake import TFMessage
-from handeye_ros.node.publishers import LATCHED, transform_stamped
+from handeye_ros.errors import HandeyeError, InputError, NoRosError
+from handeye_ros.node.main import exit_code, spin
+from handeye_ros.node.outputs import LATCHED, transform_stamped
+from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import file_of, read_calibration
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
@@ -24,7 +21,7 @@ def publish(paths: Sequence[Path]) -> None:
     Publish the calibrations of files or folders until Ctrl-C.
 
     An unusable file is reported on stderr at once, and the others are published; raises
-    UnpublishedError at the end.
+    InputError at the end.
     """
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
@@ -37,46 +34,34 @@ def publish(paths: Sequence[Path]) -> None:
             failed.append(error)
             print(error, file=sys.stderr, flush=True)
     if calibrations:
-        _spin(calibrations)
+        spin(lambda: _publisher(calibrations))
     if failed:
-        raise UnpublishedError(len(failed), len(paths))
+        raise InputError(f'{len(failed)} of {len(paths)} calibrations not published: see above, '
+                         'and name files that handeye solve or ~/save_calibration wrote')
 
 
 def _read(path: Path, calibrations: Sequence[Calibration]) -> Calibration:
-    """Return a calibration; raises SameFrameError if its sensor has a frame already."""
+    """Return a calibration; raises InputError if its sensor has a frame already."""
     file = file_of(path).absolute()
     calibration = read_calibration(file)
     if any(known.child_frame == calibration.child_frame for known in calibrations):
-        raise SameFrameError(file, calibration.child_frame)
+        raise InputError(f'{file} is not published: another of the files gives the pose of '
+                         f'{calibration.child_frame}, and a frame has one parent; name each '
+                         'sensor once')
     return calibration
 
 
-def _spin(calibrations: Sequence[Calibration]) -> None:
-    with ros():
-        try:
-            node = Node('handeye_publish')
-        except RCLError as error:
-            raise TopicsError(str(error)) from error
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
-        stamp = node.get_clock().now().to_msg()
-        # in one message: a latched topic keeps only the last
-        publisher.publish(TFMessage(transforms=[transform_stamped(calibration, stamp)
-                                                for calibration in calibrations]))
-        for calibration in calibrations:
-            node.get_logger().info(f'{calibration.child_frame} in {calibration.parent_frame} is '
-                                   f'on /tf_static (calibration {calibration.name})')
-        try:
-            executor.spin()
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
-        except (RCLError, InvalidHandle):
-            if rclpy.ok():  # else a signal came before it began to wait
-                raise
-        finally:
-            executor.shutdown()
-            node.destroy_node()
+def _publisher(calibrations: Sequence[Calibration]) -> Node:
+    node = Node('handeye_publish')
+    publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+    stamp = node.get_clock().now().to_msg()
+    # in one message: a latched topic keeps only the last
+    publisher.publish(TFMessage(transforms=[transform_stamped(calibration, stamp)
+                                            for calibration in calibrations]))
+    for calibration in calibrations:
+        node.get_logger().info(f'{calibration.child_frame} in {calibration.parent_frame} is '
+                               f'on /tf_static (calibration {calibration.name})')
+    return node
 
 
 def main() -> int:

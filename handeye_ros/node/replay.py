@@ -12,7 +12,7 @@ from typing import Any
 
 from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
-from handeye_ros.node.executable import exit_code, ros
+from handeye_ros.node.main import exit_code, ros
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher

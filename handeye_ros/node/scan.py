@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 import sys
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.bags.bag import pose_from_joints
@@ -24,18 +25,16 @@ from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, NoRosError, UnusableMessageError
-from handeye_ros.node.errors import TopicsError
-from handeye_ros.node.executable import exit_code, RCLError, ros
-from handeye_ros.node.intake import LATCHED_TREE, STREAM, TFMessage, THROTTLE
-from handeye_ros.node.publishers import cloud
+from handeye_ros.node.main import exit_code, spin
+from handeye_ros.node.outputs import cloud
+from handeye_ros.node.streams import LATCHED_TREE, STREAM, TFMessage, THROTTLE
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from handeye_ros.results.evidence import use_config
-from handeye_ros.robot.model import Arm
 from handeye_ros.robot.urdf import read_arm
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-import rclpy
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState, PointCloud2
 
@@ -59,55 +58,41 @@ class ScanNode(Node):
         self._dropped = 0
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
-        self.create_subscription(PointCloud2, config.profile_topic, self._on_profile, STREAM,
-                                 raw=True)
-        self._listen_to_poses()
+        config, profiles, poses = self._config, self._profiles, self._poses
+        self._listen(PointCloud2, config.profile_topic,
+                     lambda data: profiles.extend(returns_of(data, config.profile)))
+        if config.kinematics:
+            arm = read_arm(Path(config.kinematics))
+            self._listen(JointState, config.joint_topic,
+                         lambda data: poses.append(pose_from_joints(arm, data)))
+        elif config.pose_source == 'topic':
+            self._listen(PoseStamped, config.pose_topic, self._on_pose)
+        elif TFMessage:
+            self._listen(TFMessage, '/tf_static', lambda data: poses.extend(
+                self._tracker.add(transforms_from_cdr(data), True)), LATCHED_TREE)
+            self._listen(TFMessage, '/tf', lambda data: poses.extend(
+                self._tracker.add(transforms_from_cdr(data), False)))
+        else:
+            raise NoRosError('scan with pose_source tf', 'tf2_msgs')
         self.create_timer(PERIOD, self._publish_ready)
 
-    def _listen_to_poses(self) -> None:
-        if self._config.kinematics:
-            arm = read_arm(Path(self._config.kinematics))
-            self.create_subscription(JointState, self._config.joint_topic,
-                                     lambda data: self._on_joints(arm, data), STREAM, raw=True)
-        elif self._config.pose_source == 'topic':
-            self.create_subscription(PoseStamped, self._config.pose_topic, self._on_pose, STREAM,
-                                     raw=True)
-        elif not TFMessage:
-            raise NoRosError('scan with pose_source tf', 'tf2_msgs')
-        else:
-            for topic, qos in (('/tf_static', LATCHED_TREE), ('/tf', STREAM)):
-                self.create_subscription(
-                    TFMessage, topic, lambda data, static=topic != '/tf': self._on_transforms(
-                        data, static), qos, raw=True)
-
-    def _on_profile(self, data: bytes) -> None:
-        try:
-            self._profiles.extend(returns_of(data, self._config.profile))
-        except UnusableMessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+    def _listen(self, kind: Any, topic: str, receive: Callable[[bytes], object],
+                qos: QoSProfile = STREAM) -> None:
+        """Subscribe to a topic; messages that cannot be used are left out with a warning."""
+        def on_message(data: bytes) -> None:
+            try:
+                receive(data)
+            except UnusableMessageError as error:
+                self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+        self.create_subscription(kind, topic, on_message, qos, raw=True)
 
     def _on_pose(self, data: bytes) -> None:
-        try:
-            pose = pose_from_cdr(data)
-            if pose.parent_frame.lstrip('/') not in ('', self._config.base_frame):
-                raise UnusableMessageError(
-                    f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
-                    f'robot_base_frame is "{self._config.base_frame}"')
-            self._poses.append(pose)
-        except UnusableMessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
-
-    def _on_joints(self, arm: Arm, data: bytes) -> None:
-        try:
-            self._poses.append(pose_from_joints(arm, data))
-        except UnusableMessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
-
-    def _on_transforms(self, data: bytes, static: bool) -> None:
-        try:
-            self._poses.extend(self._tracker.add(transforms_from_cdr(data), static))
-        except UnusableMessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+        pose = pose_from_cdr(data)
+        if pose.parent_frame.lstrip('/') not in ('', self._config.base_frame):
+            raise UnusableMessageError(
+                f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
+                f'robot_base_frame is "{self._config.base_frame}"')
+        self._poses.append(pose)
 
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""
@@ -141,12 +126,7 @@ def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
     """Run the node until Ctrl-C; raises InputError for an invalid calibration."""
     calibration = read_calibration(file_of(path))
     config = with_assignments(use_config(calibration), assignments)
-    with ros():
-        try:
-            node = ScanNode(calibration, config, options)
-        except RCLError as error:
-            raise TopicsError(str(error)) from error
-        rclpy.spin(node)
+    spin(lambda: ScanNode(calibration, config, options))
 
 
 def main() -> None:

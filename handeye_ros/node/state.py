@@ -1,144 +1,203 @@
 """
-The state of a running node as one plain value, and sentences about it.
+The state of a running node as plain values, and sentences about it.
 
-Services, /diagnostics, ~/samples, ~/status and the page all report this value, so that they agree
-and use the same sentences. SI units; see docs/cell.md.
+Services, /diagnostics, ~/samples, ~/status and the page all report these values, so that they
+agree and use the same sentences. SI units; docs/cell.md documents the fields.
 """
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
-from handeye_ros.checks.review import count_of
+from handeye_ros.checks.review import Agreement, count_of, sample_summary
 from handeye_ros.data import Calibration
+from handeye_ros.output import folder_name
+from handeye_ros.results.table import transform_rows
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Outcome
 import numpy as np
+
+if TYPE_CHECKING:
+    from handeye_ros.node.live import LiveSession
+
+State = dict[str, Any]
 
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
-
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
+SILENCE = 2.0  # s without a message until it is reported
 
 
-@dataclass(frozen=True)
-class StreamState:
+def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trouble: str = ''
+             ) -> State:
     """
-    The messages of one kind, 'profile' or 'pose'.
+    Return the state of a running node.
 
-    count, malformed: numbers of valid and invalid messages; age: seconds since the last valid one,
-    or since the start; trouble: why no usable messages arrive and what to do, or ''.
+    obstacles: why no messages of a kind (profile, pose) arrive, where it is known; trouble: what
+    else disturbs the node.
     """
+    session, config, derived = live.copied(), live.config, live.derived
+    obstacles = obstacles or {}
+    poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
+    agreements = {}
+    if derived.review:
+        agreements = {outcome.number: agreement for outcome, agreement in zip(
+            derived.reviewed, derived.review.agreements, strict=False) if agreement}
+    samples = [_sample(outcome, session, agreements.get(outcome.number))
+               for outcome in session.outcomes]
+    worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
+    motion, attempt = session.motion, live.attempt
+    late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
+            'before: sampling continues by itself if the clock was set back'
+            ) if session.late else ''
+    troubles = (str(session.conflict or ''), late, live.arrivals.clocks, session.unasked,
+                *live.troubles, trouble)
+    return {
+        'name': folder_name(config),
+        'profiles': _stream(live, 'profile', config.profile_topic, session.frame_id,
+                            obstacles.get('profile', '')),
+        'poses': _stream(live, 'pose', poses, '', obstacles.get('pose', '')),
+        'motion': {
+            'standing': session.is_standing,
+            'speed': motion.speed if motion else 0.0,
+            'turning': motion.turning if motion else 0.0,
+            'still': motion.still if motion else 0.0,
+            'text': motion.sentence if motion else 'too few poses have come to measure it'},
+        'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
+                    'trouble': '; '.join(filter(None, troubles)),
+                    'notes': [*session.warnings, *live.warnings]},
+        'samples': samples, 'worst': [sample['number'] for sample in worst],
+        'review': derived.no_review,
+        'attempt': attempt and {'accepted': attempt.accepted, 'number': attempt.number,
+                                'text': attempt.text},
+        'calibration': _calibration(live, session), 'guidance': _guidance(live)}
 
-    kind: str
-    topic: str
-    count: int
-    malformed: int
-    age: float
-    frame: str = ''
-    trouble: str = ''
+
+def taken(state: State) -> int:
+    """Return the number of samples, including excluded ones."""
+    return sum(sample['taken'] for sample in state['samples'])
 
 
-@dataclass(frozen=True)
-class MotionState:
-    """Motion of the robot: m/s, rad/s, seconds at rest; text: in words."""
-
-    standing: bool
-    speed: float
-    turning: float
-    still: float
-    text: str
+def troubles_of(state: State) -> list[str]:
+    """Return why messages cannot be used, one sentence for each cause."""
+    sentences = [state[part]['trouble'] for part in ('profiles', 'poses', 'session')]
+    return [sentence for sentence in sentences if sentence]
 
 
-@dataclass(frozen=True)
-class SampleState:
+def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     """
-    One stop of the robot.
+    Return the message of a service with the current troubles.
+
+    A silent stream is reported if it explains a refusal, and by take_sample.
+    """
+    streams = [stream['trouble'] for stream in (state['profiles'], state['poses'])
+               if (service == 'take_sample' or not success)
+               and (stream['count'] == 0 or stream['malformed'] > stream['count'])]
+    trouble = '; '.join(filter(None, (*streams, state['session']['trouble'])))
+    return text if trouble in text else f'{text}; {trouble}'
+
+
+def samples_message(state: State) -> dict[str, Any]:
+    """Return the content of ~/samples, as plain values."""
+    return {'format': SAMPLES_FORMAT, 'session': state['session']['path'],
+            'mode': state['session']['mode'], 'samples': state['samples'],
+            'worst_first': state['worst'], 'review': state['review'],
+            'attempt': state['attempt']}
+
+
+def status_message(state: State) -> dict[str, Any]:
+    """Return the content of ~/status, as plain values."""
+    return {'format': STATUS_FORMAT, **state['calibration']}
+
+
+def calibration_summary(calibration: Calibration) -> str:
+    """Return the transform with its 1 sigma, and the residuals, in words."""
+    quality = calibration.quality
+    values = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
+    moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
+    used = count_of(quality.samples_used, 'profile of passes' if moving else 'sample')
+    return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
+            f'{", ".join(values[:3])} mm; roll, pitch, yaw = {", ".join(values[3:])} degrees; '
+            f'residual {quality.residual_rms * 1e3:.3f} mm '
+            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
+            f'{quality.samples_rejected} not used; save it with ~/save_calibration')
+
+
+def _stream(live: LiveSession, kind: str, topic: str, frame: str, obstacle: str) -> State:
+    """
+    Return the messages of one kind, 'profile' or 'pose'.
+
+    count, malformed: numbers of valid and invalid messages; lost: of those lost on their way; age:
+    seconds since the last valid one, or since the start; trouble: why no usable messages arrive
+    and what to do, or ''.
+    """
+    arrivals = live.arrivals
+    count, silence, trouble = arrivals.counts[kind], arrivals.silence(kind), arrivals.trouble(kind)
+    if not trouble and silence >= SILENCE:
+        trouble = (f'{"no more" if count else "no"} {kind}s {"from" if topic == "/tf" else "on"} '
+                   f'{topic} for {silence:.0f} s' + (f' ({obstacle})' if obstacle else ''))
+    return {'kind': kind, 'topic': topic, 'count': count, 'malformed': arrivals.malformed[kind],
+            'lost': arrivals.lost[kind], 'age': silence, 'frame': frame, 'trouble': trouble}
+
+
+def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> State:
+    """
+    Return one stop of the robot.
 
     taken: whether it gave a sample; excluded: whether samples.exclude leaves it out; believed:
     whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
     (m), None without a fit; translation, rotation: the flange in the base (quaternion x y z w),
     None without a sample.
     """
-
-    number: int
-    stamp: int
-    taken: bool
-    excluded: bool
-    believed: bool
-    text: str
-    residual: float | None = None
-    left_out: float | None = None
-    translation: tuple[float, ...] | None = None
-    rotation: tuple[float, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """Result of the last attempt to take a sample; number: 0 without a sample."""
-
-    accepted: bool
-    number: int
-    text: str
+    sample, excluded = outcome.sample, session.excludes(outcome)
+    T = sample.T_base_flange if sample else None
+    return {
+        'number': outcome.number, 'stamp': outcome.result.stamp, 'taken': sample is not None,
+        'excluded': excluded,
+        'believed': sample is not None and not excluded and (agreement is None or agreement.used),
+        'text': sample_summary(outcome.result),
+        'residual': agreement.residual if agreement else None,
+        'left_out': agreement.left_out if agreement else None,
+        'translation': None if T is None else T[:3, 3].tolist(),
+        'rotation': None if T is None else se3.quaternion(T).tolist()}
 
 
-@dataclass(frozen=True)
-class SessionState:
+def _calibration(live: LiveSession, session: Session) -> State:
     """
-    Where the session is stored, and how samples are taken.
-
-    path: its folder, empty before the first sample; mode: sampling.mode; working: the running
-    tasks in words; trouble: why messages cannot be used, and what to do; notes: sentences on
-    dropped or unusual data.
-    """
-
-    path: str
-    mode: str
-    working: str = ''
-    trouble: str = ''
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class CalibrationState:
-    """
-    The answer and its state.
+    Return the answer and its state.
 
     state: none, current, outdated (samples or settings have changed since) or withdrawn (the
     transform that was published before is not valid). translation, rotation (x y z w), rpy: of the
     child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
     file of this answer, empty before it is saved.
     """
-
-    state: str
-    text: str
-    parent: str = ''
-    child: str = ''
-    translation: tuple[float, ...] | None = None
-    rotation: tuple[float, ...] | None = None
-    rpy: tuple[float, ...] | None = None
-    std: tuple[float, ...] | None = None
-    residual_rms: float | None = None
-    holdout_rms: float | None = None
-    used: int = 0
-    rejected: int = 0
-    saved: str = ''
-
-
-@dataclass(frozen=True)
-class SigmaState:
-    """One direction's 1 sigma and its limit, in a unit: m or rad."""
-
-    name: str
-    std: float
-    limit: float
-    unit: str
+    calibration, values = live.calibration, dict[str, Any]()
+    if calibration is None:
+        text = live.withdrawn or ': '.join(filter(None, (
+            'no calibration has been computed yet', live.missing)))
+        state = WITHDRAWN if live.withdrawn else NONE
+    else:
+        T, quality = calibration.T_flange_sensor, calibration.quality
+        changes = live.changes(session)
+        state, text = OUTDATED if changes else CURRENT, calibration_summary(calibration) + changes
+        values = {
+            'parent': calibration.parent_frame, 'child': calibration.child_frame,
+            'translation': T[:3, 3].tolist(), 'rotation': se3.quaternion(T).tolist(),
+            'rpy': [float(angle) for angle in se3.rpy(T)],
+            'std': np.sqrt(np.diag(calibration.covariance)).tolist(),
+            'residual_rms': quality.residual_rms, 'holdout_rms': quality.holdout_rms,
+            'used': quality.samples_used, 'rejected': quality.samples_rejected,
+            'saved': live.file}
+    return {
+        'state': state, 'text': text, 'parent': '', 'child': '', 'translation': None,
+        'rotation': None, 'rpy': None, 'std': None, 'residual_rms': None, 'holdout_rms': None,
+        'used': 0, 'rejected': 0, 'saved': '', **values}
 
 
-@dataclass(frozen=True)
-class GuidanceState:
+def _guidance(live: LiveSession) -> State:
     """
-    The guidance.
+    Return the guidance.
 
     sample: the number of the last sample that it includes, 0 for none; text: the complete text,
     with that number; sentences: its sentences; enough: whether the samples suffice, why: the
@@ -147,88 +206,14 @@ class GuidanceState:
     x y z w), None before a first estimate of the sensor's pose; expected: 1 sigma of mapped points
     with it (m).
     """
-
-    sample: int
-    text: str
-    sentences: tuple[str, ...]
-    enough: bool
-    why: str
-    sigmas: tuple[SigmaState, ...] = ()
-    translation: tuple[float, ...] | None = None
-    rotation: tuple[float, ...] | None = None
-    expected: float | None = None
-
-
-@dataclass(frozen=True)
-class State:
-    """
-    The state of a running node at one time.
-
-    samples: in the order of their numbers; worst: the numbers of the samples with a left-out
-    residual, the largest first; review: why there are no residuals, '' where there are; attempt:
-    the last one, or None; guidance: the advice, None before the first sample.
-    """
-
-    name: str
-    profiles: StreamState
-    poses: StreamState
-    motion: MotionState
-    session: SessionState
-    samples: tuple[SampleState, ...]
-    worst: tuple[int, ...]
-    review: str
-    attempt: Attempt | None
-    calibration: CalibrationState
-    guidance: GuidanceState | None = None
-
-    @property
-    def taken(self) -> int:
-        """Return the number of samples, including excluded ones."""
-        return sum(sample.taken for sample in self.samples)
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        """Return why messages cannot be used, one sentence for each cause."""
-        return tuple(filter(None, (self.profiles.trouble, self.poses.trouble,
-                                   self.session.trouble)))
-
-    def with_trouble(self, text: str, success: bool, service: str) -> str:
-        """
-        Return the message of a service with the current troubles.
-
-        A silent stream is reported if it explains a refusal, and by take_sample.
-        """
-        takes = service == 'take_sample'
-        streams = [stream.trouble for stream in (self.profiles, self.poses)
-                   if takes or not success and (
-                       stream.count == 0 or stream.malformed > stream.count)]
-        trouble = '; '.join(filter(None, (*streams, self.session.trouble)))
-        return text if trouble in text else f'{text}; {trouble}'
-
-
-def samples_message(state: State) -> dict[str, Any]:
-    """Return the content of ~/samples, as plain values."""
-    return {'format': SAMPLES_FORMAT, 'session': state.session.path, 'mode': state.session.mode,
-            'samples': [asdict(sample) for sample in state.samples],
-            'worst_first': list(state.worst), 'review': state.review,
-            'attempt': asdict(state.attempt) if state.attempt else None}
-
-
-def status_message(state: State) -> dict[str, Any]:
-    """Return the content of ~/status, as plain values."""
-    return {'format': STATUS_FORMAT, **asdict(state.calibration)}
-
-
-def calibration_summary(calibration: Calibration) -> str:
-    """Return the transform with its 1 sigma, and the residuals, in words."""
-    T, quality = calibration.T_flange_sensor, calibration.quality
-    std = np.sqrt(np.diag(calibration.covariance))
-    position = ', '.join(f'{v * 1e3:.3f} ± {s * 1e3:.3f}'
-                         for v, s in zip(T[:3, 3], std[:3], strict=True))
-    angles = ', '.join(f'{math.degrees(v):.4f}' for v in se3.rpy(T))
-    turns = ', '.join(f'{math.degrees(s):.4f}' for s in std[3:])
-    return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = {position} mm; '
-            f'roll, pitch, yaw = {angles} degrees (± {turns} about x, y, z); residual '
-            f'{quality.residual_rms * 1e3:.3f} mm RMS, left out '
-            f'{quality.holdout_rms * 1e3:.3f} mm; {count_of(quality.samples_used, "sample")} '
-            f'used, {quality.samples_rejected} rejected; save it with ~/save_calibration')
+    advice, sample = live.derived.advice, live.derived.advised
+    pose = advice.next
+    prefix = f'after sample {sample}: ' if sample else ''
+    return {
+        'sample': sample, 'text': prefix + advice.text, 'sentences': list(advice.sentences),
+        'enough': advice.enough, 'why': advice.why,
+        'sigmas': [{'name': s.name, 'std': float(s.std), 'limit': float(s.limit), 'unit': s.unit}
+                   for s in advice.sigmas],
+        'translation': pose.T_base_flange[:3, 3].tolist() if pose else None,
+        'rotation': se3.quaternion(pose.T_base_flange).tolist() if pose else None,
+        'expected': float(pose.std) if pose else None}

@@ -1,250 +1,329 @@
-"""
-Messages received by a running node: counts, clocks, latest ones, and the session.
-
-Knows no ROS.
-"""
+"""The subscriptions of the node: profiles, poses from a topic, /tf or joint values, and joints."""
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+import struct
 import threading
 import time
-from typing import Protocol
+import traceback
+from typing import Any, TypeVar
 
-from handeye_ros import se3
+from geometry_msgs.msg import PoseStamped
+from handeye_ros.bags.bag import pose_from_joints
+from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, split, transforms_from_cdr
+from handeye_ros.bags.reader import CLOUD, JOINTS, POSE
+from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
-from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.session import Session, silent_poses
-from handeye_ros.sampling.station_features import features_of
-from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.stream import interpolate
+from handeye_ros.data import RawProfile, TimedPose
+from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
+from handeye_ros.node.arrivals import Arrivals
+from handeye_ros.node.live import LiveSession
+from handeye_ros.robot.urdf import read_arm
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import JointState, PointCloud2
 
-MOST_STOPS = 16  # waiting for evaluation: at most 7 MB each with 1280 points a profile
-KINDS = ('profile', 'pose')
-LAST = 100  # messages of a kind that are kept: one of the two streams may be late
-BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported
-FRESH = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
-# s without a pose after which the pose is unknown: while profiles arrive, and if both stop
-POSES_SILENT, BOTH_SILENT = 2.0, 30.0
-PROFILES_COME = 1.0  # s since the last profile
-LARGEST_APART = 5.0  # s: difference of the clocks that a slow network or a queue explains
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # the wheels of rclpy come without it
+    TFMessage = None
 
+__all__ = ['LATCHED_TREE', 'STREAM', 'Streams', 'TFMessage', 'THROTTLE', 'topics_with']
 
-class Arrivals:
-    """Counts the messages of a node."""
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+# The queue holds 20 s of poses at 100 Hz, for times when other work takes the processor.
+STREAM = QoSProfile(depth=2000, reliability=BEST_EFFORT)
+LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+OVERRIDES = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH))
+SILENT = SubscriptionEventCallbacks(use_default_callbacks=False)
 
-    def __init__(self) -> None:
-        """Start without messages."""
-        self.counts = Counter({'profile': 0, 'pose': 0, 'malformed': 0})
-        self.bad: Counter[str] = Counter()
-        self.last_malformed = ''
-        self._reasons: dict[str, str] = {}
-        self._latest = dict.fromkeys(KINDS, time.monotonic())
-        self._stamps: dict[str, int] = {}
-        self._bad_in_a_row: Counter[str] = Counter()
+PAUSE = 2e-3  # s between two reads of all topics
+MOST_AT_ONCE = 200  # messages of one topic before the next topic
+LOOK = 0.1  # s between two looks at what the publishers offer
+THROTTLE = 5.0  # s between two warnings of a kind
+LISTED = 5  # largest number of topics or nodes in a sentence
 
-    def received(self, kind: str, stamp: int) -> None:
-        """Count a valid message; stamp: of its header, in ns."""
-        self.counts[kind] += 1
-        self._bad_in_a_row[kind] = 0
-        self._latest[kind] = time.monotonic()
-        self._stamps[kind] = stamp
+Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 
-    def malformed(self, kind: str, reason: str) -> None:
-        """Count an invalid message."""
-        self.counts['malformed'] += 1
-        self.bad[kind] += 1
-        self._bad_in_a_row[kind] += 1
-        self.last_malformed = self._reasons[kind] = reason
-
-    def unusable(self, kind: str) -> str:
-        """Return a sentence if most, or the last, messages of a kind are invalid."""
-        bad, good, last = self.bad[kind], self.counts[kind], self._bad_in_a_row[kind]
-        if bad > good:
-            count = f'{bad} of {bad + good} {kind}s'
-        elif last >= BAD_IN_A_ROW:
-            count = f'the last {last} {kind}s'
-        else:
-            return ''
-        return f'{count} cannot be used; the last reason: {self._reasons[kind]}'
-
-    def silence(self, kind: str) -> float:
-        """Return the seconds since the last valid message, or since the start."""
-        return time.monotonic() - self._latest[kind]
-
-    @property
-    def clocks(self) -> str:
-        """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
-        if any(kind not in self._stamps or self.silence(kind) > FRESH for kind in KINDS):
-            return ''
-        profile, pose = (self._stamps[kind] * 1e-9 + self.silence(kind) for kind in KINDS)
-        ahead = profile - pose
-        if abs(ahead) < LARGEST_APART:
-            return ''
-        size = f'{abs(ahead):.1f} s' if abs(ahead) < 3600 else f'{abs(ahead) / 3600:.2f} hours'
-        return (f'the stamps of the profiles are {size} {"ahead of" if ahead > 0 else "behind"} '
-                'those of the poses: the clocks of sensor and robot differ; set them to one time '
-                '(PTP or NTP), or let one driver stamp as the other does')
+NO_TF = ('pose_source is tf, but tf2_msgs is not installed: '
+         f'{INSTALL_TF2}; or publish the poses on pose_topic')
+HINTS = {  # why another message type cannot be used, or the remedy
+    'geometry_msgs/msg/Pose': ', as a Pose has no time',
+    'geometry_msgs/msg/PoseWithCovarianceStamped': ', without the covariance',
+    'geometry_msgs/msg/TransformStamped': ' (or set pose_source to tf)',
+    'sensor_msgs/msg/LaserScan': ': let the driver publish its points',
+    'sensor_msgs/msg/PointCloud': ', its successor',
+}
 
 
-@dataclass(frozen=True, eq=False)
-class Current:
+class NoExecutor(MutuallyExclusiveCallbackGroup):
+    """Excludes subscriptions from executors, which are slower than reading in a thread."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return False: no executor may wait for a subscription."""
+        return False
+
+
+@dataclass(eq=False)
+class _Topic:
     """
-    The current points (n, 2) and features in the sensor plane, at T_base_flange (4, 4).
+    A topic that is read.
 
-    reason: why there are no features, empty where there are some.
+    kind: of what it is counted as, '' if it is not; alone: whether it should have one publisher;
+    number: of the last message, as its publisher counts them.
     """
 
-    T_base_flange: Array
-    points: Array
-    features: tuple[Feature, ...]
-    reason: str = ''
-
-
-class Latest:
-    """The latest messages of both streams."""
-
-    def __init__(self) -> None:
-        """Start with none."""
-        self._lock = threading.Lock()
-        self._profiles: deque[AnyProfile] = deque(maxlen=LAST)
-        self._poses: deque[TimedPose] = deque(maxlen=LAST)
-
-    def add_profile(self, profile: AnyProfile) -> None:
-        """Add a profile."""
-        with self._lock:
-            self._profiles.append(profile)
-
-    def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Add poses."""
-        with self._lock:
-            self._poses.extend(poses)
-
-    def clear(self) -> None:
-        """Forget all messages: stamps may start again."""
-        with self._lock:
-            self._profiles.clear()
-            self._poses.clear()
-
-    @property
-    def pose(self) -> Array | None:
-        """Return T_base_flange (4, 4) of the last pose, None before the first."""
-        with self._lock:
-            last = self._poses[-1] if self._poses else None
-        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
-
-    def current(self, config: Config) -> Current | None:
-        """Return the last usable profile with poses before and after it; None without one."""
-        with self._lock:
-            profiles = list(self._profiles)
-            # of equal stamps, as in a repeated playback, the last pose counts
-            by_stamp = {pose.stamp: pose for pose in self._poses}
-        if len(by_stamp) < 2:
-            return None
-        poses = sorted(by_stamp.values(), key=lambda pose: pose.stamp)
-        between_poses = [p for p in profiles if poses[0].stamp <= p.stamp <= poses[-1].stamp]
-        if not between_poses:
-            return None
-        try:
-            profile = between_poses[-1].read(config.profile)
-        except UnusableMessageError:
-            return None
-        (T,) = interpolate(poses, [profile.stamp])
-        try:
-            return Current(T, profile.points, features_of(profile, config))
-        except FeatureError as error:
-            return Current(T, profile.points, (), str(error))
-
-
-class StopConsumer(Protocol):
-    """Receives the stops of the robot instead of the samples."""
-
-    def add(self, stop: Stop, over: bool = True) -> str:
-        """Add a stop; over: it is complete. Return the message."""
-
-    def take(self, stop: Stop) -> str:
-        """Add a requested stop; raises UnusableStopError."""
+    kind: str
+    message: Any
+    name: str
+    receive: Callable[[bytes], None]
+    qos: QoSProfile = field(default_factory=lambda: STREAM)
+    alone: bool = False
+    subscription: Any = None
+    publishers: int = 0
+    number: int = 0
 
 
 class Streams:
     """
-    The streams of a running node, and its session.
+    The subscriptions, and the thread that reads their messages.
 
-    lock: for the session, held at most for one message; waiting: complete stops that are not yet
-    evaluated; early: the current stop once it has enough profiles; wake: wakes the thread that
-    evaluates them.
+    Profiles and poses are read as reliably as all of their publishers offer: large clouds do not
+    arrive otherwise. An invalid message is counted and left out.
     """
 
-    def __init__(self, config: Config) -> None:
-        """Start empty; raises BadValueError for a method that does not exist."""
-        self.config = config
-        self.lock = threading.Lock()
-        self.session = Session(config)
-        self.waiting: deque[Stop] = deque()
-        self.early: Stop | None = None
-        self.wake = threading.Event()
-        self.arrivals = Arrivals()
-        self.latest = Latest()
-        self._skipped = 0  # number of dropped stops
+    def __init__(self, node: Node, live: LiveSession) -> None:
+        """Subscribe; raises InputError."""
+        self._node, self._live = node, live
+        self._group = NoExecutor()
+        self._topics: list[_Topic] = []
+        self._reader = ProfileReader(live.config.profile)
+        self.listen()
 
-    def add_profile(self, profile: AnyProfile) -> None:
-        """Add a profile."""
-        self.arrivals.received('profile', profile.stamp)
-        self.latest.add_profile(profile)
-        with self.lock:
-            self.session.add_profile(profile)
-            self._queue_stops(self.session.passed())
+    def start(self) -> None:
+        """Start reading messages."""
+        threading.Thread(target=self._run, name='streams', daemon=True).start()
 
-    def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Add poses."""
-        poses = list(poses)
-        self.latest.add_poses(poses)
-        with self.lock:
-            for pose in poses:
-                self.arrivals.received('pose', pose.stamp)
-                self.session.add_pose(pose)
-            self.early = self.session.early() or self.early
-            self._queue_stops(self.session.passed())
+    def listen(self) -> None:
+        """Subscribe to the topics of the current settings; raises InputError."""
+        old_topics, config = self._topics, self._live.config
+        self._names = _names_of(config)
+        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+        self._last_stamp: int | None = None  # ns, of the last message of profiles
+        self._live.arrivals = Arrivals()
+        reliable = QoSProfile(depth=STREAM.depth, reliability=RELIABLE)
+        topics = [_Topic('profile', PointCloud2, config.profile_topic, self._on_profile,
+                         reliable, alone=True)]
+        if config.kinematics:
+            pose_of = partial(pose_from_joints, read_arm(Path(config.kinematics)))
+            topics.append(_Topic('pose', JointState, config.joint_topic,
+                                 partial(self._on_pose, pose_of), reliable, alone=True))
+        else:
+            topics.append(_Topic('', JointState, config.joint_topic, self._on_joints))
+            if config.pose_source == 'topic':
+                topics.append(_Topic('pose', PoseStamped, config.pose_topic,
+                                     partial(self._on_pose, pose_from_cdr), reliable,
+                                     alone=True))
+            elif TFMessage:
+                topics += [_Topic('pose', TFMessage, '/tf_static',
+                                  partial(self._on_transforms, True), LATCHED_TREE),
+                           _Topic('pose', TFMessage, '/tf',
+                                  partial(self._on_transforms, False))]
+            else:
+                raise InputError(NO_TF)
+        for topic in topics:
+            self._subscribe(topic)
+        self._topics = topics
+        for topic in old_topics:
+            self._node.destroy_subscription(topic.subscription)
 
-    def _queue_stops(self, stops: Iterable[Stop]) -> None:
-        """Queue stops for evaluation; drop the oldest if too many wait."""
-        self.session.keep_waiting(MOST_STOPS)
-        self.waiting.extend(stops)
-        while len(self.waiting) > MOST_STOPS:
-            self.waiting.popleft()
-            self._skipped += 1
-        if self.waiting or self.early:
-            self.wake.set()
+    def _subscribe(self, topic: _Topic) -> None:
+        self._full_name(topic.name)  # raises InputError
+        topic.subscription = self._node.create_subscription(
+            topic.message, topic.name, topic.receive, topic.qos, callback_group=self._group,
+            raw=True, qos_overriding_options=OVERRIDES, event_callbacks=SILENT)
 
-    def standing(self) -> Stop:
-        """Return the current stop; raises DataError as the session does."""
-        silence = self.arrivals.silence('pose')
-        limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
-        if self.arrivals.counts['pose'] and silence > limit:
-            raise silent_poses(silence)
-        with self.lock:
-            return self.session.current_stop()
+    def changes(self, config: Config) -> bool:
+        """Return whether settings name other topics than now; raises InputError."""
+        if _names_of(config) == self._names:
+            return False
+        if any(outcome.sample for outcome in self._live.copied().outcomes):
+            raise InputError('the topics cannot change while there are samples from them: call '
+                             '~/clear_samples first, which begins a new session')
+        by_topic = config.pose_source == 'topic'
+        if not by_topic and not TFMessage:
+            raise InputError(NO_TF)
+        names = [self._full_name(config.profile_topic)]
+        names += [self._full_name(config.pose_topic)] * by_topic
+        if len(set(names)) < len(names):
+            raise InputError('profile_topic and pose_topic are the same: each needs its own')
+        return True
 
-    def is_taken(self, stop: Stop) -> bool:
-        """Return whether a stop was sampled or is to be ignored."""
-        with self.lock:
-            return self.session.is_taken(stop)
+    def _full_name(self, topic: str) -> str:
+        """Return the full name of a topic; raises InputError."""
+        try:
+            return str(self._node.resolve_topic_name(topic))
+        except RCLError as error:
+            reason = str(error).splitlines()[0].partition(', at /')[0]
+            raise InputError(f'"{topic}" cannot name a topic: {reason}') from error
 
-    def leave(self, stop: Stop) -> None:
-        """Mark a stop as taken, so that it gives no sample."""
-        with self.lock:
-            self.session.leave(stop)
+    def restart(self) -> None:
+        """Accept transforms of any time from now on: a bag may be played again."""
+        self._tracker.restart()
 
-    def copied(self) -> Session:
-        """Return a copy of the session at this moment."""
-        with self.lock:
-            return self.session.copied()
+    # the thread
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Return a sentence if stops were dropped; empty otherwise."""
-        return (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that '
-                'waited to be evaluated: the processor cannot keep up; stop less often, or '
-                'publish fewer points',) if self._skipped else ()
+    def _run(self) -> None:
+        """Read all topics repeatedly until the node ends."""
+        looked = 0.0
+        while self._node.context.ok():
+            topics, most = self._topics, 0
+            try:
+                for topic in topics:
+                    most = max(most, self._drain(topic))
+                if time.monotonic() - looked > LOOK:
+                    looked = time.monotonic()
+                    self._match(topics)
+            except (InvalidHandle, RCLError):
+                if topics is self._topics:  # else the subscriptions were replaced
+                    return
+            if most < MOST_AT_ONCE:
+                time.sleep(PAUSE)
+
+    def _match(self, topics: list[_Topic]) -> None:
+        """Subscribe again, with best effort, where a publisher offers no more."""
+        for topic in [topic for topic in topics if topic.alone]:
+            publishers = self._node.get_publishers_info_by_topic(self._full_name(topic.name))
+            topic.publishers = len(publishers)
+            if topic.qos is not STREAM and any(
+                    info.qos_profile.reliability == BEST_EFFORT for info in publishers):
+                old, topic.qos = topic.subscription, STREAM
+                self._subscribe(topic)
+                topic.number = 0
+                self._node.destroy_subscription(old)
+
+    def _drain(self, topic: _Topic) -> int:
+        """Read at most MOST_AT_ONCE messages of a topic; return how many."""
+        handle, arrivals = topic.subscription.handle, self._live.arrivals
+        with handle:
+            for count in range(MOST_AT_ONCE):
+                received = handle.take_message(topic.message, True)
+                if not received:
+                    return count
+                data, info = received
+                number = info['publication_sequence_number'] or 0
+                if topic.publishers == 1 and 0 < topic.number < number:
+                    arrivals.lost[topic.kind] += number - topic.number - 1
+                topic.number = number
+                try:
+                    topic.receive(data)
+                except Exception as error:  # noqa: BLE001 - the streams must continue
+                    if not isinstance(error, UnusableMessageError):
+                        self._node.get_logger().error(traceback.format_exc())
+                    if topic.kind:
+                        arrivals.add_malformed(topic.kind, str(error))
+                    self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+        return MOST_AT_ONCE
+
+    def _on_profile(self, data: bytes) -> None:
+        config = self._live.config
+        if self._reader.config != config.profile:
+            self._reader = ProfileReader(config.profile)
+        profile = self._stamped(self._reader.take(data))
+        message = replace(profile, stamp=profile.stamp + round(config.time_offset * 1e9))
+        for profile_part in split(message, self._last_stamp, config.profile):
+            self._live.add_profile(profile_part)
+        self._last_stamp = message.stamp
+
+    def _on_pose(self, pose_of: Callable[[bytes], TimedPose], data: bytes) -> None:
+        self._live.add_poses([self._stamped(pose_of(data))])
+
+    def _on_joints(self, data: bytes) -> None:
+        """Keep joint values for `handeye kinematics`, as they are."""
+        seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
+        self._live.add_joints(seconds * 1_000_000_000 + nanoseconds, data)
+
+    def _on_transforms(self, static: bool, data: bytes) -> None:
+        self._live.add_poses(self._tracker.add(transforms_from_cdr(data), static))
+
+    def _stamped(self, item: Stamped) -> Stamped:
+        """Return an item; without a stamp it gets the time of receipt."""
+        if item.stamp:
+            return item
+        self._node.get_logger().warning(
+            'messages come without a stamp: the time of receipt is used',
+            throttle_duration_sec=THROTTLE)
+        return replace(item, stamp=self._node.get_clock().now().nanoseconds)
+
+    # what disturbs them
+
+    def obstacles(self) -> dict[str, str]:
+        """Return why no messages of a kind (profile, pose) arrive, where it is known."""
+        config, node = self._live.config, self._node
+        profile = _why_silent(node, 'profile_topic', config.profile_topic, CLOUD)
+        if config.kinematics:
+            pose = _why_silent(node, 'joint_topic', config.joint_topic, JOINTS)
+        elif config.pose_source == 'topic':
+            pose = _why_silent(node, 'pose_topic', config.pose_topic, POSE)
+        else:
+            pose = self._tracker.missing()
+        return {'profile': profile, 'pose': pose}
+
+    def trouble(self) -> str:
+        """Return a sentence for each topic with several publishers, and for a second node."""
+        sentences, node = [], self._node
+        for topic in (topic for topic in self._topics if topic.alone):
+            name = self._full_name(topic.name)
+            if node.count_publishers(name) > 1:
+                names = [f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+                         for info in node.get_publishers_info_by_topic(name)]
+                sentences.append(f'{len(names)} publishers send {topic.kind}s on {name} '
+                                 f'({", ".join(sorted(names)[:LISTED])}): let only one publish')
+        own_name = (node.get_name(), node.get_namespace())
+        if node.get_node_names_and_namespaces().count(own_name) > 1:
+            sentences.append(
+                f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
+                'either may answer; end one, or rename it (-r __node:=other). One that was killed '
+                'is listed for 20 s more')
+        return '; '.join(sentences)
+
+
+def _names_of(config: Config) -> tuple[str, str, str]:
+    """Return the settings of topics that may change at run time."""
+    return config.profile_topic, config.pose_source, config.pose_topic
+
+
+def _why_silent(node: Node, key: str, topic: str, message_type: str) -> str:
+    """
+    Return why no messages of a type arrive; empty if there is a publisher.
+
+    key: of the configuration that names the topic.
+    """
+    name = node.resolve_topic_name(topic)
+    types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
+    if message_type in types:
+        return ''
+    hints = ''.join(HINTS.get(kind, '') for kind in sorted(types))
+    reason = f'{name} has no publisher' if not types else (
+        f'it carries {", ".join(sorted(types))}, expected {message_type}{hints}')
+    alternatives = topics_with(node, message_type)
+    if alternatives:
+        reason += f'; {message_type} is on {", ".join(alternatives[:LISTED])}: set {key}'
+    return reason
+
+
+def topics_with(node: Node, message_type: str) -> list[str]:
+    """Return the topics with publishers of a message type in other nodes."""
+    names = [name for name, types in node.get_topic_names_and_types() if message_type in types]
+    own_name = (node.get_name(), node.get_namespace())
+    return sorted(name for name in names
+                  if any(info.topic_type == message_type
+                         and (info.node_name, info.node_namespace) != own_name
+                         for info in node.get_publishers_info_by_topic(name)))

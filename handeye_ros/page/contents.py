@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.bags.reader import CLOUD, POSE
-from handeye_ros.bags.session_reading import read_session, sessions_in
+from handeye_ros.bags.session import read_session, sessions_in
 from handeye_ros.checks.review import Review, stop_snapshot
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
@@ -19,9 +19,9 @@ from handeye_ros.frames import in_mount
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import extremes
 from handeye_ros.guidance.views import anchor_of
+from handeye_ros.node.arrivals import Current
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import State
-from handeye_ros.node.streams import Current
 from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.scene import shape
@@ -101,7 +101,7 @@ def source(node: Served) -> Source:
 
 def _remove_last(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Remove the last sample; number: of that which the person has seen as the last."""
-    last = max((s.number for s in node.state.samples if s.taken), default=None)
+    last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
     if values.get('number', last) != last:
         return False, f'sample {last} has been taken since: look at it before you remove it'
     return node.call_service('remove_last_sample')
@@ -110,7 +110,7 @@ def _remove_last(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
 def _exclude(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Leave out a sample, or bring it back."""
     number, out = values.get('number'), values.get('out') is True
-    if type(number) is not int or number not in {s.number for s in node.state.samples}:
+    if type(number) is not int or number not in {s['number'] for s in node.state['samples']}:
         return False, f'there is no sample {str(number)[:20]}'
     numbers = {*node.live.config.samples.exclude} - {number} | ({number} if out else set())
     result, = node.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
@@ -144,11 +144,11 @@ def _cell(node: Served) -> dict[str, Any]:
     values = configuration.flatten(live.config)
     choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
                'verify.routine': list(ROUTINES)}
-    current = Path(live.samples.store.path).name
+    current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
     previous = 0
-    if sessions and not node.state.samples:
+    if sessions and not node.state['samples']:
         previous = sum(event.taken for event, _ in read_session(sessions[0]).stops.values())
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
@@ -164,7 +164,7 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
     calibration = calibration_file.dated(replace(
         live.calibration, name=folder_name(live.config)))
     if name == exports.REPORT:
-        return name, live.solver.run(_report, calibration, live.samples.store.path, urgent=True)
+        return name, live.solver.run(_report, calibration, live.path)
     form = exports.format_of(name)
     return form.file_name(calibration), form.text(calibration)
 
@@ -178,13 +178,12 @@ def _report(calibration: Calibration, session: str) -> str:
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
-    config, current = live.config, live.streams.latest.current(live.config)
-    verification = live.verification
+    config, current = live.config, live.latest.current(live.config)
     profile = current and _profile(current.points, current.features, current.reason)
-    return {**asdict(state), 'profile': profile, 'scene': _scene(live, current),
+    return {**state, 'profile': profile, 'scene': _scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
-            'rows': list(answer_rows(live.answer.calibration)),
-            'verification': {'running': verification.text, 'verdict': verification.last,
+            'rows': list(answer_rows(live.calibration)),
+            'verification': {'running': live.verification, 'verdict': live.verdict,
                              'routine': config.verify.routine}}
 
 
@@ -226,12 +225,12 @@ def _profile(points: Array, features: Iterable[Feature], reason: str) -> dict[st
 
 def _edges(live: LiveSession) -> dict[int, str]:
     """Return the edges of the target crossed by each used sample, by its number."""
-    review = live.reviewer.review
+    review = live.derived.review
     if review is None:
         return {}
     problem, edges = review.solution.problem, {}
     names, kinds = problem.method.kinds, problem.method.essential_kinds
-    used = [outcome for outcome, agreement in zip(live.reviewer.reviewed, review.agreements,
+    used = [outcome for outcome, agreement in zip(live.derived.reviewed, review.agreements,
                                                   strict=False) if agreement and agreement.used]
     for station, outcome in enumerate(used):
         crossed = set(problem.observations.kind[problem.observations.station == station])
@@ -247,13 +246,13 @@ def _scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
     view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
     the advice while the sensor's pose is unknown.
     """
-    config, review, advice = live.config, live.reviewer.review, live.reviewer.advice
+    config, review, advice = live.config, live.derived.review, live.derived.advice
     review = review if advice.sigmas else None
     X = review.solution.estimate.X if review else np.eye(4)
     samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
-    pose = live.streams.latest.pose
+    pose = live.latest.pose
     aim = advice.next.T_base_flange if advice.next else None
-    extreme_points = live.reviewer.extremes
+    extreme_points = live.extremes
     if current:
         extreme_points = extremes(np.concatenate([extreme_points, current.points]))
     offset = extreme_points - extreme_points.sum(axis=0) / max(len(extreme_points), 1)

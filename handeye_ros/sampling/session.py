@@ -263,11 +263,16 @@ class Session:
         self._require_poses_now()
         station = self._finder.current()
         if station is None:
-            how = self.motion.sentence if self.motion else (
-                'too few poses have come to measure its motion')
-            raise DataError(f'the robot has not stood still for '
-                            f'{self._config.sampling.still_time:g} s, {how}: stop it, wait, and '
-                            'take the sample again', reason='moving')
+            needed, motion = self._config.sampling.still_time, self.motion
+            if motion is None:
+                how = 'too few poses have come to measure its motion: wait'
+            elif motion.still > 0:
+                missing = max(needed - motion.still, 0.1)
+                how = f'but for {motion.still:.1f} s: wait {missing:.1f} s more'
+            else:
+                how = f'{motion.sentence}: stop it, wait'
+            raise DataError(f'the robot has not stood still for {needed:g} s, {how}, and take the '
+                            'sample again', reason='moving')
         self._profiles.add(self._profile_stream.believed(station.start, station.end))
         return self._stop(station)
 

@@ -26,6 +26,7 @@ MOST_REASONS = 10  # that are distinguished: a damaged topic may give each messa
 OTHER_FRAME = 'some other frame'
 FEW = 3  # messages with wrong stamps that a recording may hold: this number,
 FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
+UNMIXED = 3_000_000_000  # ns of messages of one frame, after which strays are of the past
 
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
@@ -56,6 +57,7 @@ class Stream(Generic[Stamped]):
         self._late_last = self._late_count = 0
         self._strays: Counter[str] = Counter()  # number of messages by other frame
         self._strays_in_a_row = 0
+        self._strayed = -1  # latest, when the last stray came
 
     def copied(self) -> Stream[Stamped]:
         """Return an independent copy."""
@@ -65,7 +67,13 @@ class Stream(Generic[Stamped]):
 
     @property
     def conflict(self) -> InputError | None:
-        """Return the error of a topic with two frames; a few strays are dropped and counted."""
+        """
+        Return the error of a topic with two frames; a few strays are dropped and counted.
+
+        Strays are also forgiven once only the first frame has come for UNMIXED.
+        """
+        if self.latest - self._strayed > UNMIXED:
+            return None
         strays = sum(self._strays.values())
         if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
                                   and self._strays_in_a_row < 20):
@@ -111,6 +119,7 @@ class Stream(Generic[Stamped]):
         known = len(self._strays) < MOST_REASONS or frame in self._strays
         self._strays[frame if known else OTHER_FRAME] += 1
         self._strays_in_a_row += 1
+        self._strayed = self.latest
         if self.count > FEW or self._strays[frame] < 10:
             return False
         self._strays = Counter({str(self.frame): self.count})

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from handeye_ros.bags.session_reading import read_session  # noqa: E402, I100
+from handeye_ros.bags.session import read_session  # noqa: E402, I100
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import (  # noqa: E402

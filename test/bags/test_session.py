@@ -14,18 +14,24 @@ from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
-from handeye_ros.bags.session_files import BagFile, files_of, write_metadata
-from handeye_ros.bags.session_reading import is_session, read_session, sessions_in
-from handeye_ros.bags.session_store import OutputFolders, resumed
-from handeye_ros.bags.session_writing import SessionStore
+from handeye_ros.bags.session import (
+    files_of,
+    is_session,
+    OutputFolders,
+    read_session,
+    resumed,
+    SessionFiles,
+    sessions_in,
+)
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.evidence import evidence
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.status import state_of
+from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.evidence import verdict
+from live_sessions import Inline, new
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -36,8 +42,7 @@ SPHERE = recorded('sphere')
 
 
 def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
-    config = replace(config, output_dir=str(tmp_path))
-    return LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder))
+    return new(replace(config, output_dir=str(tmp_path)))
 
 
 def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
@@ -47,7 +52,7 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
             live.add_poses([item])
         else:
             live.add_profile(item)
-        if live.streams.waiting:
+        if live.waiting:
             live.update()
         if len(live.copied().outcomes) >= stops:
             break
@@ -62,24 +67,22 @@ def changed(live: LiveSession, **values: object) -> None:
 
 def again(live: LiveSession, **values: object) -> LiveSession:
     """Return another node that goes on with the session of one that has ended."""
-    path = live.samples.store.path
-    live.samples.store.close()
+    path = live.path
+    live.files.close()
     given = {'session': path} | {key.replace('__', '.'): v for key, v in values.items()}
     config, found = resumed(given, OutputFolders())
     assert found
-    other = LiveSession(config, OutputFolders(), SessionStore(OutputFolders().folder, found))
+    pool = Inline()
+    other = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found),
+                        pool, pool, lambda: None)
     other.restore(found.session(config), found.config)
-    reviewed = []
-    other.reviewer.on_change = lambda: reviewed.append(state_of(other).calibration.state)
     other.update()
-    assert 'none' not in reviewed or not state_of(other).calibration.translation, (
-        'the answer comes before the review')
     return other
 
 
 def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=3)
-    folder = Path(live.samples.store.path)
+    folder = Path(live.path)
     assert folder.parent == tmp_path / 'sphere'
     files = files_of(folder)
     assert [file.name for file in files] == [f'{folder.name}_{i}.mcap' for i in range(3)]
@@ -115,13 +118,13 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the folder of a session of all stops, with one removed and one left out."""
     live = feed(stored(tmp_path_factory.mktemp('session')))
-    live.answer.compute()
-    live.samples.remove_last()
+    live.compute_calibration()
+    live.remove_last_sample()
     changed(live, samples__exclude=[3])
-    answer, _ = live.answer.compute()
-    np.save(Path(live.samples.store.path).parent / 'answer.npy', answer.T_flange_sensor)
-    live.samples.store.close()
-    return Path(live.samples.store.path)
+    live.compute_calibration()
+    np.save(Path(live.path).parent / 'answer.npy', live.calibration.T_flange_sensor)
+    live.files.close()
+    return Path(live.path)
 
 
 @pytest.mark.thorough
@@ -170,45 +173,46 @@ def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None
 
 def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=5)
-    live.samples.remove_last()
+    live.remove_last_sample()
     other = again(live)
-    assert [s.number for s in state_of(other).samples] == [1, 2, 3, 4]
+    assert [s['number'] for s in state_of(other)['samples']] == [1, 2, 3, 4]
     later = replace(SPHERE, poses=SPHERE.poses, profiles=SPHERE.profiles)
     feed(other, later)
     state = state_of(other)
-    assert [s.number for s in state.samples][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
-    found, _ = other.answer.compute()
-    offline = read_session(Path(other.samples.store.path))
+    assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
+    other.compute_calibration()
+    found = other.calibration
+    offline = read_session(Path(other.path))
     expected = pipeline.calibrate_session(offline.session(offline.config), offline.config)
     assert np.abs(found.T_flange_sensor - expected.T_flange_sensor).max() < 1e-9
     third = again(other)
-    assert state_of(third).calibration.state == 'current', 'it is solved without being asked'
+    assert state_of(third)['calibration']['state'] == 'current', 'it is solved without being asked'
     assert np.abs(third.calibration.T_flange_sensor - found.T_flange_sensor).max() < 1e-9
 
 
 def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=4)
-    shown = state_of(live).taken
+    shown = taken(state_of(live))
     changed(live, sampling__min_points=5000)
-    assert state_of(live).taken == 0
+    assert taken(state_of(live)) == 0
     other = again(live)
-    assert other.config.sampling.min_points == 5000 and state_of(other).taken == 0
+    assert other.config.sampling.min_points == 5000 and taken(state_of(other)) == 0
     third = again(other, sampling__min_points=20)
-    assert state_of(third).taken == shown
+    assert taken(state_of(third)) == shown
 
 
 def test_only_one_node_goes_on_with_a_session(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=1)
     with pytest.raises(InputError, match='in use by another node'):
-        SessionStore(OutputFolders().folder, read_session(Path(live.samples.store.path)))
+        SessionFiles(OutputFolders().folder, read_session(Path(live.path)))
 
 
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
-    before = Path(live.samples.store.path)
+    before = Path(live.path)
     assert f'they are kept in {before}' in live.clear_samples()
     assert len(read_session(before).stops) == 2
-    assert next(sessions_in(tmp_path / 'sphere')) == Path(live.samples.store.path) != before
+    assert next(sessions_in(tmp_path / 'sphere')) == Path(live.path) != before
     assert again(live).copied().outcomes == ()
 
 
@@ -216,9 +220,9 @@ def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
     given = {'output_dir': str(tmp_path), 'session': 'last'}
     assert resumed(given, OutputFolders())[1] is None
     live = feed(stored(tmp_path), stops=1)
-    live.samples.store.close()
+    live.files.close()
     config, found = resumed(given, OutputFolders())
-    assert found and found.path == Path(live.samples.store.path)
+    assert found and found.path == Path(live.path)
     assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
     assert resumed(given | {'name': 'other'}, OutputFolders())[1] is None
 
@@ -233,34 +237,34 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
     try:
         feed(live, stops=3)
         state = state_of(live)
-        assert state.taken == 2 and 'cannot write' in state.session.trouble
-        assert 'File too large' in state.samples[2].text
+        assert taken(state) == 2 and 'cannot write' in state['session']['trouble']
+        assert 'File too large' in state['samples'][2]['text']
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert len(read_session(Path(live.samples.store.path)).stops) == 2
-    assert not list(Path(live.samples.store.path).glob('.*.tmp'))
+    assert len(read_session(Path(live.path)).stops) == 2
+    assert not list(Path(live.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)
-    assert (state.taken, state.session.trouble) == (3, '')
-    assert sorted(read_session(Path(live.samples.store.path)).stops) == [1, 2, 4]
+    assert (taken(state), state['session']['trouble']) == (3, '')
+    assert sorted(read_session(Path(live.path)).stops) == [1, 2, 4]
 
 
 def test_a_folder_that_cannot_be_made_is_a_refusal(tmp_path: Path) -> None:
     (tmp_path / 'sphere').write_text('in the way')
     live = feed(stored(tmp_path), stops=1)
     state = state_of(live)
-    assert state.taken == 0 and 'cannot write' in state.session.trouble
+    assert taken(state) == 0 and 'cannot write' in state['session']['trouble']
 
 
 def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
-    folder = Path(live.samples.store.path)
+    folder = Path(live.path)
     folder.rename(tmp_path / 'away')
     feed(live, stops=3)
-    assert 'its folder is gone' in state_of(live).session.trouble
+    assert 'its folder is gone' in state_of(live)['session']['trouble']
     assert not folder.exists()
     with pytest.raises(InputError, match='its folder is gone'):
-        live.samples.remove_last()
+        live.remove_last_sample()
     (tmp_path / 'away').rename(folder)
     feed(live, stops=4)
     assert sorted(read_session(folder).stops) == [1, 2, 4]
@@ -272,18 +276,18 @@ def test_by_hand_nothing_is_taken_that_is_not_stored(tmp_path: Path) -> None:
     (tmp_path / 'sphere').write_text('in the way')
     feed(live)
     with pytest.raises(InputError, match='cannot write'):
-        live.samples.take()
-    assert state_of(live).taken == 0 and not state_of(live).attempt.accepted
+        live.take_sample()
+    assert taken(state_of(live)) == 0 and not state_of(live)['attempt']['accepted']
     (tmp_path / 'sphere').unlink()
-    assert live.samples.take().startswith('sample 1 taken: ')
-    assert list(read_session(Path(live.samples.store.path)).stops) == [1]
-    assert live.samples.take().startswith('sample 1 taken again')
-    assert list(read_session(Path(live.samples.store.path)).stops) == [1]
+    assert live.take_sample().startswith('sample 1 taken: ')
+    assert list(read_session(Path(live.path)).stops) == [1]
+    assert live.take_sample().startswith('sample 1 taken again')
+    assert list(read_session(Path(live.path)).stops) == [1]
 
 
 def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
-    folder = Path(live.samples.store.path)
+    folder = Path(live.path)
     metadata = (folder / 'metadata.yaml').read_bytes()
     feed(live, stops=3)
     (folder / 'metadata.yaml').write_bytes(metadata)
@@ -297,18 +301,17 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
     assert counts['/handeye_ros/session/outcome'] == 3 == len(other.copied().outcomes)
 
 
-def test_metadata_of_any_names_are_yaml(tmp_path: Path) -> None:
-    files = [BagFile(f'Köln "2": {{x}}_{i}.mcap', 10 * i + 5, 10 * i + 9, {'/a': 2, '/b': i})
-             for i in range(3)]
-    write_metadata(tmp_path, files, {'/a': 'std_msgs/msg/String', '/b': 'std_msgs/msg/String'})
-    result = yaml.safe_load((tmp_path / 'metadata.yaml').read_text(encoding='utf-8'))
-    result = result['rosbag2_bagfile_information']
-    assert result['relative_file_paths'] == [file['path'] for file in result['files']] == [
-        file.name for file in files]
-    assert result['message_count'] == sum(file['message_count'] for file in result['files']) == 9
-    assert [topic['message_count'] for topic in result['topics_with_message_count']] == [6, 3]
-    assert result['starting_time']['nanoseconds_since_epoch'] == 5
-    assert result['duration']['nanoseconds'] == 24
+def test_metadata_are_those_of_rosbag2_whatever_the_names(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path, replace(SPHERE.config, pose_topic='/robot/pose')), stops=3)
+    information = yaml.safe_load((Path(live.path) / 'metadata.yaml').read_text())
+    found = information['rosbag2_bagfile_information']
+    assert found['relative_file_paths'] == [file['path'] for file in found['files']] == [
+        file.name for file in files_of(Path(live.path))]
+    counts = {topic['topic_metadata']['name']: topic['message_count']
+              for topic in found['topics_with_message_count']}
+    assert found['message_count'] == sum(counts.values()) == sum(
+        file['message_count'] for file in found['files'])
+    assert counts['/robot/pose'] > 10 and '/handeye_ros/session/features' not in counts
 
 
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
@@ -316,11 +319,11 @@ def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='is no session'):
         resumed({'session': str(tmp_path)}, OutputFolders())
     live = feed(stored(tmp_path), stops=1)
-    file = files_of(Path(live.samples.store.path))[0]
+    file = files_of(Path(live.path))[0]
     shutil.copy(file, file.with_name(file.name.replace('_0', '_1')))
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(InputError, match='damaged|cut off|no session'):
-        read_session(Path(live.samples.store.path))
+        read_session(Path(live.path))
 
 
 @pytest.mark.thorough
@@ -336,7 +339,7 @@ def test_nothing_acknowledged_is_lost_by_kills() -> None:
 
 def test_no_answer_from_a_session_without_samples(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=1)
-    live.samples.remove_last()
+    live.remove_last_sample()
     with pytest.raises(DataError):
-        live.answer.compute()
-    assert_refused(handeye('solve', live.samples.store.path, cwd=tmp_path), 3, '0 usable samples')
+        live.compute_calibration()
+    assert_refused(handeye('solve', live.path, cwd=tmp_path), 3, '0 usable samples')

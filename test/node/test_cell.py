@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import ROOT  # noqa: E402, I100
 from geometry_msgs.msg import Pose, TransformStamped  # noqa: E402
-from handeye_ros.node.__main__ import own_arguments  # noqa: E402
-from handeye_ros.node.diagnostics import RepeatedWarnings  # noqa: E402
+from handeye_ros.node.main import own_arguments  # noqa: E402
+from handeye_ros.node.outputs import RepeatedWarnings  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import (  # noqa: E402
@@ -253,7 +253,7 @@ Node.{0} = interrupted
     (AT_CALL, 'declare_parameters'), (AT_CALL, 'create_timer')])
 def test_a_signal_while_it_starts_ends_it_cleanly(before: str, what: str, number: int) -> None:
     block = (f'import os, sys\n{before.format(what, number)}\n'
-             'from handeye_ros.node.__main__ import main; sys.exit(main())')
+             'from handeye_ros.node.main import main; sys.exit(main())')
     run = subprocess.run([sys.executable, '-c', block], cwd=ROOT, capture_output=True, text=True,
                          check=False)
     assert (run.returncode, 'Traceback' in run.stderr) == (0, False), run.stderr

@@ -1,147 +1,137 @@
-"""A running session without ROS: what it keeps, tells, and does when settings change."""
+"""A running session without ROS: what it takes, tells, and does when settings change."""
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import replace
+import json
 from pathlib import Path
+import re
+import threading
 
 from cells import recorded
+from command import PATIENCE
 from handeye_ros import pipeline, se3
-from handeye_ros.bags.session_store import OutputFolders
+from handeye_ros.bags.session import OutputFolders
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
-from handeye_ros.errors import DataError
-from handeye_ros.node.live import LiveSession
-from handeye_ros.node.state import samples_message, status_message
-from handeye_ros.node.status import state_of
+from handeye_ros.errors import DataError, HandeyeError, InputError
+from handeye_ros.node import live as lives
+from handeye_ros.node.arrivals import Latest
+from handeye_ros.node.pool import PoolEndedError
+from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.simulate.stations import lift, Stops
-from live_sessions import changed, fed, feed, SPHERE
+from live_sessions import changed, fed, feed, Inline, later, new, SPHERE
 import numpy as np
 import pytest
+from recordings import halves
+import yaml
+
+PARTS = halves(SPHERE, 8)
+
+
+def set_to(config: Config, **values: object) -> Config:
+    return with_values(config, {key.replace('__', '.'): v for key, v in values.items()}, 'test')
+
+
+def items_of(part) -> list:
+    return [*part[0], *part[1]]
+
+
+# -- samples and answer
 
 
 def test_the_answer_is_that_of_the_recording() -> None:
     live = fed()
-    found, text = live.answer.compute()
+    text = live.compute_calibration()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
-    assert np.array_equal(found.T_flange_sensor, offline.T_flange_sensor)
-    assert found.samples == offline.samples
+    assert np.allclose(live.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-12)
+    assert live.calibration.samples == offline.samples
     state = state_of(live)
-    assert state.calibration.state == 'current' and state.calibration.text == text
-    assert state.calibration.translation == tuple(offline.T_flange_sensor[:3, 3])
+    assert state['calibration']['state'] == 'current' and state['calibration']['text'] == text
+    samples, status = (json.loads(json.dumps(message(state)))
+                       for message in (samples_message, status_message))
+    assert samples['format'] == 'handeye_ros/samples/1' and len(samples['worst_first']) > 5
+    assert status['state'] == 'current' and len(status['std']) == 6
 
 
 @pytest.mark.thorough
-def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording(tmp_path: Path) -> None:
+def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> None:
     made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
-    config = with_values(Config(), settings(made.scenario) | {
-        'sampling.mode': 'moving', 'output_dir': str(tmp_path)}, 'a test')
+    config = with_values(Config(), settings(made.scenario) | {'sampling.mode': 'moving'}, 'test')
     live = fed(config, made)
-    found, _ = live.answer.compute()
+    text = live.compute_calibration()
     offline = pipeline.calibrate(made.profiles, made.poses, config)
-    assert np.allclose(found.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
-    assert found.time_offset is not None and abs(found.time_offset.value - 0.02) < 3e-4
-    outcomes = live.streams.copied().outcomes
-    assert len(outcomes) > 10 and sum(o.sample is not None for o in outcomes) > 10
+    assert np.allclose(live.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
+    assert 'profiles of passes used' in text
 
 
 def test_from_three_samples_on_each_has_its_residuals() -> None:
-    live, result = LiveSession(SPHERE.config, OutputFolders()), []
-    items = sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp)
-    for item in items:
+    live, count = new(), 0
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
-        if len(live.copied().outcomes) > len(result):
-            raise AssertionError('a message is never judged by who brings it')
-        if live.streams.waiting:
+        assert len(live.copied().outcomes) == count, 'a message is never judged by who brings it'
+        if live.waiting:
             live.update()
-            result.append(state_of(live))
-    for n, state in enumerate(result, 1):
-        assert len(state.samples) == n
-        with_residual = [s.number for s in state.samples if s.left_out is not None]
-        assert bool(with_residual) == (n >= 3), state.review
-        assert sorted(state.worst) == with_residual
-        assert (state.review == '') == (n >= 3)
-
-
-def spoilt(number: int):
-    """Return the recording with one stop whose poses are 5 mm off."""
-    live = fed()
-    began = live.copied().outcomes[number - 1].stop.began
-    after = [o.stop.began for o in live.copied().outcomes if o.stop.began > began]
-    until = min(after, default=2**62)
-    poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
-             if began <= p.stamp < until else p for p in SPHERE.poses]
-    return replace(SPHERE, poses=tuple(poses))
+            count, state = len(live.copied().outcomes), state_of(live)
+            residuals = [s['number'] for s in state['samples'] if s['left_out'] is not None]
+            assert bool(residuals) == (state['review'] == '') == (count >= 3), state['review']
+            assert sorted(state['worst']) == residuals
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
-    live = fed(recording=spoilt(4))
-    state = state_of(live)
-    worst = {s.number: s for s in state.samples}[state.worst[0]]
-    others = [s.left_out for s in state.samples if s.left_out and s.number != 4]
-    assert worst.number == 4 and worst.left_out > 3 * max(others)
-    live.answer.compute()
+    began = [outcome.stop.began for outcome in fed().copied().outcomes]
+    poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
+             if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
+    live = fed(recording=replace(SPHERE, poses=tuple(poses)))
+    assert state_of(live)['worst'][0] == 4
+    live.compute_calibration()
     changed(live, samples__exclude=[4])
     state = state_of(live)
-    assert [s.number for s in state.samples if s.excluded] == [4]
-    assert state.calibration.state == 'current', 'it was solved again'
-    assert any('left out by samples.exclude' in r.reason for r in live.calibration.samples)
-    assert state.worst[0] == 4, 'what is left out is still compared with the rest'
+    assert [s['number'] for s in state['samples'] if s['excluded']] == [4]
+    assert state['calibration']['state'] == 'current', 'it was solved again'
+    assert state['worst'][0] == 4, 'what is left out is still compared with the rest'
     without = live.calibration.T_flange_sensor
     changed(live, samples__exclude=[])
-    assert not any(s.excluded for s in state_of(live).samples)
     assert not np.array_equal(live.calibration.T_flange_sensor, without)
 
 
-def test_offline_the_same_number_leaves_the_same_sample_out() -> None:
-    live = fed()
-    changed(live, samples__exclude=[2, 5])
-    found, _ = live.answer.compute()
-    offline = pipeline.calibrate(
-        SPHERE.profiles, SPHERE.poses,
-        with_values(SPHERE.config, {'samples.exclude': [2, 5]}, 'test'))
-    assert np.array_equal(found.T_flange_sensor, offline.T_flange_sensor)
-    assert found.samples == offline.samples and found.quality.samples_rejected == 2
-
-
 @pytest.mark.parametrize(('key', 'value'), [
-    ('noise__robot_translation', 1e-3), ('limits__rotation', 1e-6), ('noise__sensor', 1e-4),
+    ('noise__robot_translation', 1e-3), ('limits__rotation', 1e-6), ('samples__exclude', [2, 5]),
     ('target__radius', 0.0)])
 def test_settings_that_change_need_no_new_samples(key: str, value: object) -> None:
     live = fed()
-    live.answer.compute()
+    live.compute_calibration()
     changed(live, **{key: value})
-    config = with_values(SPHERE.config, {key.replace('__', '.'): value}, 'test')
     try:
-        expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, config)
+        expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses,
+                                      set_to(SPHERE.config, **{key: value}))
     except DataError as error:
-        state = state_of(live).calibration
-        assert state.state == 'withdrawn' and str(error) in state.text
-        assert 'is not the answer' in state.text and live.calibration is None
+        status = state_of(live)['calibration']
+        assert status['state'] == 'withdrawn' and str(error) in status['text']
+        assert 'is not the answer' in status['text'] and live.calibration is None
         changed(live, limits__rotation=2e-2)
-        assert state_of(live).calibration.state == 'current', 'and back'
+        assert state_of(live)['calibration']['state'] == 'current', 'and back'
     else:
-        assert np.array_equal(live.calibration.T_flange_sensor, expected.T_flange_sensor)
+        assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
 
 
 def test_what_changes_extraction_extracts_anew() -> None:
     live = fed()
-    taken = state_of(live).taken
+    count = taken(state_of(live))
     changed(live, sampling__min_points=5000)
-    assert state_of(live).taken == 0
-    assert all('5000' in s.text or s.text for s in state_of(live).samples)
+    assert taken(state_of(live)) == 0
     changed(live, sampling__min_points=20)
-    assert state_of(live).taken == taken
-    again, first = (session.answer.compute()[0] for session in (live, fed()))
-    assert np.array_equal(again.T_flange_sensor, first.T_flange_sensor)
+    assert taken(state_of(live)) == count
 
 
 def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_refused() -> None:
     plate = recorded('plate')
     live = fed(plate.config, plate)
-    taken = len(live.copied().outcomes)
+    count = len(live.copied().outcomes)
     # another stop of the same cell, turned about the range axis in the edge's point
     scenario = replace(plate.scenario, stations=(1, 0))
     stop = SCENES['plate'].stops(scenario, np.random.default_rng(1))
@@ -153,108 +143,98 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
     changed(live, sampling__mode='manual')
     feed(live, [*flat.poses, *flat.profiles])
     with pytest.raises(DataError, match=r'crosses p at \d+ degrees, less than sampling.m'):
-        live.samples.take()
-    assert not state_of(live).attempt.accepted
-    live.update()  # that no pose near it is advised again
-    assert [T.tolist() for T in live.reviewer._refused()] == [
-        live.streams.session.current_stop().pose(live.config).tolist()]
+        live.take_sample()
+    assert not state_of(live)['attempt']['accepted']
     changed(live, sampling__mode='still')
-    live.answer.compute()  # for which the stop that the robot stands in is over
-    assert len(live.copied().outcomes) == taken + 1 and live.copied().outcomes[-1].sample
-    assert 'cannot count: turn the tool about the range axis' in state_of(live).attempt.text
+    live.compute_calibration()  # for which the stop that the robot stands in is over
+    assert len(live.copied().outcomes) == count + 1 and live.copied().outcomes[-1].sample
+    assert 'cannot count: turn the tool about the range axis' in state_of(live)['attempt']['text']
 
 
-def test_numbers_are_never_given_twice() -> None:
+def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
     live = fed()
-    live.answer.compute()  # which takes the stop that the robot stands in
-    numbers = [s.number for s in state_of(live).samples]
+    live.compute_calibration()  # which takes the stop that the robot stands in
+    numbers = [s['number'] for s in state_of(live)['samples']]
     assert numbers == list(range(1, len(numbers) + 1))
-    assert f'removed sample {numbers[-1]}' in live.samples.remove_last()
-    later = [replace(item, stamp=item.stamp + 10**12)
-             for item in (*SPHERE.poses, *SPHERE.profiles)]
-    feed(live, later)
-    assert state_of(live).samples[len(numbers) - 1].number == numbers[-1] + 1
+    assert f'removed sample {numbers[-1]}' in live.remove_last_sample()
+    assert state_of(live)['calibration']['state'] == 'outdated'
+    assert live.take_sample().startswith(f'sample {numbers[-1] + 1} taken: ')
+    status = state_of(live)['calibration']
+    assert status['state'] == 'outdated' and '1 removed and 1 added' in status['text']
 
 
 def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
     live = fed()
-    live.answer.compute()
-    count = len(live.copied().outcomes)
-    shifted = [replace(item, stamp=item.stamp + 10**12)
-               for item in (*SPHERE.poses, *SPHERE.profiles)]
-    begun = shifted[0].stamp + 8 * 10**8  # not long enough to be judged by itself
-    feed(live, [item for item in shifted if item.stamp <= begun])  # it stands in another stop
-    before = live.calibration
+    live.compute_calibration()
+    count, before = len(live.copied().outcomes), live.calibration
+    shifted = later([*SPHERE.poses, *SPHERE.profiles], 1000)
+    begun = min(item.stamp for item in shifted) + 8 * 10**8  # too short to be judged by itself
+    feed(live, [item for item in shifted if item.stamp <= begun])
     changed(live, noise__sensor=2 * live.config.noise.sensor)
     assert live.calibration is not before and len(live.copied().outcomes) == count
-    live.answer.compute()
+    live.compute_calibration()
     assert len(live.copied().outcomes) == count + 1
 
 
-def test_the_first_answer_that_is_refused_is_reported_with_the_reason() -> None:
-    live = fed(with_values(SPHERE.config, {'limits.rotation': 1e-6}, 'test'))
-    with pytest.raises(DataError) as error:
-        live.answer.compute()
-    state = state_of(live).calibration
-    assert state.state == 'none' and str(error.value) in state.text
-
-
 def test_cleared_and_refused_answers_are_withdrawn() -> None:
-    live = fed()
-    assert state_of(live).calibration.state == 'none'
-    live.answer.compute()
-    live.samples.remove_last()
-    assert state_of(live).calibration.state == 'outdated'
+    live = fed(set_to(SPHERE.config, limits__rotation=1e-6))
+    with pytest.raises(DataError) as error:
+        live.compute_calibration()
+    status = state_of(live)['calibration']
+    assert status['state'] == 'none' and str(error.value) in status['text']
+    changed(live, limits__rotation=2e-2)
+    live.compute_calibration()
     live.clear_samples()
-    state = state_of(live).calibration
-    assert (state.state, state.translation) == ('withdrawn', None)
-    assert 'cleared' in state.text and 'is not the answer' in state.text
-    with pytest.raises(DataError):
-        live.answer.compute()
-    assert state_of(live).calibration.state == 'withdrawn'
+    status = state_of(live)['calibration']
+    assert (status['state'], status['translation']) == ('withdrawn', None)
+    assert 'cleared' in status['text'] and 'is not the answer' in status['text']
 
 
-def test_what_was_saved_is_reported_until_there_is_another_answer(tmp_path: Path) -> None:
-    live = fed(replace(SPHERE.config, output_dir=str(tmp_path)))
-    live.answer.compute()
-    assert state_of(live).calibration.saved == ''
-    live.answer.save()
-    assert state_of(live).calibration.saved == str(tmp_path / 'sphere' / 'calibration.yaml')
-    live.answer.compute()
-    assert state_of(live).calibration.saved == ''
+def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
+    config = replace(SPHERE.config, output_dir=str(tmp_path))
+    live, folder = fed(config), tmp_path / 'sphere'
+    with pytest.raises(DataError, match='there is no calibration to save'):
+        live.save_calibration()
+    live.compute_calibration()
+    assert state_of(live)['calibration']['saved'] == ''
+    for _ in range(100):
+        live.save_calibration()
+    assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
+    assert not (folder / 'history').exists()
+    other = fed(config)
+    other.compute_calibration()
+    before = (folder / 'calibration.yaml').read_bytes()
+    with pytest.raises(InputError, match='another running node saves its results in'):
+        other.save_calibration()
+    assert (folder / 'calibration.yaml').read_bytes() == before
+    other.configure(set_to(other.config, name='other'))
+    assert str(tmp_path / 'other' / 'calibration.yaml') in other.save_calibration()
 
 
 def test_the_advice_says_of_which_sample_it_knows() -> None:
     live = fed()
     last = len(live.copied().outcomes)
-    result = state_of(live).guidance
-    assert result.sample == last and result.text.startswith(f'after sample {last}: ')
-    live.samples.remove_last()
-    assert state_of(live).guidance.sample == last, 'until it is advised anew'
+    guidance = state_of(live)['guidance']
+    assert guidance['sample'] == last and guidance['text'].startswith(f'after sample {last}: ')
+    live.remove_last_sample()
     live.update()
-    assert state_of(live).guidance.sample == last - 1
+    assert state_of(live)['guidance']['sample'] == last - 1
 
 
 def test_nobody_asked_for_a_sample() -> None:
-    manual = with_values(SPHERE.config, {'sampling.mode': 'manual'}, 'test')
-    live = fed(manual)
-    trouble = state_of(live).session.trouble
-    assert 'no sample was requested: sampling.mode is manual' in trouble
+    live = fed(set_to(SPHERE.config, sampling__mode='manual'))
+    assert 'no sample was requested: sampling.mode is manual' in (
+        state_of(live)['session']['trouble'])
     with pytest.raises(DataError, match='no sample was requested'):
-        live.answer.compute()
-    changed(live, sampling__mode='still')
+        live.compute_calibration()
 
 
-def test_what_is_reported_is_plain() -> None:
-    import json
-    live = fed()
-    live.answer.compute()
-    state = state_of(live)
-    samples = json.loads(json.dumps(samples_message(state)))
-    status = json.loads(json.dumps(status_message(state)))
-    assert samples['format'] == 'handeye_ros/samples/1'
-    assert samples['samples'][0]['number'] == 1 and len(samples['worst_first']) > 5
-    assert status['state'] == 'current' and len(status['std']) == 6
+def test_how_long_the_robot_must_still_stand_is_told() -> None:
+    live = new(set_to(SPHERE.config, sampling__mode='manual'))
+    for stamp in range(10**18, 10**18 + 4 * 10**8, 2 * 10**7):
+        live.add_poses([TimedPose(stamp, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))])
+    with pytest.raises(DataError, match=r'but for 0\.\d s: wait 0\.\d s more'):
+        live.take_sample()
 
 
 def test_a_result_lies_below_the_namespace(monkeypatch, tmp_path: Path) -> None:
@@ -263,3 +243,263 @@ def test_a_result_lies_below_the_namespace(monkeypatch, tmp_path: Path) -> None:
     assert OutputFolders().parent(config) == tmp_path / 'handeye_ros'
     assert OutputFolders('/cell1/left').parent(config) == tmp_path / 'handeye_ros/cell1/left'
     assert OutputFolders('/cell1').parent(replace(config, output_dir='/data')) == Path('/data')
+
+
+# -- streams that are disturbed
+
+
+def test_clocks_an_hour_apart_are_reported_with_their_size() -> None:
+    live = new()
+    for profile in later(SPHERE.profiles[:50], 3600):
+        live.add_profile(profile)
+    live.add_poses(SPHERE.poses[:50])
+    assert 'the profiles are 1.00 hours ahead of those of the poses' in (
+        state_of(live)['session']['trouble'])
+
+
+def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_nothing() -> None:
+    poses = [replace(p, parent_frame='base_link') for p in SPHERE.poses]
+    live = fed(recording=replace(SPHERE, poses=poses))
+    live.compute_calibration()
+    assert live.calibration.provenance['config']['robot_base_frame'] == 'base_link'
+    changed(live, robot_base_frame='base')
+    for ask in (live.compute_calibration, live.take_sample):
+        with pytest.raises(InputError, match='robot_base_frame is "base"'):
+            ask()
+    assert live.calibration is not None
+
+
+def test_a_foreign_frame_for_a_while_disturbs_only_that_while() -> None:
+    live = fed()
+    live.compute_calibration()
+    end = SPHERE.poses[-1].stamp
+    foreign = [replace(p, frame_id='other') for p in SPHERE.profiles[-400:]]
+    for profile in foreign:
+        live.add_profile(profile)
+    assert 'two frames' in state_of(live)['session']['trouble']
+    with pytest.raises(InputError, match='two frames'):
+        live.compute_calibration()
+    assert live.calibration is not None, 'it is not withdrawn'
+    seconds = (end - SPHERE.poses[0].stamp) // 10**9 + 10
+    feed(live, later([*SPHERE.poses, *SPHERE.profiles], seconds))
+    assert state_of(live)['session']['trouble'] == ''
+    assert live.compute_calibration().startswith('laser in flange')
+
+
+def test_poses_that_are_silent_while_profiles_come_take_no_sample(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    live = fed(set_to(SPHERE.config, sampling__mode='manual'))
+    monkeypatch.setattr(live.arrivals, 'silence',
+                        lambda kind: {'pose': 3.0, 'profile': 0.1}[kind])
+    with pytest.raises(DataError, match='no pose has come for 3.0 s'):
+        live.take_sample()
+
+
+def test_malformed_and_lost_messages_are_told_from_one_in_a_hundred_on() -> None:
+    live = fed()
+    live.arrivals.counts['pose'] = 999
+    live.arrivals.add('pose', SPHERE.poses[-1].stamp)
+    live.arrivals.add('profile', SPHERE.poses[-1].stamp)
+    for count in range(1, 7):
+        live.arrivals.add_malformed('pose', 'a reason')
+        assert bool(state_of(live)['poses']['trouble']) == (count >= 3), 'so many in a row'
+    live.arrivals.add('pose', SPHERE.poses[-1].stamp)
+    assert not state_of(live)['poses']['trouble']
+    for _ in range(100):
+        live.arrivals.add_malformed('pose', 'a reason')
+        live.arrivals.add('pose', SPHERE.poses[-1].stamp)
+    assert '106 of 1207 poses cannot be used; the last reason: a reason' in (
+        state_of(live)['poses']['trouble'])
+    live.arrivals.lost['profile'] = live.arrivals.counts['profile']
+    assert 'were lost on their way' in state_of(live)['profiles']['trouble']
+
+
+def test_stamps_that_come_again_give_no_error() -> None:
+    latest, config = Latest(threading.Lock()), SPHERE.config
+    latest.add([SPHERE.profiles[1]], SPHERE.poses[:1])
+    assert latest.current(config) is None
+    latest.add(poses=[*SPHERE.poses[1:30], *SPHERE.poses[:30]])
+    assert len(latest.current(config).points)
+    latest.clear()
+    assert latest.current(config) is None
+
+
+def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lives, 'MOST_STOPS', 5)
+    state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
+    assert taken(state) == 5 + 1, 'the newest that waited, and where the robot stands'
+    assert min(s['stamp'] for s in state['samples']) > newest
+    assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
+               for note in state['session']['notes'])
+    live = new()
+    for lap in range(3):
+        for pose in later(SPHERE.poses, 1000 * lap):
+            live.add_poses([pose])
+    assert any('stops, the oldest that waited for profiles' in note
+               for note in state_of(live)['session']['notes'])
+
+
+# -- a thread, and processes that take their time or end
+
+
+class Gate(Inline):
+    """Runs things when it is open, and tells that somebody waits for it; ended: it fails."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open, self.asked, self.ended = threading.Event(), threading.Event(), False
+        self.open.set()
+
+    def submit(self, function, *args) -> Future:
+        self.asked.set()
+        if self.ended:
+            raise PoolEndedError
+        if self.open.is_set():
+            return super().submit(function, *args)
+        future = Future()
+
+        def later_on() -> None:
+            assert self.open.wait(PATIENCE)
+            try:
+                future.set_result(function(*args))
+            except Exception as error:  # noqa: BLE001 - as that of another process
+                future.set_exception(error)
+        threading.Thread(target=later_on, daemon=True).start()
+        return future
+
+
+@pytest.fixture
+def gate() -> Iterator[Gate]:
+    found = Gate()
+    yield found
+    found.open.set()
+
+
+def asked(work) -> tuple[threading.Thread, list]:
+    """Ask for something in a thread; return it, and what will hold the answer."""
+    report: list = []
+
+    def run() -> None:
+        try:
+            report.append(work())
+        except HandeyeError as error:
+            report.append(error)
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, report
+
+
+def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
+    live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
+                      verify__tolerance=2e-3, verify__angle_tolerance=0.02))
+    live.solver = gate
+    feed(live, items_of(PARTS[0]))
+    live.start()
+    live.compute_calibration()
+    gate.open.clear()
+    thread, report = asked(live.compute_calibration)
+    while live.working != 'the calibration is computed':
+        gate.asked.wait(0.01)
+    assert ' taken again, ' in live.take_sample()
+    assert live.remove_last_sample().startswith('removed sample ')
+    assert live.save_calibration().endswith('computed again: save it again after that')
+    gate.open.set()
+    thread.join(PATIENCE)
+    assert report[0].startswith('laser in flange')
+    live.verify_start()
+    for item in sorted(items_of(PARTS[1]), key=lambda item: item.stamp):
+        (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
+    gate.open.clear()
+    thread, report = asked(live.verify_result)
+    while 'verified' not in live.working:
+        gate.asked.wait(0.01)
+    # the verification goes on until it has an answer, and stops count for it
+    assert live.take_sample().startswith('sphere: ')
+    gate.open.set()
+    thread.join(PATIENCE)
+    assert report[0].startswith('sphere: PASS, ')
+    gate.open.clear()
+    thread, report = asked(live.compute_calibration)
+    while live.working != 'the calibration is computed':
+        gate.asked.wait(0.01)
+    live.clear_samples()
+    gate.open.set()
+    thread.join(PATIENCE)
+    assert 'cleared while the calibration was computed' in str(report[0])
+    live.stop()
+
+
+def test_a_stop_is_judged_also_where_the_process_has_ended(gate: Gate) -> None:
+    live = new()
+    live.evaluator, gate.ended = gate, True
+    feed(live, items_of(PARTS[0]))
+    assert taken(state_of(live)) >= 7
+    assert any('the node itself has evaluated the stop' in note for note in live.warnings)
+    expected = fed(recording=replace(SPHERE, profiles=PARTS[0][0], poses=PARTS[0][1]))
+    assert [repr(o.sample) for o in live.copied().outcomes] == [
+        repr(o.sample) for o in expected.copied().outcomes]
+
+
+def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    live = fed()
+    live.start()
+    monkeypatch.setattr(lives, 'extremes', lambda points: 1 / 0)
+    changed = threading.Event()
+    live.configure(set_to(live.config, noise__sensor=4e-5))
+    while 'ZeroDivisionError' not in state_of(live)['session']['trouble']:
+        changed.wait(0.01)
+    monkeypatch.undo()
+    live.configure(set_to(live.config, noise__sensor=3e-5))
+    while state_of(live)['session']['trouble']:
+        changed.wait(0.01)
+    live.stop()
+
+
+# -- verification
+
+
+def test_stops_after_the_start_verify_and_are_no_samples() -> None:
+    live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
+                      verify__tolerance=2e-3, verify__angle_tolerance=0.02))
+    with pytest.raises(DataError, match='no verification was started'):
+        live.verify_result()
+    with pytest.raises(DataError, match='there is no calibration to verify'):
+        live.verify_start()
+    feed(live, items_of(PARTS[0]))
+    live.compute_calibration()
+    before = [outcome.number for outcome in live.copied().outcomes]
+    assert live.verify_start().startswith('sphere: 0 usable stops of 0; move on')
+    assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
+    with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
+        live.verify_result()
+    feed(live, items_of(PARTS[1]))
+    text = live.verify_result()
+    assert text.startswith('sphere: PASS, 6 stations; radius ')
+    assert [outcome.number for outcome in live.copied().outcomes] == before
+    assert state_of(live)['calibration']['state'] == 'current'
+    written = Path(live.folders.folder(live.config)) / 'verification_sphere.yaml'
+    assert str(written) in text
+    report = yaml.safe_load(written.read_text())
+    assert (report['verdict'], report['stations']) == ('pass', 6)
+    assert not state_of(live)['session']['notes']
+
+
+def test_take_tells_that_stops_do_not_count_while_a_gauge_is_scanned() -> None:
+    live = fed()
+    live.compute_calibration()
+    changed(live, verify__routine='tooth', verify__lengths=[0.01, 0.02])
+    live.verify_start()
+    with pytest.raises(DataError, match='stops do not count, points are taken while the robot m'):
+        live.take_sample()
+
+
+def test_another_routine_ends_a_verification() -> None:
+    live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04))
+    feed(live, items_of(PARTS[0]))
+    live.compute_calibration()
+    count = len(live.copied().outcomes)
+    live.verify_start()
+    live.configure(set_to(live.config, verify__routine=''))
+    feed(live, items_of(PARTS[1]))
+    assert len(live.copied().outcomes) > count

@@ -1,6 +1,7 @@
 """The markers show the samples where the answer puts them, and how sure it is."""
 from __future__ import annotations
 
+from threading import Lock
 from typing import Any
 
 import pytest
@@ -10,8 +11,8 @@ from command import ROOT  # noqa: E402, I100
 from handeye_ros import config as configs  # noqa: E402
 from handeye_ros import pipeline, se3  # noqa: E402
 from handeye_ros.bags.bag import read  # noqa: E402
-from handeye_ros.node import scene  # noqa: E402
-from handeye_ros.node.streams import Latest  # noqa: E402
+from handeye_ros.node import markers as scene  # noqa: E402
+from handeye_ros.node.arrivals import Latest  # noqa: E402
 import numpy as np  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
@@ -26,7 +27,7 @@ def plate() -> tuple[Any, Any, Any, Any]:
     session = pipeline.gather(recording.profiles, recording.poses, config)
     calibration = pipeline.solve(session.samples, session.rejects, config, session.frame_id)
     residuals = {report.stamp: report.residual for report in calibration.samples}
-    seen = [scene.DrawnSample(o.number, o.sample, residuals[o.sample.stamp])
+    seen = [(o.number, o.sample, residuals[o.sample.stamp])
             for o in session.outcomes if o.sample]
     return recording, seen, calibration, config
 
@@ -44,7 +45,8 @@ def test_without_an_answer_only_the_robot_is_shown(plate: Any) -> None:
     found = scene.session_markers(seen, None, config)
     assert found.markers[0].action == Marker.DELETEALL
     assert {marker.ns for marker in found.markers[1:]} == {'flanges', 'numbers'}
-    assert [marker.text for marker in named(found, 'numbers')] == [str(s.number) for s in seen]
+    numbers = [str(number) for number, _, _ in seen]
+    assert [marker.text for marker in named(found, 'numbers')] == numbers
     assert {marker.header.frame_id for marker in found.markers} == {'base'}
 
 
@@ -60,13 +62,13 @@ def test_the_samples_lie_on_the_edges_that_are_drawn(plate: Any) -> None:
             distances.append(np.linalg.norm(point - a - ((point - a) @ along) * along))
         assert min(distances) < 2e-4
     texts = [marker.text for marker in named(found, 'numbers at the target')]
-    assert texts[0] == f'{seen[0].number}: {seen[0].residual * 1e3:.3f} mm'
+    assert texts[0] == f'{seen[0][0]}: {seen[0][2] * 1e3:.3f} mm'
     assert len({(m.ns, m.id) for m in found.markers}) == len(found.markers)
 
 
 def test_a_large_residual_is_red_and_a_small_one_green(plate: Any) -> None:
     _, seen, calibration, config = plate
-    marked = [scene.DrawnSample(number, seen[number - 1].sample, residual)
+    marked = [(number, seen[number - 1][1], residual)
               for number, residual in ((1, 0.0), (2, 1e-2), (3, None))]
     (samples,) = named(scene.session_markers(marked, calibration, config), 'samples')
     good, bad, unknown = samples.colors
@@ -91,10 +93,10 @@ def test_the_ellipsoid_is_the_covariance_enlarged_as_it_says(plate: Any) -> None
 def test_the_profile_of_now_lies_on_the_target(plate: Any) -> None:
     recording, seen, calibration, config = plate
     stop = seen[4].sample
-    latest = Latest()
-    latest.add_poses([p for p in recording.poses if abs(p.stamp - stop.stamp) < 3e8])
+    latest = Latest(Lock())
+    latest.add(poses=[p for p in recording.poses if abs(p.stamp - stop.stamp) < 3e8])
     assert latest.current(config) is None
-    latest.add_profile(next(p for p in recording.profiles if p.stamp == stop.stamp))
+    latest.add([next(p for p in recording.profiles if p.stamp == stop.stamp)])
     current = latest.current(config)
     assert current is not None
     np.testing.assert_allclose(current.T_base_flange, stop.T_base_flange, atol=1e-5)

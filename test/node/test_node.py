@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
-from handeye_ros.bags.session_store import OutputFolders  # noqa: E402
+from handeye_ros.bags.session import OutputFolders  # noqa: E402
 from handeye_ros.node import params  # noqa: E402
 from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
@@ -169,7 +169,7 @@ def transforms_of(pose):
 
 def test_without_tf2_msgs_poses_from_tf_are_refused(tmp_path: Path) -> None:
     block = ('import sys; sys.modules["tf2_msgs"] = None; '
-             'from handeye_ros.node.__main__ import main; sys.exit(main())')
+             'from handeye_ros.node.main import main; sys.exit(main())')
     run = subprocess.run(
         [sys.executable, '-c', block, '--ros-args', '-p', 'pose_source:=tf'], cwd=ROOT,
         capture_output=True, text=True, check=False, timeout=PATIENCE)

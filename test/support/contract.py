@@ -4,7 +4,7 @@ from __future__ import annotations
 import re
 
 from command import ROOT
-from handeye_ros.node.intake import TFMessage
+from handeye_ros.node.streams import TFMessage
 from ros_helpers import Client
 
 ROW = re.compile(r'^\| (subscribes|publishes|service) \| `([^`]+)`[^|]*\| ([\w/]+)[^|]*\|', re.M)

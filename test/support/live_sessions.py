@@ -1,20 +1,53 @@
 """Running sessions without ROS that are given recordings."""
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
+import tempfile
 
 from cells import recorded
-from handeye_ros.bags.session_store import OutputFolders
+from handeye_ros.bags.session import OutputFolders, resumed, SessionFiles
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
+from handeye_ros.node.pool import Pool
 
 SPHERE = recorded('sphere')
+PLACES = []  # folders of sessions that name none, until the tests end
+
+
+class Inline(Pool):
+    """Runs functions in this process."""
+
+    def submit(self, function, *args) -> Future:
+        future = Future()
+        try:
+            future.set_result(function(*args))
+        except Exception as error:  # noqa: BLE001 - as that of another process
+            future.set_exception(error)
+        return future
+
+
+def new(config: Config = SPHERE.config, pool: Pool | None = None) -> LiveSession:
+    """Return a session without messages; it continues that of config.session."""
+    if not config.output_dir:
+        PLACES.append(tempfile.TemporaryDirectory())
+        config = replace(config, output_dir=PLACES[-1].name)
+    folders, stored = OutputFolders(), None
+    if config.session:
+        _, stored = resumed({'output_dir': config.output_dir, 'session': config.session}, folders)
+    pool = pool or Inline()
+    live = LiveSession(config, folders, SessionFiles(folders.folder, stored), pool, pool,
+                       lambda: None)
+    if stored:
+        live.restore(stored.session(config), stored.config)
+    return live
 
 
 def fed(config: Config = SPHERE.config, recording=SPHERE) -> LiveSession:
     """Return a session that was given a recording in the order of its stamps."""
-    live = LiveSession(config, OutputFolders())
+    live = new(config)
     feed(live, [*recording.poses, *recording.profiles])
     return live
 
@@ -36,3 +69,8 @@ def changed(live: LiveSession, **values: object) -> None:
 
 def later(items, seconds: int):
     return [replace(item, stamp=item.stamp + seconds * 10**9) for item in items]
+
+
+def folder_of(live: LiveSession) -> Path:
+    """Return the folder of the results of a session."""
+    return live.folders.folder(live.config)

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import Point
@@ -10,7 +9,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.frames import in_mount, target_frame
-from handeye_ros.node.streams import Current
+from handeye_ros.node.arrivals import Current
 from handeye_ros.results.evidence import stated_noise
 from handeye_ros.results.scene import enlargement, half_axes, in_sensor, shape
 import numpy as np
@@ -34,25 +33,22 @@ DOT, LINE, TEXT = 0.003, 0.001, 0.012  # m
 ARM = 0.2  # m from the flange to the target, for the stated noise at the target
 WORST = 3.0  # times the stated noise: residuals drawn red
 
-
-@dataclass(frozen=True, eq=False)
-class DrawnSample:
-    """A sample with its number and its residual (m), None without a review."""
-
-    number: int
-    sample: Sample
-    residual: float | None = None
+Drawn = tuple[int, Sample, float | None]
 
 
-def session_markers(samples: Sequence[DrawnSample], calibration: Calibration | None, config: Config
+def session_markers(samples: Sequence[Drawn], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
-    """Return the poses of samples and, with an answer, their features."""
+    """
+    Return the poses of samples and, with an answer, their features.
+
+    samples: their numbers, and their residuals (m), None without a review.
+    """
     markers = [Marker(action=Marker.DELETEALL)]
-    poses = [in_mount(drawn.sample.T_base_flange, config) for drawn in samples]
+    poses = [in_mount(sample.T_base_flange, config) for _, sample, _ in samples]
     if samples:
         markers.append(_points('flanges', FLANGES, np.array(poses)[:, :3, 3], 0.01))
-        markers += [_text('numbers', str(drawn.number), T[:3, 3], NUMBERS)
-                    for drawn, T in zip(samples, poses, strict=True)]
+        markers += [_text('numbers', str(number), T[:3, 3], NUMBERS)
+                    for (number, _, _), T in zip(samples, poses, strict=True)]
     if calibration:
         markers += _answer_markers(samples, poses, calibration, config)
     return _array(markers, config)
@@ -75,32 +71,29 @@ def current_markers(current: Current | None, calibration: Calibration | None, co
     return _array(markers, config)
 
 
-def _answer_markers(samples: Sequence[DrawnSample], poses: Sequence[Array],
+def _answer_markers(samples: Sequence[Drawn], poses: Sequence[Array],
                     calibration: Calibration, config: Config) -> list[Marker]:
     """Return markers of target, samples and sensor for an answer; poses: of the mount, (4, 4)."""
     T_sensors = [T @ calibration.T_flange_sensor for T in poses]
-    spots = [se3.apply(T, in_sensor(_spots(drawn.sample.features), config))
-             for drawn, T in zip(samples, T_sensors, strict=True)]
-    lines = [se3.apply(T, in_sensor(ends(drawn.sample.features), config))
-             for drawn, T in zip(samples, T_sensors, strict=True)]
+    spots = [se3.apply(T, in_sensor(_spots(sample.features), config))
+             for (_, sample, _), T in zip(samples, T_sensors, strict=True)]
+    lines = [se3.apply(T, in_sensor(ends(sample.features), config))
+             for (_, sample, _), T in zip(samples, T_sensors, strict=True)]
     visible = np.concatenate([*spots, *lines]) if samples else np.empty((0, 3))
     markers = _target(calibration.target, config, visible)
     if len(visible):
         scale = WORST * stated_noise(config.noise, ARM)
         markers.append(_points('samples', UNKNOWN, np.concatenate(spots), DOT, [
-            _by_residual(drawn.residual, scale)
-            for drawn, points in zip(samples, spots, strict=True) for _ in points]))
+            _by_residual(residual, scale)
+            for (_, _, residual), points in zip(samples, spots, strict=True) for _ in points]))
         markers.append(_lines('face lines', LINES, np.concatenate(lines)))
-        markers += [_text('numbers at the target',
-                          f'{drawn.number}{_residual_label(drawn.residual)}', points.mean(axis=0),
-                          _by_residual(drawn.residual, scale))
-                    for drawn, points in zip(samples, spots, strict=True) if len(points)]
+        for (number, _, residual), points in zip(samples, spots, strict=True):
+            if len(points):
+                label = str(number) if residual is None else f'{number}: {residual * 1e3:.3f} mm'
+                markers.append(_text('numbers at the target', label, points.mean(axis=0),
+                                     _by_residual(residual, scale)))
         markers += _sensor(T_sensors[-1], calibration)
     return [marker for marker in markers if marker.type not in LISTS or marker.points]
-
-
-def _residual_label(residual: float | None) -> str:
-    return '' if residual is None else f': {residual * 1e3:.3f} mm'
 
 
 def _by_residual(residual: float | None, worst: float) -> ColorRGBA:

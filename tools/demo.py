@@ -21,11 +21,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
 from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
-from handeye_ros.errors import InputError, UnwritableError
+from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.evidence import evidence
-from handeye_ros.node.domain import claimed_domain
-from handeye_ros.node.errors import NodeError, RefusedError
-from handeye_ros.node.executable import exit_code, ros
+from handeye_ros.node.main import exit_code, ros
 from handeye_ros.results import calibration_file, exports, pages, table
 from handeye_ros.results.truth_file import errors_against, true_transform
 import rclpy
@@ -41,15 +39,14 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     Calibrate from a bag over ROS; print the answer and leave out/calibration.yaml.
 
     A previous result in out is kept in its history; without an answer it stays in place. Raises
-    InputError, or RefusedError when the node has no answer.
+    InputError, or DataError when the node has no answer.
 
     """
     configuration.load(config)
     T_true, out = true_transform(bag), out.absolute()
-    domain, claim = claimed_domain()  # undisturbed by other nodes
-    os.environ['ROS_DOMAIN_ID'] = str(domain)
+    os.environ['ROS_DOMAIN_ID'] = str(20 + os.getpid() % 80)  # undisturbed by other nodes
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    with claim, _scratch(out) as saved, ros([], interruptible=True):
+    with _scratch(out) as saved, ros([], interruptible=True):
         _through_the_node(bag, rate, out / 'node.log',
                           ['--params-file', str(config), '-p', f'output_dir:={saved}'])
         calibration = _with_bag(
@@ -131,7 +128,7 @@ class Client:
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     def wait(self) -> None:
-        """Wait for the node; raises NodeError with its own message if it ends instead."""
+        """Wait for the node; raises InputError with its own message if it ends instead."""
         client = self._node.create_client(Trigger, '/handeye/save_calibration')
         self._until(client.service_is_ready)
 
@@ -146,12 +143,12 @@ class Client:
                 last_count = count
 
     def call(self, service: str) -> str:
-        """Return the message of a service; raises RefusedError if it fails."""
+        """Return the message of a service; raises DataError if it fails."""
         future = self._node.create_client(Trigger, f'/handeye/{service}').call_async(
             Trigger.Request())
         self._until(future.done)
         if not future.result().success:
-            raise RefusedError(service, future.result().message)
+            raise DataError(f'~/{service} was refused: {future.result().message}')
         return str(future.result().message)
 
     def wait_until_all_is_taken(self) -> None:
@@ -169,7 +166,8 @@ class Client:
         while not condition():
             if self._process.poll() is not None or time.monotonic() > end:
                 lines = self._log.read_text(encoding='utf-8').splitlines()
-                raise NodeError(lines[-1] if lines else 'it says nothing')
+                raise InputError('the node does not answer; the end of its log: '
+                                 + (lines[-1] if lines else 'it says nothing'))
             rclpy.spin_once(self._node, timeout_sec=0.1)
 
 

@@ -1,5 +1,5 @@
 """
-Publishers of the node: answer, samples, state, markers.
+Publishers of the node: answer, samples, state, markers, diagnostics.
 
 A latched topic keeps its last message for late subscribers. When the answer is withdrawn, its
 publisher is created again, so that a late subscriber gets none; ~/status informs the others.
@@ -7,32 +7,36 @@ publisher is created again, so that a late subscriber gets none; ~/status inform
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 import json
+import re
 import threading
+import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros import se3
+from handeye_ros.checks.review import count_of
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Calibration, EdgePoint, Sample
 from handeye_ros.errors import INSTALL_TF2
-from handeye_ros.node.diagnostics import diagnostics
-from handeye_ros.node.intake import TFMessage
+from handeye_ros.node.arrivals import Arrivals
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.scene import (
-    current_markers,
-    DrawnSample,
-    ends,
-    session_markers,
-    set_fields,
+from handeye_ros.node.markers import current_markers, ends, session_markers, set_fields
+from handeye_ros.node.state import (
+    CURRENT,
+    NONE,
+    samples_message,
+    State,
+    state_of,
+    status_message,
+    taken,
+    WITHDRAWN,
 )
-from handeye_ros.node.state import GuidanceState, samples_message, State, status_message
-from handeye_ros.node.status import state_of
+from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.scene import in_sensor
-from handeye_ros.sampling.stops import Outcome
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
@@ -45,9 +49,11 @@ from visualization_msgs.msg import MarkerArray
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+PERIOD = 10.0  # s until a lasting warning is repeated
 
 
-class Publishers:
+class Outputs:
     """The publishers; unchanged content is not published again."""
 
     def __init__(self, node: Node, live: LiveSession) -> None:
@@ -66,28 +72,40 @@ class Publishers:
         if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._advised: GuidanceState | None = None
-        self._next_pose = latched_publisher(node, PoseStamped, '~/next_pose')
+        self._advised: State = {}
+        self._next_pose = self._latched(PoseStamped, '~/next_pose')
         self._advertise_answer()
 
+    def _latched(self, kind: Any, name: str) -> Publisher:
+        """
+        Create a latched publisher that may be destroyed while an executor waits.
+
+        It has no event callbacks: an executor that waits for these ends when they are destroyed.
+        """
+        return self._node.create_publisher(kind, name, LATCHED, event_callbacks=UNWATCHED)
+
     def _advertise_answer(self) -> None:
-        self._calibration = latched_publisher(self._node, TransformStamped, '~/calibration')
-        self._tf_static = TFMessage and latched_publisher(self._node, TFMessage, '/tf_static')
+        self._calibration = self._latched(TransformStamped, '~/calibration')
+        self._tf_static = TFMessage and self._latched(TFMessage, '/tf_static')
 
     def show(self) -> None:
         """Publish all changes."""
         with self._lock:
             if self._closed:
                 return
-            state, calibration = state_of(self._live), self._live.calibration
+            live, state = self._live, state_of(self._live)
+            calibration = live.calibration
             changed = self._publish_text('samples', json.dumps(samples_message(state)))
             if calibration is not self._shown:
                 self._show_answer(calibration)
                 changed = True
             if changed:
-                self._draw(state, calibration)
+                residuals = {sample['number']: sample['residual'] for sample in state['samples']}
+                samples = [(outcome.number, outcome.sample, residuals.get(outcome.number))
+                           for outcome in live.copied().outcomes if outcome.sample]
+                self._markers.publish(session_markers(samples, calibration, live.framed))
             self._publish_text('status', json.dumps(status_message(state)))
-            self._show_guidance(state.guidance)
+            self._show_guidance(state['guidance'])
 
     def close(self) -> None:
         """
@@ -120,53 +138,98 @@ class Publishers:
         if self._tf_static and calibration.child_frame not in robot:
             self._tf_static.publish(TFMessage(transforms=[transform]))
 
-    def _show_guidance(self, guidance: GuidanceState | None) -> None:
+    def _show_guidance(self, guidance: State) -> None:
         """Publish the guidance, and the next pose if there is one."""
-        if guidance is None or guidance == self._advised:
+        if guidance == self._advised:
             return
         self._advised = guidance
-        self._publish_text('guidance', guidance.text)
-        if guidance.translation is None or guidance.rotation is None:
+        self._publish_text('guidance', guidance['text'])
+        if guidance['translation'] is None:
             self._node.destroy_publisher(self._next_pose)
-            self._next_pose = latched_publisher(self._node, PoseStamped, '~/next_pose')
+            self._next_pose = self._latched(PoseStamped, '~/next_pose')
         else:
             self._next_pose.publish(pose_stamped(
-                guidance.translation, guidance.rotation, self._live.framed.base_frame,
+                guidance['translation'], guidance['rotation'], self._live.framed.base_frame,
                 self._node.get_clock().now().to_msg()))
-
-    def _draw(self, state: State, calibration: Calibration | None) -> None:
-        residuals = {sample.number: sample.residual for sample in state.samples}
-        samples = [DrawnSample(outcome.number, outcome.sample, residuals.get(outcome.number))
-                   for outcome in self._live.copied().outcomes if outcome.sample]
-        self._markers.publish(session_markers(samples, calibration, self._live.framed))
 
     def show_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
             config = self._live.framed
             self._current.publish(current_markers(
-                self._live.streams.latest.current(config), self._live.calibration, config))
+                self._live.latest.current(config), self._live.calibration, config))
 
-    def show_features(self, outcome: Outcome) -> None:
+    def show_features(self, sample: Sample) -> None:
         """Publish the features of a new sample."""
-        if outcome.sample:
-            self._features.publish(feature_cloud(outcome.sample, self._live.config,
-                                                 self._live.copied().frame_id))
+        self._features.publish(_feature_cloud(sample, self._live.config,
+                                              self._live.session.frame_id))
 
     def diagnose(self, state: State) -> None:
-        """Publish the state on /diagnostics."""
+        """
+        Publish the state on /diagnostics.
+
+        Levels: ERROR if no usable message of a kind was ever received, or a published answer was
+        withdrawn; WARN if the operator should check.
+        """
         name = self._node.get_fully_qualified_name().lstrip('/')
-        self._diagnostics.publish(diagnostics(state, self._live.streams.arrivals, name,
-                                              self._node.get_clock().now().to_msg()))
+        statuses = [DiagnosticStatus(
+            name=f'{name}: {concern}', hardware_id=state['name'], level=level, message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+            for concern, level, message, values in _concerns(state, self._live.arrivals)]
+        header = Header(stamp=self._node.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=statuses))
 
 
-def latched_publisher(node: Node, kind: Any, name: str) -> Publisher:
-    """
-    Create a latched publisher that may be destroyed while an executor waits.
+def _concerns(state: State, arrivals: Arrivals
+              ) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
+    for stream in (state['profiles'], state['poses']):
+        kind, count, trouble = stream['kind'], stream['count'], stream['trouble']
+        level = OK if not trouble else WARN if count else ERROR
+        yield f'{kind}s', level, trouble or f'{count_of(count, kind)} on {stream["topic"]}', {
+            f'{kind}s': count, f'malformed {kind}s': stream['malformed'],
+            f'lost {kind}s': stream['lost'],
+            f'seconds since the last {kind}': f'{stream["age"]:.1f}',
+            f'topic of the {kind}s': stream['topic']}
+    session, attempt = state['session'], state['attempt']
+    refused = [sample['text'] for sample in state['samples'] if not sample['taken']]
+    if attempt and not attempt['accepted']:
+        refused.append(attempt['text'])
+    count = taken(state)
+    yield 'session', WARN if session['trouble'] else OK, (
+        session['trouble'] or session['working'] or count_of(count, 'sample')), {
+        'samples': count, 'mode': session['mode'], 'folder': session['path'] or 'none yet',
+        'robot': state['motion']['text'], 'dropped': '; '.join(session['notes']),
+        'last attempt': attempt['text'] if attempt else 'none yet',
+        'last refusal': refused[-1] if refused else '',
+        'malformed messages': arrivals.malformed.total(),
+        'last malformed': arrivals.last_malformed,
+        'worst first': ', '.join(map(str, state['worst'])) or state['review']}
+    answer = state['calibration']
+    level = {CURRENT: OK, NONE: OK, WITHDRAWN: ERROR}.get(answer['state'], WARN)
+    yield 'calibration', level, answer['text'], {
+        'calibration': answer['text'] if answer['translation'] else 'none yet',
+        'state': answer['state']}
 
-    It has no event callbacks: an executor that waits for these ends when they are destroyed.
-    """
-    return node.create_publisher(kind, name, LATCHED, event_callbacks=UNWATCHED)
+
+class RepeatedWarnings:
+    """Repeats a persistent warning every PERIOD; changed numbers do not make it new."""
+
+    def __init__(self, log: Callable[[str], object]) -> None:
+        """Start without warnings; log: receives the sentences."""
+        self._log = log
+        self._last_logged: dict[str, float] = {}
+
+    def update(self, sentences: Iterable[str], now: float | None = None) -> None:
+        """Log the sentences that are new or due again; forget all others."""
+        now = time.monotonic() if now is None else now
+        last_logged: dict[str, float] = {}
+        for sentence in sentences:
+            key = re.sub(r'[-+.\d]+', '#', sentence)
+            last_logged[key] = self._last_logged.get(key, -PERIOD)
+            if now - last_logged[key] >= PERIOD:
+                self._log(sentence)
+                last_logged[key] = now
+        self._last_logged = last_logged
 
 
 def transform_stamped(calibration: Calibration, stamp: Time) -> TransformStamped:
@@ -194,7 +257,7 @@ def time_message(stamp: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def feature_cloud(sample: Sample, config: Config, frame_id: str) -> PointCloud2:
+def _feature_cloud(sample: Sample, config: Config, frame_id: str) -> PointCloud2:
     """Return edge points, points of arcs and ends of lines of a sample, in the sensor frame."""
     points = [f.point[None] for f in sample.features if isinstance(f, EdgePoint)]
     points += [f.points for f in sample.features if isinstance(f, Arc)]

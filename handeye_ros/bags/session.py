@@ -1,0 +1,544 @@
+"""
+A session on the disk: written event by event, and read back.
+
+A session is a folder, and a bag: one .mcap file for each event, which holds the settings and, for
+a stop, its profiles and poses (and joint values), so that stops can be evaluated again. A file is
+written under another name, synced, and renamed; then metadata.yaml is written under another name
+and renamed, and the folder is synced. If the process is killed at any time, all files are complete
+bags, and metadata.yaml lists all of them except perhaps the last, which the node has not yet
+reported. After a power failure metadata.yaml may be older: it is synced later, repeats only data
+of the files, and is written again when the session is continued.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime, UTC
+import fcntl
+from functools import cache, partial
+from itertools import islice
+import json
+import os
+from pathlib import Path
+import re
+import time
+from typing import Any, TYPE_CHECKING
+
+from handeye_ros.bags.bag import read_poses
+from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr, typestore
+from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
+from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
+from handeye_ros.config import Config, flatten, with_values
+from handeye_ros.data import AnyProfile, Array, RawProfile, Reject
+from handeye_ros.errors import BagError, SessionError, UnusableMessageError, UnwritableError
+from handeye_ros.output import folder_name
+from handeye_ros.robot.model import Arm, Chain
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import judged, Outcome, Seen, Stop
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from handeye_ros.robot.samples import Source
+
+LAST = 'last'
+FORMAT, NEWEST = 'handeye_ros/session/', 1
+CONFIGURATION = '/handeye_ros/session/configuration'
+OUTCOME = '/handeye_ros/session/outcome'
+STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
+
+SUFFIX, METADATA, LOCK = '.mcap', 'metadata.yaml', '.lock'
+STAMP = '%Y-%m-%dT%H%M%SZ'  # names of folders
+CHUNK = 1 << 22  # bytes of a chunk: a reader decompresses one to read a message
+NOTHING = Seen((), ())
+SOURCE = "the node's parameters"
+
+
+@dataclass(frozen=True)
+class OutputFolders:
+    """
+    The folders of a node: <name> in output_dir, by default $ROS_HOME/handeye_ros/<namespace>.
+
+    ROS_HOME is ~/.ros by default.
+    """
+
+    namespace: str = '/'
+
+    def parent(self, config: Config) -> Path:
+        """Return the folder above the folders of names, absolute; raises UnwritableError."""
+        home = os.environ.get('ROS_HOME') or '~/.ros'
+        parent = Path(config.output_dir) if config.output_dir else (
+            Path(home) / 'handeye_ros' / self.namespace.strip('/'))
+        try:
+            return parent.expanduser().absolute()
+        except RuntimeError as error:
+            raise UnwritableError(parent, str(error)) from error
+
+    def folder(self, config: Config) -> Path:
+        """Return the folder of the name, absolute; raises UnwritableError and BadValueError."""
+        return self.parent(config) / folder_name(config)
+
+
+@dataclass(frozen=True)
+class Event:
+    """
+    An event: a stop was evaluated, a sample was removed, or the settings were changed.
+
+    number: of the stop, 0 for settings; began: stamp of its first pose; taken: whether it gave a
+    sample; text: why there is no sample; refused: why its sample is never used.
+    """
+
+    kind: str
+    config: Config
+    number: int = 0
+    began: int = 0
+    taken: bool = False
+    text: str = ''
+    refused: str = ''
+
+
+@dataclass(frozen=True)
+class BagFile:
+    """The entry of a file in metadata.yaml: first and last time in ns, counts by topic."""
+
+    name: str
+    first: int
+    last: int
+    counts: dict[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """
+    A session on the disk.
+
+    config: the last settings; stops: by number, without removed ones; numbers: the largest number
+    so far; types: by topic.
+    """
+
+    path: Path
+    config: Config
+    stops: dict[int, tuple[Event, Stop]]
+    numbers: int
+    files: tuple[BagFile, ...]
+    types: dict[str, str]
+
+    def session(self, config: Config) -> Session:
+        """Return the session, its stops evaluated with a configuration."""
+        session = Session(config)
+        frames = (profile.frame_id for _, stop in self.stops.values()
+                  for profile in stop.load(config).profiles)
+        outcomes = [judged(Outcome(number, stop, Reject(stop.began, ''), event.refused), config)
+                    for number, (event, stop) in sorted(self.stops.items())]
+        session.restore(outcomes, self.numbers, next(frames, ''))
+        return session
+
+
+class SessionFiles:
+    """
+    Writes sessions, one after the other; an event is on the disk when its method returns.
+
+    path: the folder of the session, None before the first event. Not for several threads at once.
+    """
+
+    def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None) -> None:
+        """
+        Begin with the first event, or continue a session.
+
+        parent: returns the folder that holds the folders of sessions. Raises SessionError for a
+        session that another node has open, UnwritableError.
+        """
+        self._parent = parent
+        self.path = stored.path if stored else None
+        self._files: list[BagFile] = list(stored.files) if stored else []
+        self._types: dict[str, str] = dict(stored.types) if stored else {}
+        self._lock: int | None = None
+        if stored:
+            try:
+                self._lock = _claimed(stored.path)
+                _write_metadata(stored.path, self._files, self._types)
+            except OSError as error:
+                raise UnwritableError(stored.path, error.strerror or str(error)) from error
+
+    def close(self) -> None:
+        """Release the lock, so that another node can continue the session."""
+        if self._lock is not None:
+            os.close(self._lock)
+        self._lock = None
+
+    def add(self, outcome: Outcome, config: Config, joints: Sequence[tuple[int, bytes]] = ()
+            ) -> Outcome:
+        """
+        Write the outcome of a stop; return it with the stop as it is on the disk.
+
+        joints: stamps and serialised joint values. Raises UnwritableError.
+        """
+        reason = outcome.result.reason if isinstance(outcome.result, Reject) else ''
+        event = Event(STOP, config, outcome.number, outcome.stop.began, outcome.sample is not None,
+                      reason, outcome.refused)
+        seen = outcome.stop.load(config)
+        joints = [one for one in joints if seen.poses[0].stamp <= one[0] <= seen.poses[-1].stamp]
+        file = self.append(event, seen, outcome, joints)
+        return replace(outcome, stop=Stop(outcome.stop.began, partial(load, file)))
+
+    def append(self, event: Event, seen: Seen = NOTHING, outcome: Outcome | None = None,
+               joints: Sequence[tuple[int, bytes]] = ()) -> Path:
+        """Write an event, with what was seen at its stop; raises UnwritableError."""
+        path: object = self.path or 'the folder of the session'
+        try:
+            if self.path is None:
+                self.path, self._lock = self._begun(event.config)
+            path = folder = self.path
+            if not folder.is_dir():
+                raise FileNotFoundError('its folder is gone (unmounted or removed?); bring it '
+                                        'back, or call ~/clear_samples for a new session')
+            messages, types = _messages(event, seen, outcome, joints)
+            number = 1 + max((_number_of(file.name) for file in self._files), default=-1)
+            file = folder / f'{folder.name}_{number}{SUFFIX}'
+            written = _write_file(file, messages, types)
+            try:
+                _write_metadata(folder, [*self._files, written], self._types | types)
+            except OSError:
+                with suppress(OSError):
+                    file.unlink()  # the event is refused, so it must not be read back
+                raise
+        except OSError as error:
+            raise UnwritableError(path, error.strerror or str(error)) from error
+        self._files.append(written)
+        self._types |= types
+        return file
+
+    def restart(self, config: Config) -> str:
+        """Begin another session; return a note about the previous one; UnwritableError."""
+        if self.path is None:
+            return ''
+        previous = self.path, self._files, self._types, self._lock
+        self.path, self._files, self._types, self._lock = None, [], {}, None
+        try:
+            # the new session exists at once, so that `last` names it
+            self.append(Event(CONFIGURED, config))
+        except UnwritableError:
+            self.close()
+            self.path, self._files, self._types, self._lock = previous
+            raise
+        if previous[3] is not None:
+            os.close(previous[3])
+        return f'; they are kept in {previous[0]}'
+
+    def sync(self) -> None:
+        """Sync metadata.yaml; no service waits for it, as the files hold the same data."""
+        if self.path:
+            with suppress(OSError):
+                _sync(self.path / METADATA)
+
+    def _begun(self, config: Config) -> tuple[Path, int]:
+        """Make the folder of a new session, named after the time; return it and its lock."""
+        parent, stamp = self._parent(config), datetime.now(UTC).strftime(STAMP)
+        parent.mkdir(parents=True, exist_ok=True)
+        for attempt in range(1000):
+            folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
+            with suppress(FileExistsError):
+                folder.mkdir()
+                _sync(parent)
+                return folder, _claimed(folder)
+        raise FileExistsError(f'{parent / stamp} is there already')
+
+
+def _claimed(folder: Path) -> int:
+    """Lock a session against other nodes; the lock ends with the process. SessionError."""
+    lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(lock)
+        raise SessionError(folder, 'is in use by another node: end that node first, or begin a '
+                                   'new session') from error
+    return lock
+
+
+def _messages(event: Event, seen: Seen, outcome: Outcome | None,
+              joints: Sequence[tuple[int, bytes]]) -> tuple[list[Raw], dict[str, str]]:
+    """Return the messages of an event, and their types by topic."""
+    config = event.config
+    profile_topic = full_name(config.profile_topic)
+    pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
+    joint_topic = full_name(config.joint_topic)
+    types = {profile_topic: CLOUD, pose_topic: POSE, CONFIGURATION: STRING, OUTCOME: STRING}
+    if joints:
+        types[joint_topic] = JOINTS
+    offset = round(config.time_offset * 1e9)  # a driver may publish no stamp: log_time holds it
+    messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in seen.poses]
+    messages += [Raw(profile_topic, profile.stamp - offset, _cloud(profile, config))
+                 for profile in seen.profiles]
+    messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
+    values = {'event': event.kind, 'number': event.number, 'began': event.began,
+              'taken': event.taken, 'text': event.text, 'refused': event.refused}
+    if outcome and outcome.sample:
+        values |= {'stamp': outcome.sample.stamp, 'profiles': outcome.sample.profiles,
+                   'T_base_flange': outcome.sample.T_base_flange.tolist()}
+    end = seen.poses[-1].stamp if seen.poses else time.time_ns()
+    for topic, content in ((CONFIGURATION, {'config': flatten(replace(config, session=''))}),
+                           (OUTCOME, values)):
+        text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
+        messages.append(Raw(topic, end, string_cdr(text)))
+    return messages, types
+
+
+def _cloud(profile: AnyProfile, config: Config) -> bytes:
+    """Return the message of a profile as received, or in the layout of a driver."""
+    if isinstance(profile, RawProfile):
+        return bytes(profile.fetch())
+    return cloud_cdr(profile, config)
+
+
+def _write_file(path: Path, messages: Sequence[Raw], types: Mapping[str, str]) -> BagFile:
+    """
+    Write messages as an .mcap file, completely or not at all; types: by topic. Raises OSError.
+
+    Its name is on the disk after the folder is synced by _write_metadata.
+    """
+    temporary = path.with_name(f'.{path.name}.tmp')
+    messages = sorted(messages, key=lambda message: message.log_time)
+    try:
+        with temporary.open('wb') as stream:  # may replace the rest of a killed process
+            writer = Writer(stream, CHUNK, CompressionType.ZSTD)
+            writer.start('ros2', 'handeye_ros')
+            channels = {}
+            for topic, kind in types.items():
+                text, _ = typestore().generate_msgdef(kind, ros_version=2)
+                schema = writer.register_schema(kind, 'ros2msg', text.encode())
+                channels[topic] = writer.register_channel(topic, 'cdr', schema,
+                                                          {'offered_qos_profiles': ''})
+            for message in messages:
+                writer.add_message(channels[message.topic], message.log_time, message.data,
+                                   message.log_time)
+            writer.finish()
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    counts = dict.fromkeys(types, 0)
+    for message in messages:
+        counts[message.topic] += 1
+    return BagFile(path.name, messages[0].log_time, messages[-1].log_time, counts)
+
+
+def _write_metadata(folder: Path, files: Sequence[BagFile], types: Mapping[str, str]) -> None:
+    """
+    Write metadata.yaml, atomically, and sync the names of files; raises OSError.
+
+    JSON is YAML, and is written 100 times faster.
+    """
+    def span(first: int, last: int, count: int) -> dict[str, Any]:
+        return {'duration': {'nanoseconds': last - first}, 'message_count': count,
+                'starting_time': {'nanoseconds_since_epoch': first}}
+
+    counts = {topic: sum(file.counts.get(topic, 0) for file in files) for topic in types}
+    information = {
+        'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy',
+        **span(min(file.first for file in files), max(file.last for file in files),
+               sum(counts.values())),
+        'topics_with_message_count': [
+            {'message_count': counts[topic], 'topic_metadata': {
+                'name': topic, 'type': kind, 'serialization_format': 'cdr',
+                'offered_qos_profiles': [], 'type_description_hash': _hash(kind)}}
+            for topic, kind in types.items()],
+        'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [{'path': file.name, **span(file.first, file.last, sum(file.counts.values()))}
+                  for file in files],
+        'custom_data': None}
+    temporary = folder / f'.{METADATA}.tmp'
+    temporary.write_text(json.dumps({'rosbag2_bagfile_information': information}, indent=1),
+                         encoding='utf-8')
+    os.replace(temporary, folder / METADATA)
+    _sync(folder)
+
+
+@cache
+def _hash(kind: str) -> str:
+    """Return the type hash (REP 2011) of a message type."""
+    return str(typestore().hash_rihs01(kind))
+
+
+def _sync(path: Path) -> None:
+    """Write a file, or the names in a folder, through to the disk; raises OSError."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _number_of(name: str) -> int:
+    """Return the number of a file in its session, -1 for the name of another file."""
+    match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', name)
+    return int(match[1]) if match and not name.startswith('.') else -1
+
+
+def files_of(folder: Path) -> list[Path]:
+    """Return the files of a session in the order of their numbers; raises OSError."""
+    files = [path for path in folder.iterdir() if _number_of(path.name) >= 0]
+    return sorted(files, key=lambda path: _number_of(path.name))
+
+
+def is_session(path: Path) -> bool:
+    """Return whether a folder holds a session."""
+    try:
+        files = files_of(path) if path.is_dir() else []
+        return bool(files) and OUTCOME in _read_file(files[0], (OUTCOME,))[1]
+    except (OSError, BagError):
+        return False
+
+
+def sessions_in(folder: Path) -> Iterator[Path]:
+    """Yield the sessions in the folder of a name, the newest first."""
+    paths = sorted(folder.iterdir(), reverse=True) if folder.is_dir() else []
+    return filter(is_session, paths)
+
+
+def read_session(path: Path) -> Stored:
+    """
+    Return a session from its folder, even if metadata.yaml lacks the last file.
+
+    Raises SessionError or BagError.
+    """
+    if not is_session(path):
+        raise SessionError(path, 'is no session: expected a folder that the node made')
+    stops: dict[int, tuple[Event, Stop]] = {}
+    files, types, numbers, config = [], dict[str, str](), 0, Config()
+    for file in files_of(path):
+        entry, its_types, messages = _read_file(file, (CONFIGURATION, OUTCOME))
+        event, types = _event_of(messages, file), types | its_types
+        files.append(entry)
+        config, numbers = event.config, max(numbers, event.number)
+        if event.kind == STOP:
+            stops[event.number] = event, Stop(event.began, partial(load, file))
+        elif event.kind == REMOVED:
+            stops.pop(event.number, None)
+    return Stored(path, config, stops, numbers, tuple(files), types)
+
+
+def load(file: Path, config: Config) -> Seen:
+    """Return poses and profiles of a stop from its file; raises BagError."""
+    _, types, messages = _read_file(file)
+    offset = round(config.time_offset * 1e9)
+    reader = ProfileReader(config.profile)
+    poses, profiles = [], []
+    for message in messages:
+        if types[message.topic] == POSE:
+            poses.append(pose_from_cdr(message.data))
+        elif types[message.topic] == CLOUD:
+            with suppress(UnusableMessageError):  # it may be invalid with other settings
+                profiles.append(replace(reader.take(message.data),
+                                        stamp=message.log_time + offset))
+    return Seen(tuple(poses), tuple(profiles))
+
+
+def _read_file(path: Path, topics: Sequence[str] = ()
+               ) -> tuple[BagFile, dict[str, str], list[Raw]]:
+    """Return entry, types by topic, and messages (of these topics or all); raises BagError."""
+    try:
+        with path.open('rb') as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            if summary is None or summary.statistics is None:
+                raise BagError(path, 'is cut off')
+            statistics, channels = summary.statistics, summary.channels
+            counts = {channels[number].topic: count
+                      for number, count in statistics.channel_message_counts.items()}
+            types = {channel.topic: summary.schemas[channel.schema_id].name
+                     for channel in channels.values()}
+            messages = [Raw(channel.topic, message.log_time, message.data)
+                        for _, channel, message in reader.iter_messages(topics or None)]
+    except OSError as error:
+        raise BagError(path, f'cannot be read: {error.strerror or error}') from error
+    except BagError:
+        raise
+    except Exception as error:  # damaged bytes cause all kinds of errors in parsers
+        raise BagError(path, f'is damaged: {error}') from error
+    return BagFile(path.name, statistics.message_start_time, statistics.message_end_time,
+                   counts), types, messages
+
+
+def _event_of(messages: Iterable[Raw], file: Path) -> Event:
+    """Return the event of a file from its messages; raises SessionError."""
+    texts = {raw.topic: text_from_cdr(raw.data) for raw in messages}
+    if not {CONFIGURATION, OUTCOME} <= set(texts):
+        raise SessionError(file, 'does not say what happened')
+    values, config = _content(texts[OUTCOME], file), _content(texts[CONFIGURATION], file)
+    settings = config.get('config')
+    if not isinstance(settings, dict):
+        raise SessionError(file, 'holds no configuration')
+    known = flatten(Config())
+    settings = {key: value for key, value in settings.items() if key in known}
+    try:
+        return Event(str(values['event']), with_values(Config(), settings, str(file)),
+                     int(values['number']), int(values['began']), bool(values['taken']),
+                     str(values['text']), str(values['refused']))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SessionError(file, f'holds an event that is not understood ({error!r})') from error
+
+
+def _content(text: str, path: object) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SessionError(path, f'holds a record that is no JSON ({error})') from error
+    form = str(content.get('format')) if isinstance(content, dict) else 'None'
+    number = form.removeprefix(FORMAT)
+    if not number.isdecimal() or form == number:
+        raise SessionError(path, f'is of the format "{form}", expected {FORMAT}{NEWEST}')
+    if int(number) > NEWEST:
+        raise SessionError(path, f'is of the format {form}, newer than this version of '
+                           'handeye_ros knows: update the package')
+    return dict(content)
+
+
+def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Config, Stored | None]:
+    """
+    Return the settings, and the session to continue, None for a new one.
+
+    overrides: settings of the user by key; all others are those of the session. Raises InputError.
+    """
+    config = with_values(Config(), overrides, SOURCE)
+    if not config.session:
+        return config, None
+    if config.session != LAST:
+        path: Path | None = Path(config.session).expanduser().absolute()
+    else:
+        parent = folders.parent(config)
+        if 'name' in overrides or 'target.type' in overrides:
+            named = [folders.folder(config)]
+        else:
+            named = list(parent.iterdir()) if parent.is_dir() else []
+        newest = [session for folder in named for session in islice(sessions_in(folder), 1)]
+        path = max(newest, key=lambda session: session.name, default=None)
+    if path is None:
+        return config, None
+    stored = read_session(path)
+    return with_values(stored.config, overrides, SOURCE), stored
+
+
+def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int64], Array]:
+    """Return stamps (n,) and joint values (n, joints); raises InputError without any."""
+    recording = read_poses(path, replace(config, kinematics=''), Arm(chain))
+    assert recording.joints is not None
+    return np.array([pose.stamp for pose in recording.poses], dtype=np.int64), recording.joints
+
+
+def source_of_session(stored: Stored, config: Config, chain: Chain) -> Source:
+    """Return the samples of a session with their joint values; raises InputError."""
+    from handeye_ros.checks.settings import require_same_clock
+    from handeye_ros.robot.samples import Source  # both import the whole pipeline
+    session = stored.session(config)
+    return Source.of(session.samples, session.rejects, session.frame_id, config, chain,
+                     *joints_of(stored.path, config, chain),
+                     require_same_clock=partial(require_same_clock, session),
+                     inputs=[{'path': str(stored.path)}], warnings=session.warnings)

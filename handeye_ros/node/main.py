@@ -1,0 +1,184 @@
+"""
+Starting and ending the executables: arguments, signals, exit codes.
+
+Slow imports are inside the functions, so that Ctrl-C ends an executable cleanly from the start.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+import errno
+import os
+import signal
+import sys
+from typing import Any
+
+from handeye_ros.errors import HandeyeError, InputError
+
+THREADS = 4  # of the executor: two groups of services, the timers, the parameters
+SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
+
+USAGE = """\
+usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
+
+Runs the node handeye: takes samples of the target as the robot moves, and computes and saves the
+calibration on request. All settings are ROS parameters and follow --ros-args:
+
+  calibrate --ros-args --params-file config/plate.yaml -p session:=last
+
+`ros2 param list /handeye` and `ros2 param describe /handeye KEY` explain them while it runs.
+"""
+
+
+def own_arguments(argv: Sequence[str]) -> list[str]:
+    """Return the arguments outside of --ros-args ... [--]."""
+    remaining, in_ros_arguments = [], False
+    for argument in argv:
+        if in_ros_arguments:
+            in_ros_arguments = argument != '--'
+        elif argument == '--ros-args':
+            in_ros_arguments = True
+        else:
+            remaining.append(argument)
+    return remaining
+
+
+def main() -> int:
+    """Run the executable `calibrate`; return the exit code, 1 if output cannot be written."""
+    code = 0
+    sys.setswitchinterval(SWITCH)
+    # small matrices: more threads would slow down the streams
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    with suppress(KeyboardInterrupt):
+        try:
+            code = _run(own_arguments(sys.argv[1:]))
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            code = 1
+    return code if _flushed() else code or 1
+
+
+def _run(arguments: Sequence[str]) -> int:
+    if arguments and arguments[0] in ('-h', '--help'):
+        print(USAGE, end='')
+        return 0
+    if arguments:
+        print(f'error: unknown arguments: {" ".join(arguments)} (ROS arguments such as '
+              f'--params-file and -p follow --ros-args)\n{USAGE}', end='', file=sys.stderr)
+        return 2
+    # an exception in the import of an extension module would be lost
+    _on_signals(lambda *_: os._exit(0))
+    from handeye_ros.node.node import HandeyeNode
+    from rclpy.executors import MultiThreadedExecutor
+    _on_signals(signal.default_int_handler)
+
+    def run() -> None:
+        working = spin(HandeyeNode, lambda: MultiThreadedExecutor(THREADS), stop_of)
+        if working:  # Python would wait for the thread that solves
+            _flushed()
+            os._exit(0)
+
+    def stop_of(node: Any) -> Any:
+        node.stop()
+        return node.live.working
+    return exit_code(run)
+
+
+def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
+         stop: Callable[[Any], Any] = lambda node: None) -> Any:
+    """
+    Run the node that make() returns until Ctrl-C or SIGTERM; return what stop(node) returns.
+
+    Raises InputError if ROS does not start, or a topic cannot be used.
+    """
+    import rclpy
+    from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    with ros():
+        try:
+            node = make()
+        except (InvalidHandle, RCLError) as error:
+            if not rclpy.ok():  # ended by a signal
+                return None
+            reason = ' '.join(str(error).split())[:120]
+            raise InputError(f'the node cannot use its topics ({reason}): check pose_topic and '
+                             'profile_topic; each needs its own') from error
+        runner = executor() if executor else SingleThreadedExecutor()
+        runner.add_node(node)
+        try:
+            while rclpy.ok():
+                with suppress(InvalidHandle):  # an entity that another thread destroyed: go on
+                    runner.spin()
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        except RCLError:
+            if rclpy.ok():  # else ended by a signal
+                raise
+        finally:
+            left = stop(node)
+            runner.shutdown()
+            node.destroy_node()
+        return left
+
+
+def exit_code(run: Callable[[], None]) -> int:
+    """Run to the end, or to Ctrl-C or SIGTERM; print the sentence of a HandeyeError."""
+    try:
+        run()
+    except HandeyeError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+@contextmanager
+def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> Iterator[None]:
+    """
+    Start rclpy and shut it down in the end.
+
+    args: those of the command line (None: sys.argv). interruptible: Ctrl-C and SIGTERM raise
+    KeyboardInterrupt, for a main thread that does not spin. Raises InputError for arguments
+    and parameter files that ROS cannot read.
+
+    """
+    import rclpy
+    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy.signals import SignalHandlerOptions
+    if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
+        raise InputError('ROS does not start: it has no place for its logs, as none of '
+                         'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
+    options = SignalHandlerOptions.NO if interruptible else SignalHandlerOptions.ALL
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=options)
+    except RCLError as error:
+        # without positions in the source of rcl
+        text = str(error).removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]
+        raise InputError(f'ROS does not start: {text}') from error
+    if interruptible:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        with suppress(RCLError):  # a signal has shut it down meanwhile
+            rclpy.try_shutdown()
+
+
+def _on_signals(handler: Callable[[int, Any], Any]) -> None:
+    """Set the handler of Ctrl-C and SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _flushed() -> bool:
+    """Flush the output; return whether it could be written."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            return False
+    return True

@@ -1,0 +1,69 @@
+"""The processes for long computations: what they answer, and what a killed one costs."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+import os
+import signal
+import subprocess
+import sys
+
+from command import PATIENCE
+from handeye_ros.checks.review import review
+from handeye_ros.config import Config
+from handeye_ros.errors import DataError
+from handeye_ros.node.pool import Pool, PoolEndedError
+import pytest
+
+
+@pytest.fixture
+def pool() -> Iterator[Pool]:
+    found = Pool(5)
+    yield found
+    found.stop()
+
+
+def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
+    assert pool.run(divmod, 7, 2) == (3, 1) and pool.run(os.getpid) != os.getpid()
+    assert pool.run(os.nice, 0) == os.nice(0) + 5
+    with pytest.raises(DataError) as refusal:
+        pool.run(review, [], [], Config())
+    with pytest.raises(DataError) as here:
+        review([], [], Config())
+    assert str(refusal.value) == str(here.value)
+    with pytest.raises(ZeroDivisionError):
+        pool.run(divmod, 1, 0)
+
+
+def test_one_that_was_killed_is_reported_and_started_again(pool: Pool) -> None:
+    pid = pool.run(os.getpid)
+    with pytest.raises(PoolEndedError, match='ended before it had an answer'):
+        pool.run(os.kill, pid, signal.SIGKILL)
+    assert pool.run(os.getpid) != pid
+    with pytest.raises(BrokenProcessPool):
+        pool.submit(os._exit, 1).result()
+    assert pool.run(divmod, 7, 2) == (3, 1)
+    pool.stop()
+    with pytest.raises(PoolEndedError):
+        pool.run(os.getpid)
+
+
+PARENT = """
+import os, sys, time
+from handeye_ros.node.pool import Pool
+if __name__ == '__main__':
+    print(Pool().run(os.getpid), flush=True)
+    time.sleep(60)
+"""
+
+
+def test_it_ends_with_a_node_that_is_killed(tmp_path) -> None:
+    script = tmp_path / 'parent.py'
+    script.write_text(PARENT)
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        watch = os.pidfd_open(child)
+        parent.kill()
+    import select
+    assert select.select([watch], [], [], PATIENCE)[0]
+    os.close(watch)
