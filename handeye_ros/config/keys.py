@@ -391,9 +391,6 @@ class Config(Section):
     kinematics: str = key(
         '', 'A kinematics.yaml, made by handeye kinematics: the flange poses are those of its '
         'corrected arm at the joint values of joint_topic; empty: the poses of the controller.')
-    robot_description: str = key(
-        '', 'File of the URDF of the robot, for ~/compute_kinematics: the flange poses are '
-        'those of the URDF at the joint values of joint_topic; empty: none.')
     time_offset: float = key(
         0.0, "Added to the profiles' stamps (s), for a sensor whose clock or whose driver is "
         'late or early.', -10.0, 10.0)

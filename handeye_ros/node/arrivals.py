@@ -51,11 +51,9 @@ class Arrivals:
         """Return a sentence if many, or the last, messages of a kind are invalid or lost."""
         bad, lost, last = self.malformed[kind], self.lost[kind], self._bad_in_a_row[kind]
         total, sentences = bad + self.counts[kind], []
-        if bad >= BAD_IN_A_ROW and bad > BAD_SHARE * total:
-            sentences.append(f'{bad} of {total} {kind}s cannot be used; the last reason: '
-                             f'{self._reasons[kind]}')
-        elif last >= BAD_IN_A_ROW:
-            sentences.append(f'the last {last} {kind}s cannot be used; the last reason: '
+        if last >= BAD_IN_A_ROW or (bad >= BAD_IN_A_ROW and bad > BAD_SHARE * total):
+            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of {total}'
+            sentences.append(f'{which} {kind}s cannot be used; the last reason: '
                              f'{self._reasons[kind]}')
         if lost > BAD_SHARE * (total + lost):
             sentences.append(f'{lost} of {total + lost} {kind}s were lost on their way: let the '

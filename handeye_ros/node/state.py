@@ -93,7 +93,7 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     """
     streams = [stream['trouble'] for stream in (state['profiles'], state['poses'])
                if (service == 'take_sample' or not success)
-               and (stream['count'] == 0 or stream['malformed'] > stream['count'])]
+               and (stream['count'] == 0 or stream['malformed'])]
     trouble = '; '.join(filter(None, (*streams, state['session']['trouble'])))
     return text if trouble in text else f'{text}; {trouble}'
 

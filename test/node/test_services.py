@@ -74,7 +74,6 @@ def test_refusals_say_why_and_what_to_do(client: Client, node: subprocess.Popen[
             ('take_sample', 'no flange pose was received on /flange_pose: start the robot driver'),
             ('remove_last_sample', 'there is no sample to remove'),
             ('compute_calibration', 'no flange pose was received'),
-            ('compute_kinematics', 'needs the URDF of the robot'),
             ('save_calibration', 'there is no calibration to save: call ~/compute_calibration')):
         answer = client.call(service)
         assert (answer.success, reason in answer.message) == (False, True), answer.message
