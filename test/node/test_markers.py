@@ -84,7 +84,7 @@ def test_the_ellipsoid_is_the_covariance_enlarged_as_it_says(plate: Any) -> None
     q = ellipsoid.pose.orientation
     R = se3.from_quaternion(np.zeros(3), np.array([q.x, q.y, q.z, q.w]))[:3, :3]
     scale = np.array([ellipsoid.scale.x, ellipsoid.scale.y, ellipsoid.scale.z]) / 2 / factor
-    R_base_flange = seen[-1].sample.T_base_flange[:3, :3]
+    R_base_flange = seen[-1][1].T_base_flange[:3, :3]
     expected = R_base_flange @ calibration.covariance[:3, :3] @ R_base_flange.T
     np.testing.assert_allclose(R * scale ** 2 @ R.T, expected, rtol=1e-6, atol=1e-16)
     assert 0.008 < max(scale) * factor <= 0.02
@@ -92,7 +92,7 @@ def test_the_ellipsoid_is_the_covariance_enlarged_as_it_says(plate: Any) -> None
 
 def test_the_profile_of_now_lies_on_the_target(plate: Any) -> None:
     recording, seen, calibration, config = plate
-    stop = seen[4].sample
+    stop = seen[4][1]
     latest = Latest(Lock())
     latest.add(poses=[p for p in recording.poses if abs(p.stamp - stop.stamp) < 3e8])
     assert latest.current(config) is None
