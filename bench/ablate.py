@@ -19,7 +19,7 @@ How to read it: a mechanism that changes none of the columns beyond chance is no
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 import time
@@ -27,9 +27,9 @@ import time
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation import consensus, noise, posterior, search, solution
-from handeye_ros.estimation.consensus import Contamination
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation import noise, problem, search, solve
+from handeye_ros.estimation.basis import process_root
+from handeye_ros.estimation.covariance import Contamination
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.recording import Simulated
@@ -48,15 +48,14 @@ FEW = {f'{cell} {a} + {b}': replace(FAULTS[cell], stations=(a, b))
 
 def without_blocks(*names: str) -> Switch:
     """Return the switch of the blocks whose names begin so."""
-    every = posterior.prepared
+    every = solve.blocks_at
 
-    def prepared(first: object) -> Callable[[object], tuple]:
-        blocks_at = every(first)
-        return lambda linear: tuple(b for b in blocks_at(linear) if not b.name.startswith(names))
-    return posterior, 'prepared', prepared
+    def some(linear: object) -> tuple:
+        return tuple(b for b in every(linear) if not b.name.startswith(names))
+    return solve, 'blocks_at', some
 
 
-def nobody(solved: solution.Solution, dropped: int) -> Contamination:
+def nobody(solved: solve.Solution, dropped: int) -> Contamination:
     """Return that no station of a solution is wrong."""
     n = len(solved.problem.poses)
     return Contamination(np.zeros(n), np.zeros((n, 6)), np.zeros((n, 6, 6)), np.ones(n))
@@ -64,13 +63,14 @@ def nobody(solved: solution.Solution, dropped: int) -> Contamination:
 
 MECHANISMS: dict[str, tuple[Switch, ...]] = {
     'all': (),
-    'contamination': ((consensus, 'contamination', nobody),),
-    'best-fit transform': ((solution, 'covering', lambda first, second: first),),
-    'long errors in the report': ((Problem, 'of_long_errors', property(lambda self: self)),),
+    'contamination': ((search, 'contamination', nobody),),
+    'best-fit transform': ((solve, 'covering', lambda first, second: first),),
+    'long errors in the report': (
+        (problem, 'process_root', lambda poses, long_errors: process_root(poses)),),
     'MAP scales of their own': ((noise, 'MAP_PRIOR', noise.CONSERVATIVE_PRIOR),),
-    'prior scales': ((posterior, 'STEPS', 0), (posterior, 'LAST_STEPS', 0)),
-    'variance components': ((posterior._System, 'with_noise', lambda self, *args: self.noise),),
-    'starts from subsets': ((consensus, 'SUBSETS', 0),),
+    'prior scales': ((solve, 'STEPS', 0), (solve, 'LAST_STEPS', 0)),
+    'variance components': ((solve.Solution, 'factors', lambda self, *args: self.noise.factors),),
+    'starts from subsets': ((search, 'SUBSETS', 0),),
     'graduated non-convexity': (
         (search, 'graduated', lambda start, squares, refit: refit(start, np.ones(
             len(squares(start))))),),

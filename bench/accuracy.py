@@ -22,8 +22,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.posterior import evaluated
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.solve import evaluated, Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 import numpy as np
 from scipy.stats import chi2
@@ -124,7 +123,7 @@ def trial(job: tuple[Case, int]) -> np.ndarray:
     samples = tuple(misjudged(sample, case.sensor_factor) for sample in samples)
     config = configured(case, case.robot_factor)
     start = time.process_time()
-    solution = pipeline.estimate(samples, (), config).solution
+    solution = pipeline.estimate(samples, (), config)
     seconds = time.process_time() - start
     X, X_true = solution.estimate.X, truth.T_flange_sensor
     delta = se3.difference(X, X_true)

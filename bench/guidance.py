@@ -42,10 +42,9 @@ from handeye_ros.checks.review import flat_crossing
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
-from handeye_ros.estimation.consensus import Consensus, without_outliers
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.search import refined
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.search import refined, robust_solution, with_blocks, without_outliers
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.moves import Move
@@ -372,8 +371,8 @@ def solved(cell: World) -> Solution | None:
                       cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else
-                  Consensus.of(problem, np.random.default_rng(0), True))
-        found = agreed.refined().solution
+                  robust_solution(problem, np.random.default_rng(0), True))
+        found = with_blocks(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
     std = mapping(found.estimate.X, cell.view).std(found.reported[:6, :6])

@@ -20,7 +20,7 @@ import time
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.problem import Problem
 from handeye_ros.robot.estimate import adjusted, fit_of, fitted, State, Weights
 from handeye_ros.robot.model import Arm, GEOMETRY, parameters
 from handeye_ros.robot.outcome import Outcome, solve, solve_points

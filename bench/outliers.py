@@ -18,7 +18,7 @@ import time
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
-from handeye_ros.estimation import consensus
+from handeye_ros.estimation import search
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 import numpy as np
 
@@ -49,10 +49,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--seeds', type=int, default=4)
-    parser.add_argument('--subsets', type=int, default=consensus.SUBSETS)
+    parser.add_argument('--subsets', type=int, default=search.SUBSETS)
     parser.add_argument('--only', default='')
     arguments = parser.parse_args()
-    consensus.SUBSETS = arguments.subsets
+    search.SUBSETS = arguments.subsets
     print(f'{"target":8} {"share":>5} {"size, m":>7}', *OUTCOMES, '    s')
     for target in ('plate', 'sphere', 'plane', 'wedge', 'line'):
         for share, size in CASES if arguments.only in target else ():

@@ -24,11 +24,8 @@ from handeye_ros import targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Estimate, UNUSED
-from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.search import evaluate, fit
+from handeye_ros.estimation.problem import Estimate, Problem, UNUSED
+from handeye_ros.estimation.search import evaluate, fit, robust_solution
 from handeye_ros.frames import mounted
 from handeye_ros.se3 import transform
 from handeye_ros.simulate import Scenario, settings, simulate_samples
@@ -134,7 +131,7 @@ def from_truth(problem: Problem, truth: Estimate) -> float:
     p = problem.points_in_base(truth.X)
     obs = problem.method.geometry.relabel(problem.observations, p, truth.target, problem.config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
-    solution = evaluate(problem, fit(problem, truth, Noise()), Noise())
+    solution = evaluate(problem, fit(problem, truth))
     return float(solution.white @ solution.white)
 
 
@@ -144,11 +141,11 @@ def trial(target: str, seed: int) -> tuple[float, float, str]:
     best = from_truth(problem, truth)
     start = time.process_time()
     try:
-        found = Consensus.of(problem, np.random.default_rng(0), True)
+        found = robust_solution(problem, np.random.default_rng(0), True)
     except HandeyeError as error:
         return np.inf, time.process_time() - start, type(error).__name__
     seconds = time.process_time() - start
-    cost = float(found.solution.white @ found.solution.white)
+    cost = float(found.white @ found.white)
     worse = len(found.dropped) > 0.2 * len(problem.poses)
     note = f'{len(problem.poses)} stations, {len(found.dropped)} dropped'
     return (np.inf if worse else cost / (best * AS_GOOD + SLACK)), seconds, note

@@ -27,11 +27,10 @@ from handeye_ros.checks.shape import (
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, NamedCauseError
-from handeye_ros.estimation.consensus import Consensus
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Estimate, Problem
+from handeye_ros.estimation.search import robust_solution, with_blocks
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance import advice
 from handeye_ros.results.evidence import Evidence, evidence_of
@@ -123,19 +122,17 @@ def solved(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     agreed = estimate(ordered, rejects, config, moved.estimate)
     if config.kinematics:
         from handeye_ros.robot.uncertainty import with_arm_errors
-        agreed = replace(agreed, solution=with_arm_errors(agreed.solution,
-                                                          Path(config.kinematics)))
-    solution = agreed.solution
+        agreed = with_arm_errors(agreed, Path(config.kinematics))
     warning = require_answer(agreed, config)
-    nuisances = NuisanceReport(reported_blocks(solution), notes_of(agreed, config),
-                               time_offset_of(solution))
+    nuisances = NuisanceReport(reported_blocks(agreed), notes_of(agreed, config),
+                               time_offset_of(agreed))
     calibration = describe_calibration(ordered, rejects, agreed, nuisances, config, frame_id)
     if warning:
         calibration = with_warnings(calibration, [warning])
     if not calibration.quality.holdout_rms <= config.limits.residual:
         quality = calibration.quality
         raise LeftOutError(quality.holdout_rms, quality.residual_rms, config.limits.residual)
-    return calibration, [ordered[i] for i in agreed.used], solution
+    return calibration, [ordered[i] for i in agreed.used], agreed
 
 
 def with_warnings(calibration: Calibration, warnings: Sequence[str]) -> Calibration:
@@ -175,7 +172,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
     if len(ordered) >= targets.method_for(config).minimum:
         try:
             moved = synchronised(ordered, config)
-            solution = estimate(moved.samples, (), config, moved.estimate).solution
+            solution = estimate(moved.samples, (), config, moved.estimate)
         except DataError as error:
             trouble = str(error)
     notes = offset_notes(solution) if solution else ()
@@ -183,7 +180,7 @@ def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
 
 
 def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-             start: Estimate | None = None) -> Consensus:
+             start: Estimate | None = None) -> Solution:
     """
     Return the consensus: the samples that agree, and their solution, however uncertain.
 
@@ -193,9 +190,9 @@ def estimate(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Confi
     require_solvable(ordered, rejects, config, targets.method_for(config))
     problem = problem_of(ordered, config)
     rng = np.random.default_rng(SEED)
-    agreed = believable_shape(problem, Consensus.of(problem, rng, True, start), rng)
+    agreed = believable_shape(problem, robust_solution(problem, rng, True, start), rng)
     require_agreement(problem, agreed, flipped(ordered, problem))
-    agreed = believable_size(agreed.refined())
+    agreed = believable_size(with_blocks(agreed))
     require_one_scale(agreed)
     return agreed
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from handeye_ros import output, se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.outliers import chi2_isf, chi2_sf
+from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.verification.verification import time_of
 import numpy as np

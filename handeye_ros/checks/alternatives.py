@@ -23,10 +23,9 @@ import math
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.search import CONVINCING
-from handeye_ros.estimation.solution import Solution, station_statistic
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.search import CONVINCING, first_guesses, robust_solution
+from handeye_ros.estimation.solve import Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,13 +45,13 @@ class Fit:
     beside: (total,) stops of which the explanation leaves out what others show, False by default.
     """
 
-    parts: tuple[Consensus, ...]
+    parts: tuple[Solution, ...]
     stops: tuple[NDArray[np.intp], ...]
     total: int
     beside: NDArray[np.bool_] | bool = False
 
     @classmethod
-    def of_all(cls, consensus: Consensus) -> Fit:
+    def of_all(cls, consensus: Solution) -> Fit:
         """Return the fit whose stations are all the stops."""
         n = len(consensus.whole.poses)
         return cls((consensus,), (np.arange(n),), n)
@@ -66,14 +65,14 @@ class Fit:
         stops, total: see Fit, by default the stations of the problem; all_starts: not only the
         first two.
         """
-        consensus: Consensus | None
+        consensus: Solution | None
         if all_starts:
             try:
-                consensus = Consensus.of(problem, np.random.default_rng(0), subsets=True)
+                consensus = robust_solution(problem, np.random.default_rng(0), subsets=True)
             except DataError:
                 consensus = None
         else:
-            consensus = Consensus.of_first_guesses(problem)
+            consensus = first_guesses(problem)
         if consensus is None:
             return None
         return cls.of_all(consensus) if stops is None else cls((consensus,), (stops,), total)
@@ -81,20 +80,20 @@ class Fit:
     @property
     def solution(self) -> Solution:
         """Return the solution of the first part."""
-        return self.parts[0].solution
+        return self.parts[0]
 
     @property
     def variance_factor(self) -> float:
         """Return the squared whitened residual of all parts per degree of freedom."""
-        freedom = sum(part.solution.degrees_of_freedom for part in self.parts)
-        return sum(part.solution.squares for part in self.parts) / max(freedom, 1)
+        freedom = sum(part.degrees_of_freedom for part in self.parts)
+        return sum(part.squares for part in self.parts) / max(freedom, 1)
 
     @property
     def believable(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
         missing = 1 - self.explained / self.total
         return bool(self.variance_factor < CONVINCING and missing < LARGEST_DROPPED_SHARE and all(
-            part.unused_share < LARGEST_DROPPED_SHARE and part.solution.degrees_of_freedom > 0
+            part.unused_share < LARGEST_DROPPED_SHARE and part.degrees_of_freedom > 0
             for part in self.parts))
 
     @property
@@ -107,8 +106,7 @@ class Fit:
         """Return q of (13), (total,); inf for a stop that is not explained."""
         q = np.full(self.total, np.inf)
         for part, stops in zip(self.parts, self.stops, strict=True):
-            statistic, count = station_statistic(part.solution)
-            q[stops[part.used]] = statistic / np.maximum(count, 1)
+            q[stops[part.used]], _ = part.left_out()
             q[stops[part.unused]] = np.inf
         return np.where(self.beside, np.inf, q)
 
@@ -117,10 +115,9 @@ class Fit:
         """Return as squares does the mean squared residuals in m^2, left out as in (13)."""
         q = np.full(self.total, np.inf)
         for part, stops in zip(self.parts, self.stops, strict=True):
-            solution = part.solution
-            station, n = solution.problem.observations.station, len(part.used)
+            station, n = part.problem.observations.station, len(part.used)
             inside, metres = (np.bincount(station, r ** 2, minlength=n)
-                              for r in (solution.white, solution.linear.residuals))
+                              for r in (part.white, part.linear.residuals))
             q[stops[part.used]] = self.squares[stops[part.used]] * metres / np.maximum(
                 inside, 1e-300)
         return np.where(np.isfinite(self.squares), q, np.inf)
@@ -128,7 +125,7 @@ class Fit:
     @property
     def conditions(self) -> int:
         """Return the typical number of independent conditions of a stop."""
-        return max(int(np.median(np.concatenate([p.solution.ranks for p in self.parts]))), 1)
+        return max(int(np.median(np.concatenate([p.ranks for p in self.parts]))), 1)
 
     def evidence_against(self, stated: Fit | None) -> float:
         """Return twice the log of the odds for this fit against the stated one (None: no fit)."""
@@ -150,7 +147,7 @@ class Fit:
 
     @property
     def _words(self) -> str:
-        rms = math.sqrt(np.mean([part.solution.residual_rms ** 2 for part in self.parts]))
+        rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
         return f'{self.explained} of {self.total} stops fit ({mm(rms)} RMS)'
 
 

@@ -26,12 +26,11 @@ from handeye_ros.checks.errors import MovedError, SmallMoveError
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import ParameterBlock
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
-from handeye_ros.estimation.outliers import chi2_isf
-from handeye_ros.estimation.posterior import evaluated, reestimated
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.search import first_guesses
+from handeye_ros.estimation.solve import evaluated, reestimated, Solution
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +43,7 @@ LARGE = 3.0  # smallest move over the robot's smooth error: a smaller one may be
 RARELY, HARDLY_EVER = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
-def require_unmoved(problem: Problem, agreed: Consensus) -> None:
+def require_unmoved(problem: Problem, agreed: Solution) -> None:
     """Raise MovedError where two parts of a recording fit separately but not together."""
     n, fewest = len(problem.poses), problem.method.minimum
     if n < 2 * fewest:
@@ -59,8 +58,8 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
     every = np.arange(len(problem.poses))
 
     def refit() -> Fit | None:
-        first = Consensus.of_first_guesses(problem.subset(every[:k]))
-        rest = Consensus.of_first_guesses(problem.subset(every[k:])) if first else None
+        first = first_guesses(problem.subset(every[:k]))
+        rest = first_guesses(problem.subset(every[k:])) if first else None
         if first is None or rest is None:
             return None
         return Fit((first, rest), (every[:k], every[k:]), len(every))
@@ -68,7 +67,7 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
 
 
 def _refusal(problem: Problem, k: int, fit: Fit) -> DataError:
-    first, second = (part.solution for part in fit.parts)
+    first, second = (part for part in fit.parts)
     delta = se3.difference(second.estimate.X, first.estimate.X)
     covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
                      for part in (first, second))
@@ -80,13 +79,13 @@ def _refusal(problem: Problem, k: int, fit: Fit) -> DataError:
                              float(se3.angle(move[:3, :3])), mount_frame(problem.config))
 
 
-def moved_slightly(agreed: Consensus) -> str:
+def moved_slightly(agreed: Solution) -> str:
     """
     Return a warning on a small move and its time, '' if there is none.
 
     Raises SmallMoveError where the evidence is decisive.
     """
-    move = change_point(agreed.solution)
+    move = change_point(agreed)
     if move is None:
         return ''
     config = agreed.whole.config
@@ -196,7 +195,7 @@ class _Steps:
     def of(cls, solution: Solution, changes: NDArray[np.intp]) -> _Steps:
         """Return the sums at a solution."""
         white = whitening(solution.linear, solution.noise)
-        D, J = white(_by_steps(solution)), solution.jacobian
+        D, J = white(_by_steps(solution)), solution.columns
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, changes))
         values, axes = np.linalg.eigh(solution.covariance)

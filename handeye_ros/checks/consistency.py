@@ -27,10 +27,8 @@ from handeye_ros.checks.shape import require_edges, require_not_only_scale
 from handeye_ros.config import Config, LimitsConfig
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import degrees, mm
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Method
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Method, Problem
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction, other_axes
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
@@ -54,7 +52,7 @@ def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], confi
     require_rotations(mounted(samples, config), mount_frame(config), method.measures.one_axis)
 
 
-def require_answer(agreed: Consensus, config: Config) -> str:
+def require_answer(agreed: Solution, config: Config) -> str:
     """
     Raise for an answer that is untestable, too uncertain or ignores edges; return a warning.
 
@@ -117,13 +115,13 @@ def turning(poses: Array) -> tuple[Array, Array]:
     return turns, axes
 
 
-def require_certain(agreed: Consensus, config: Config) -> None:
+def require_certain(agreed: Solution, config: Config) -> None:
     """
     Raise for an answer with larger uncertainty than the limits.
 
     Raises TooUncertainError, which names the direction and the motion that is missing.
     """
-    solution, poses = agreed.solution, agreed.whole.poses
+    solution, poses = agreed, agreed.whole.poses
     limits, frame = config.limits, mount_frame(config)
     turn_std, axis = worst_rotation(solution.reported)
     if turn_std > limits.rotation:
@@ -136,10 +134,10 @@ def require_certain(agreed: Consensus, config: Config) -> None:
                                             missing_motion(poses, frame))
 
 
-def _require_points(agreed: Consensus, config: Config) -> None:
+def _require_points(agreed: Solution, config: Config) -> None:
     """Raise TooUncertainError where the measured points are more uncertain than the limit."""
     limit, frame = config.limits.points, mount_frame(config)
-    std, direction = _worst_points(agreed.solution)
+    std, direction = _worst_points(agreed)
     if std > limit:
         raise TooUncertainError(
             f'the points that the samples show are uncertain by {mm(std)} along '
@@ -162,18 +160,18 @@ def _worst_points(solution: Solution) -> tuple[float, Array]:
     return float(np.sqrt(values[-1])), vectors[:, -1]
 
 
-def _require_judged(agreed: Consensus) -> None:
+def _require_judged(agreed: Solution) -> None:
     """
     Raise for an answer with too few redundant conditions to test it.
 
     Raises TooFewConditionsError. Raises UnidentifiedOutlierError if a sample is probably wrong,
     and without it too few conditions would remain or others may be wrong too.
     """
-    dropped, left = len(agreed.dropped), agreed.solution.redundancy
+    dropped, left = len(agreed.dropped), agreed.redundancy
     needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
     if left < needed:
         raise TooFewConditionsError(len(agreed.used), dropped, left, needed)
-    each = int(agreed.solution.ranks.max())
+    each = int(agreed.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
     not_all_found = agreed.contaminated > SURE and dropped > 1 and agreed.whole.ambiguous
     if not_all_found or (agreed.contaminated > CONTAMINATED and missing > 0):
@@ -214,14 +212,14 @@ class Misfit:
                 or self.wild)
 
 
-def misfit_of(problem: Problem, agreed: Consensus) -> Misfit:
+def misfit_of(problem: Problem, agreed: Solution) -> Misfit:
     """Return the misfit of the samples of a problem."""
-    return Misfit(agreed.solution.residual_rms, agreed.solution.expected_rms,
-                  len(agreed.dropped) / len(problem.poses), agreed.solution.variance_factor,
+    return Misfit(agreed.residual_rms, agreed.expected_rms,
+                  len(agreed.dropped) / len(problem.poses), agreed.variance_factor,
                   problem.config.limits)
 
 
-def require_consistent(problem: Problem, agreed: Consensus) -> None:
+def require_consistent(problem: Problem, agreed: Solution) -> None:
     """
     Raise for an answer that samples or poses contradict.
 
@@ -234,7 +232,7 @@ def require_consistent(problem: Problem, agreed: Consensus) -> None:
     if misfit.hopeless:
         require_certain(agreed, problem.config)
         require_unmoved(problem, agreed)
-    require_not_only_scale(agreed.solution)
+    require_not_only_scale(agreed)
     if misfit.rms > misfit.limits.residual:
         raise InconsistentError(misfit.rms, misfit.limits.residual)
     if misfit.share > LARGEST_DROPPED_SHARE:

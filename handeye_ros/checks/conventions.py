@@ -26,8 +26,8 @@ from handeye_ros.checks.errors import (
 )
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.solve import Solution
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -40,13 +40,13 @@ Flipped: TypeAlias = tuple[Problem, NDArray[np.intp]]
 """The problem with the opposite profile.range_sign, and the numbers of its stops."""
 
 
-def require_agreement(problem: Problem, agreed: Consensus, flipped: Flipped | None) -> None:
+def require_agreement(problem: Problem, agreed: Solution, flipped: Flipped | None) -> None:
     """Raise for an answer that samples or poses contradict; name a convention that explains it."""
     require_conventions(problem, agreed, flipped)
     require_consistent(problem, agreed)
 
 
-def require_conventions(problem: Problem, agreed: Consensus, flipped: Flipped | None) -> None:
+def require_conventions(problem: Problem, agreed: Solution, flipped: Flipped | None) -> None:
     """
     Raise where an error of conventions explains the samples better.
 
@@ -97,13 +97,13 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], stated:
     return Hypothesis(partial(Fit.of, replace(problem, poses=poses)), refusal)
 
 
-def _mounted_on_base(agreed: Consensus) -> bool:
+def _mounted_on_base(agreed: Solution) -> bool:
     """
     Return whether the sensor appears to be fixed to the base instead of the flange.
 
     The observed points are nearer to the flange than to the base, for either mounting.
     """
-    problem, X = agreed.solution.problem, agreed.solution.estimate.X
+    problem, X = agreed.problem, agreed.estimate.X
     seen = problem.observations.points @ X[:3, [0, 2]].T + X[:3, 3]
     other = problem.points_in_base(X)
     return bool(np.linalg.norm(seen, axis=1).mean() > np.linalg.norm(other, axis=1).mean())

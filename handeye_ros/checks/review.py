@@ -14,10 +14,9 @@ from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, Reject, Sample
 from handeye_ros.errors import DataError, UnusableMessageError
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import UNUSED
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Problem, UNUSED
+from handeye_ros.estimation.search import robust_solution
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.results.evidence import StopSnapshot
 from handeye_ros.results.outcome import left_out, Measured, measured_points
@@ -85,10 +84,9 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
     method = targets.method_for(config)
     fitted = [samples[i] for i in chosen]
     problem = Problem(method, mounted(fitted, config), method.features.observe(fitted), config)
-    agreed = Consensus.of(problem, np.random.default_rng(0))
-    solution = agreed.solution
+    solution = robust_solution(problem, np.random.default_rng(0))
     rms = _residuals(samples, solution, config)
-    used = {chosen[place]: k for k, place in enumerate(agreed.used)}
+    used = {chosen[place]: k for k, place in enumerate(solution.used)}
     found = [None if np.isnan(value) else Agreement(float(value), float(value), i in used)
              for i, value in enumerate(rms)]
     predicted = _left_out([samples[i] for i in used], solution)

@@ -21,7 +21,7 @@ from handeye_ros.checks.alternatives import Fit, Hypothesis, RARE, require_state
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample
 from handeye_ros.errors import DataError, FeatureError, NamedCauseError, UnusableMessageError
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mounted
 from handeye_ros.sampling import station_features
 from handeye_ros.sampling.dwells import NS

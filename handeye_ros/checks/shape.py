@@ -17,11 +17,10 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, ROTATION_LAG, TIME_OFFSET, TimeOffset
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
 from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.search import CONVINCING
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.search import CONVINCING, robust_solution, with_blocks
+from handeye_ros.estimation.solve import Solution
 import numpy as np
 from scipy.special import fdtrc
 
@@ -50,19 +49,19 @@ class Shape:
                 f'configured {self.stated * scale:.3f}: the answer uses the estimate')
 
 
-def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generator) -> Consensus:
+def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generator) -> Solution:
     """Return the consensus, with free target measures if only these make the stations agree."""
     config = problem.method.measures.relax(problem.config)
     poor = (agreed.dropped or len(agreed.unused)
-            or agreed.solution.variance_factor > CONVINCING)
+            or agreed.variance_factor > CONVINCING)
     if config is None or not poor:
         return agreed
     try:
-        other = Consensus.of(replace(problem, config=config), rng)
+        other = robust_solution(replace(problem, config=config), rng)
     except DataError:
         return agreed
     stated = float(problem.method.measures.configured(problem.config)[-1])
-    if abs(other.solution.estimate.target[-1] - stated) > 0.5 * stated:
+    if abs(other.estimate.target[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
     fit, stated_fit = Fit.of_all(other), Fit.of_all(agreed)
@@ -70,21 +69,21 @@ def believable_shape(problem: Problem, agreed: Consensus, rng: np.random.Generat
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
 
-def believable_size(agreed: Consensus) -> Consensus:
+def believable_size(agreed: Solution) -> Solution:
     """
     Return the refined consensus with the lengths of a plate estimated, if the stated are wrong.
 
     Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length.
     """
-    config, problem = agreed.whole.config, agreed.solution.problem
+    config, problem = agreed.whole.config, agreed.problem
     stated = config.target.size_std
     if not config.target.size or stated >= FREED_SIZE:
         return agreed
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
-    other = replace(agreed, whole=replace(agreed.whole, config=free), solution=replace(
-        agreed.solution, problem=replace(problem, config=free))).refined()
+    other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
+        agreed.linear, problem=replace(problem, config=free))))
     wrong = any(abs(value) > max(FREED_FROM * std, 2 * stated)
-                for block, value, std, _ in single_parameters(other.solution)
+                for block, value, std, _ in single_parameters(other)
                 if block.name in ('size_p', 'size_q'))
     return other if wrong else agreed
 
@@ -157,7 +156,7 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
     measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
     white = whitening(solution.linear, solution.noise)
     column: Array = white(by_scale)
-    Q, _ = np.linalg.qr(np.column_stack([solution.jacobian, white(measures)]))
+    Q, _ = np.linalg.qr(np.column_stack([solution.columns, white(measures)]))
     free = column - Q @ (Q.T @ column)
     rest = solution.white - Q @ (Q.T @ solution.white)
     information = float(free @ free)
@@ -166,13 +165,13 @@ def scale_error(solution: Solution) -> tuple[float, float, float]:
     return float(free @ rest) / information, information ** -0.5, float(rest @ rest)
 
 
-def require_one_scale(agreed: Consensus) -> None:
+def require_one_scale(agreed: Solution) -> None:
     """
     Raise for a solution in which robot and sensor differ too much in scale.
 
     Raises ScaleError, or SmallMoveError where the evidence for a move is decisive.
     """
-    for block, value, std, z in single_parameters(agreed.solution):
+    for block, value, std, z in single_parameters(agreed):
         if block.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
                 SMALLEST_SCALE_ERROR, CONTRADICTION * std):
             moved_slightly(agreed)
@@ -248,7 +247,7 @@ def _bend_notes(solution: Solution) -> list[str]:
     return []
 
 
-def require_edges(agreed: Consensus) -> None:
+def require_edges(agreed: Solution) -> None:
     """
     Raise for an answer that does not use most of the visible edges.
 
@@ -257,7 +256,7 @@ def require_edges(agreed: Consensus) -> None:
     method = agreed.whole.method
     if not method.essential:
         return
-    used = int(agreed.solution.problem.shows_essential.sum())
+    used = int(agreed.problem.shows_essential.sum())
     if used < method.minimum:
         raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
     shown = int(agreed.whole.shows_essential.sum())
@@ -265,9 +264,9 @@ def require_edges(agreed: Consensus) -> None:
         raise LostEdgesError(_lost_edges(agreed))
 
 
-def _edge_notes(agreed: Consensus) -> list[str]:
+def _edge_notes(agreed: Solution) -> list[str]:
     """Return in words the edges that the answer does not use, and those never seen."""
-    problem, lost = agreed.solution.problem, _lost_edges(agreed)
+    problem, lost = agreed.problem, _lost_edges(agreed)
     used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
     edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
              for names in (problem.method.essential, used)]
@@ -276,20 +275,20 @@ def _edge_notes(agreed: Consensus) -> list[str]:
         'the target has one edge only' for edge in sorted(edges[0] - edges[1]))]
 
 
-def _lost_edges(agreed: Consensus) -> str:
+def _lost_edges(agreed: Solution) -> str:
     """Return in words the edges that the answer does not use, '' if it uses all."""
     if not len(agreed.unused):
         return ''
     shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
-    part, estimate = agreed.whole.subset(agreed.unused), agreed.solution.estimate
+    part, estimate = agreed.whole.subset(agreed.unused), agreed.estimate
     where = part.method.measures.elsewhere(part.observations, part.points_in_base(estimate.X),
                                            estimate.target, part.config)
     return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
             'of the target' + (f': {where}' if where else ''))
 
 
-def notes_of(agreed: Consensus, config: Config) -> list[str]:
+def notes_of(agreed: Solution, config: Config) -> list[str]:
     """Return the notes on an answer in words: time offset, target, edges."""
-    shapes = contradictions(agreed.solution, config)
-    return [*offset_notes(agreed.solution), *_bend_notes(agreed.solution),
+    shapes = contradictions(agreed, config)
+    return [*offset_notes(agreed), *_bend_notes(agreed),
             *(shape.note for shape in shapes), *_edge_notes(agreed)]

@@ -1,19 +1,27 @@
 """
-The least squares of this package: Levenberg-Marquardt over blocks of residuals.
+The least squares of this package, over blocks of residuals, and which blocks are outliers.
 
-A block has one weight: a station, a point, a pair of poses. Blocks that do not fit are weighted
-down by graduated non-convexity (Yang et al. 2020, RA-L 5:1127).
+A block has one weight: a station, a point, a pair of poses. Levenberg-Marquardt; blocks that do
+not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127), then
+those that the others do not predict are dropped, worst first, by leave-one-out residuals, (12).
+
+Variance components by restricted maximum likelihood (Patterson and Thompson 1971, Biometrika
+58:545), in multiplicative fixed-point steps. A weak prior prevents zero variances from few
+residuals. Quantiles of chi-squared: scipy.stats has them too, but it takes longer to import than
+the rest of a command to start.
 """
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, wraps
-from typing import Any, Generic, NamedTuple, ParamSpec, TypeAlias, TypeVar
+from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
+from handeye_ros.estimation.linalg import covariance_of, inverse_roots
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc, chdtri
 
 S = TypeVar('S')
 T = TypeVar('T')
@@ -21,12 +29,13 @@ P = ParamSpec('P')
 
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
 BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
+MORE = 30.0  # factor of the damping after a refused step; its square divides it after a good one
+GROSS = 64.0  # squared residual over the believed quantile (8 sigma): dropped at once
+FALSE_ALARM = 1e-3  # probability that good data lose one block
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
 """A linear map of values (m, ...) to values of unit covariance."""
-Attempt: TypeAlias = tuple[States, Array, Callable[[], tuple[Array, Array]]]
-"""Moved states, their sums of squares (k,), a function for residuals and derivatives there."""
 
 
 def as_they_are(values: Array) -> Array:
@@ -69,26 +78,28 @@ class System(Generic[S]):
         step changes the residuals by less than this (sigmas).
         """
         root = np.ones(len(self.block)) if weights is None else np.sqrt(weights)[self.block]
-        white: White = as_they_are
 
-        def linear(rows: Rows) -> tuple[Array, Array]:
-            nonlocal white
+        def linear(rows: Rows) -> tuple[White, Array, Array]:
             white = rows.white()
-            r, J = white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
-            return r[None], J[None]
+            return white, white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
 
-        def attempt(states: States, steps: Array) -> Attempt:
-            moved = np.empty(1, dtype=object)
-            moved[0] = self.retract(states[0][0], steps[0])
-            rows = self.rows(moved[0])
-            after = ((white(rows.residuals) * root) ** 2).sum()
-            return (moved,), np.array([after]), lambda: linear(rows)
-
-        first = np.empty(1, dtype=object)
-        first[0] = start
-        (ends,), _ = _descent((first,), linear(self.rows(start)), attempt, iterations, converged)
-        end: S = ends[0]
-        return end
+        state, (white, r, J) = start, linear(self.rows(start))
+        damping, taken, refused = 1e-4, 0, 0
+        while taken < iterations and refused < 8:
+            step = _damped_steps(J, r, np.array(damping))
+            moved = self.retract(state, step)
+            rows = self.rows(moved)
+            after = float(((white(rows.residuals) * root) ** 2).sum())
+            better, done = _judged(r @ r, after, np.linalg.norm(J @ step), converged)
+            if not better:
+                damping, refused = damping * MORE, refused + 1
+                continue
+            state = moved
+            if done:
+                break
+            damping, taken, refused = max(damping / MORE ** 2, 1e-14), taken + 1, 0
+            white, r, J = linear(rows)
+        return state
 
     def reweighted(self, state: S, weights: Array) -> S:
         """Return the state after a few steps towards the least squares with block weights (n,)."""
@@ -102,69 +113,45 @@ def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
     Return the least-squares states from k independent starts, and their sums of squares (k,).
 
     starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
-    retract(states, steps (k, u)): the moved states; converged: see System.
+    retract(states, steps (k, u)): the moved states; converged: see System. One start after the
+    other takes more than twice as long.
     """
-    def attempt(states: States, steps: Array) -> Attempt:
-        moved = retract(states, steps)
-        at = linear(moved)
-        return moved, np.einsum('km,km->k', at[0], at[0]), lambda: at
-    return _descent(starts, linear(starts), attempt, iterations, converged)
-
-
-def _descent(starts: States, first: tuple[Array, Array],
-             attempt: Callable[[States, Array], Attempt], iterations: int, converged: float
-             ) -> tuple[States, Array]:
-    """
-    Return the states after damped steps from k independent starts, and their squares (k,).
-
-    first: residuals (k, m) and their derivatives (k, m, u) there.
-    """
-    going, current = np.arange(len(starts[0])), [*starts, *first]
-    ends, squares = [part.copy() for part in starts], np.empty(len(going))
+    ends, squares = [part.copy() for part in starts], np.empty(len(starts[0]))
+    going, current = np.arange(len(squares)), [*starts, *linear(starts)]
     damping = np.full(len(going), 1e-4)
     taken, refused = np.zeros((2, len(going)), dtype=int)
     while len(going):
         *states, r, J = current
         step = _damped_steps(J, r, damping)
-        moved, after, linear = attempt(tuple(states), step)
+        moved = retract(tuple(states), step)
+        trial = [*moved, *linear(moved)]
+        before, after = (np.einsum('km,km->k', each, each) for each in (r, trial[-2]))
         length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
-        before = np.einsum('km,km->k', r, r)
-        tried = _judged(before, after, length, converged)
-        damping = np.maximum(damping * tried.damping, 1e-14)
-        taken, refused = taken + tried.better, np.where(tried.better, 0, refused + 1)
-        left = ~tried.done & (taken < iterations) & (refused < 8)
-        if tried.better.any():
-            at = linear() if left.any() else (r, J)
-            current = _better_of(current, [*moved, *at], tried.better)
-        if left.all():
-            continue
-        reached = [*current[:-2], np.where(tried.better, after, before)]
-        for end, values in zip([*ends, squares], reached, strict=True):
-            end[going[~left]] = values[~left]
-        current = [values[left] for values in current]
-        going, damping, taken, refused = (v[left] for v in (going, damping, taken, refused))
+        better, done = _judged(before, after, length, converged)
+        damping = np.where(better, np.maximum(damping / MORE ** 2, 1e-14), damping * MORE)
+        taken, refused = taken + better, np.where(better, 0, refused + 1)
+        current = [np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+                   for new, old in zip(trial, current, strict=True)]
+        ended = done | (taken >= iterations) | (refused >= 8)
+        for end, values in zip([*ends, squares],
+                               [*current[:-2], np.where(better, after, before)], strict=True):
+            end[going[ended]] = values[ended]
+        current = [values[~ended] for values in current]
+        going, damping, taken, refused = (v[~ended] for v in (going, damping, taken, refused))
     return tuple(ends), squares
 
 
-class _Judged(NamedTuple):
-    """Outcome of k steps: accepted or not, last or not, and the factor of the damping."""
-
-    better: NDArray[np.bool_]
-    done: NDArray[np.bool_]
-    damping: Array
-
-
-def _judged(before: Array, after: Array, length: Array, converged: float) -> _Judged:
+def _judged(before: Any, after: Any, length: Any, converged: float) -> tuple[Any, Any]:
     """
-    Return which steps are accepted, by the sums of squares (k,) before and after.
+    Return whether steps are accepted, and are the last, by the sums of squares before and after.
 
-    length: (k,) of the change of the residuals that the linearisation predicts.
+    length: of the change of the residuals that the linearisation predicts.
     """
     better = np.less_equal(after, np.multiply(before, 1 + ROUNDING))
     done = better & ((length < converged * (1 + np.sqrt(before)))
                      # what is left is the rounding of the derivatives
                      | np.greater_equal(after, np.multiply(before, 1 - 1e-14)))
-    return _Judged(better, done, np.where(better, 30.0 ** -2, 30.0))
+    return better, done
 
 
 def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
@@ -180,15 +167,6 @@ def _damped_steps(J: Array, r: Array, damping: Array) -> Array:
     A[..., every, every] += damping[..., None]
     step = np.linalg.solve(A, (transposed @ r[..., None]) / scale[..., None])[..., 0]
     return np.asarray(-step / scale)
-
-
-def _better_of(old: list[NDArray[Any]], new: list[NDArray[Any]], better: NDArray[np.bool_]
-               ) -> list[NDArray[Any]]:
-    """Return old states (k, ...), replaced by the new ones where better (k,)."""
-    if better.all():
-        return new
-    return [np.where(better.reshape(-1, *[1] * (values.ndim - 1)), part, values)
-            for values, part in zip(old, new, strict=True)]
 
 
 def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array], S]) -> S:
@@ -215,6 +193,160 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
 def believed(squares: Array) -> float:
     """Return the BELIEVED_SHARE quantile of squared residuals."""
     return float(np.quantile(squares, BELIEVED_SHARE))
+
+
+def groups(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+    """Return arrays (blocks, count) of rows, one for each count of rows per block."""
+    _, first, count = np.unique(block, return_index=True, return_counts=True)
+    return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
+
+
+def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
+                  ) -> Array:
+    """
+    Return leave-one-out residuals (m,), to first order: each from the fit without its block.
+
+    white: (m,) of the fit to all blocks; jacobian: (m, u), covariance: (u, u) of this fit.
+    """
+    left_out = np.empty_like(white)
+    for rows in groups(block):
+        J = jacobian[rows]
+        left_out[rows] = leave_own_out(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
+    return left_out
+
+
+def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
+    """
+    Return leave-one-out residuals (s, c) of blocks, to first order, (12).
+
+    predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
+    """
+    # avoids division by zero for what a block determines alone
+    regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
+    return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
+
+
+def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
+             ) -> NDArray[np.intp]:
+    """
+    Return the blocks to drop in this round, worst first, at most one in 50.
+
+    mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: initial number
+    of blocks; spare: number of blocks beyond those needed.
+    """
+    probability = chi2_sf(mean_squares * freedom, freedom)
+    most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
+    worst = np.argsort(probability, kind='stable')[:most]
+    return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
+
+
+def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
+    """Return the variance factor common to most blocks, at least 1."""
+    typical = chi2_isf(0.5, freedom) / freedom
+    return max(1.0, float(np.median(mean_squares / typical)))
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted(Generic[S]):
+    """
+    Result of robust least squares over n blocks of k residuals.
+
+    used: ascending indices of the used blocks; residuals (n, k): whitened, of all blocks; left_out
+    (used, k): leave-one-out residuals of the used blocks, to first order; covariance: (u, u),
+    multiplied by the variance factor if that exceeds 1.
+    """
+
+    state: S
+    used: NDArray[np.intp]
+    residuals: Array
+    left_out: Array
+    covariance: Array
+    variance_factor: float
+
+
+def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
+    """
+    Return the least-squares state without outliers, from a start near it.
+
+    minimum: smallest number of blocks that remain; all have equally many rows.
+    """
+    n = int(system.block[-1]) + 1
+
+    def squares(state: S) -> Array:
+        rows = system.rows(state)
+        return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
+
+    state = graduated(start, squares, system.reweighted)
+    current = squares(state)
+    good = current <= GROSS * max(1.0, believed(current))
+    while True:
+        state = system.least_squares(state, good.astype(float))
+        at = system.rows(state)
+        white = at.white()
+        r, J = white(at.residuals), white(at.jacobian())
+        used, rows, k = np.flatnonzero(good), good[system.block], len(r) // n
+        covariance = covariance_of(J[rows])
+        left_out = leave_one_out(r[rows], J[rows], covariance, system.block[rows])
+        statistic = (r[rows] * left_out).reshape(-1, k).mean(axis=1)
+        worst = outliers(statistic / shared_scale(statistic, k), k, n, len(used) - minimum)
+        if not len(worst):
+            variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
+            return Adjusted(state, used, r.reshape(-1, k), left_out.reshape(-1, k),
+                            covariance * max(1.0, variance), variance)
+        good = good.copy()
+        good[used[worst]] = False
+
+
+def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return the value that chi-squared exceeds with a probability."""
+    return np.asarray(chdtri(freedom, probability))
+
+
+def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return the probability of chi-squared above a value; nan without degrees of freedom."""
+    return np.where(np.asarray(freedom) > 0, chdtrc(freedom, value), np.nan)
+
+
+def variance_components(residuals: Array, jacobian: Array, parts: Array, start: Array) -> Array:
+    """
+    Return the variances (c,) of c causes of error.
+
+    residuals: (n, k) of n independent blocks, at an adjusted state; jacobian: (n, k, u) their
+    derivatives; parts: (c, n, k, k) covariances of the residuals for unit variance of each cause,
+    whose sum is regular; start: (c,) initial variances, all positive.
+    """
+    variances = start
+    for _ in range(30):
+        whitener = inverse_roots(np.tensordot(variances, parts, 1))
+        J, whitened = whitener @ jacobian, (whitener @ residuals[..., None])[..., 0]
+        flat = J.reshape(-1, J.shape[2])
+        unknowns = np.linalg.pinv(flat.T @ flat)
+        r = whitened - J @ (unknowns @ (flat.T @ whitened.ravel()))
+        W = (whitener @ parts @ np.swapaxes(whitener, 1, 2)) * variances[:, None, None, None]
+        form = np.einsum('ni,cnij,nj->c', r, W, r, optimize=True)
+        taken = np.einsum('nia,cnij,njb,ab->c', J, W, J, unknowns, optimize=True)
+        expected = np.maximum(np.einsum('cnii->c', W) - taken, 0.0)
+        # the prior counts for half a degree of freedom, about the start
+        factors = (form + 0.5 * start / variances) / (expected + 0.5)
+        variances = variances * factors
+        if np.abs(np.log(factors)).max() < 1e-2:
+            break
+    return np.asarray(variances)
+
+
+def first_variances(residuals: Array, parts: Array) -> Array:
+    """
+    Return start values (c,): half of the variance that each cause alone would need.
+
+    residuals: (n, k), in threes of vectors (such as translation, rotation); some may be wrong.
+    parts: as for variance_components.
+    """
+    n = len(residuals)
+    lengths = np.linalg.norm(residuals.reshape(n, -1, 3), axis=2)
+    predicted_covariance = np.median(lengths, axis=0) ** 2 / chi2_isf(0.5, 3)
+    made = np.einsum('cnii->cni', parts).reshape(len(parts), n, -1, 3).mean(axis=(1, 3))
+    alone = np.divide(predicted_covariance, made, out=np.full(made.shape, np.inf), where=made > 0)
+    return np.asarray(np.maximum(alone.min(axis=1) / 2, 1e-24))
 
 
 @cache

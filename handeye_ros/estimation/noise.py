@@ -9,14 +9,12 @@ Its most likely value is 0 if few parameters happen to be small, so it is averag
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.jacobian import Stations
 from handeye_ros.estimation.linalg import eigen, inverse_roots
-from handeye_ros.estimation.linearise import Linear
+from handeye_ros.estimation.problem import Linear, Stations
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,35 +40,20 @@ SINGLE_PRIOR = _prior(2.0, 0.8)
 MAP_PRIOR = _prior(1.0, 0.01)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    feature, feature_2: of the features' own errors, by variance component; local: of the
-    distortion that differs between stations; robot: of the pose noise; values: of the white errors
-    of the pose values, such as time; scales: tau^2 of each block by name; lumped: whether blocks
-    count as errors of each station.
+    factors: (5,) of the features' own errors, by variance component (2); of the distortion that
+    differs between stations; of the pose noise; of the white errors of the pose values, such as
+    time. scales: tau^2 of each block by name; lumped: whether blocks count as errors of each
+    station.
     """
 
-    feature: float = 1.0
-    feature_2: float = 1.0
-    local: float = 1.0
-    robot: float = 1.0
-    values: float = 1.0
+    factors: Array = field(default_factory=lambda: np.ones(5))
     scales: Mapping[str, float] = field(default_factory=dict)
     lumped: bool = True
-
-    @property
-    def factors(self) -> Array:
-        """Return the factors on the parts of covariances."""
-        return np.array([self.feature, self.feature_2, self.local, self.robot, self.values])
-
-    def with_factors(self, factors: Array) -> Noise:
-        """Return the noise with other factors."""
-        feature, feature_2, local, robot, values = factors.tolist()
-        return replace(self, feature=feature, feature_2=feature_2, local=local, robot=robot,
-                       values=values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +65,11 @@ class Whitening:
 
     def __call__(self, values: Array) -> Array:
         """Return values (m, ...) whitened to unit covariance."""
-        if len(self.rows) == 1:  # all rows, in their order
-            return _white(self.factors[0], values)
         white = np.empty_like(values)
         for rows, factor in zip(self.rows, self.factors, strict=True):
-            white[rows.ravel()] = _white(factor, values[rows.ravel()])
+            own = values[rows]
+            white[rows] = (factor @ own.reshape(*rows.shape, -1)).reshape(own.shape)
         return white
-
-
-def _white(factor: Array, values: Array) -> Array:
-    by_station = values.reshape(*factor.shape[:2], -1)
-    return np.asarray((factor @ by_station).reshape(values.shape))
 
 
 def covariances(linear: Linear, at: Stations) -> Array:
@@ -104,43 +81,28 @@ def covariances(linear: Linear, at: Stations) -> Array:
     """
     local, pose = _variances(linear.problem.config.noise)
     # no covariance between the components, so that any factors keep the sum positive
-    values = () if linear.by_values is None else (_squared(at.of(linear.by_values)),)
-    return np.array([*_feature(linear, at) * at.components,
-                     at.near * _squared(at.of(linear.by_point), local),
-                     _squared(at.of(linear.by_pose), pose), *values])
+    features = _squared(linear.by_feature[at.rows]) * at.shared
+    features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
+    parts = [*features * at.components, at.near * _squared(linear.by_point[at.rows], local),
+             _squared(linear.by_pose[at.rows], pose)]
+    if linear.by_values is not None:
+        parts.append(_squared(linear.by_values[at.rows]))
+    return np.array(parts)
 
 
 def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
     """Return the covariance (stations, c, c), (3), including the blocks if they are lumped."""
     problem, config = linear.problem, linear.problem.config.noise
-    total = _feature(linear, at)
-    first, second = at.components
-    total *= noise.feature * first + noise.feature_2 * second if at.mixed else noise.feature
-    local, pose = _variances(config)
-    distortion, robot = noise.local * local, noise.robot * pose
+    parts = covariances(linear, at)
+    total = np.asarray(np.tensordot(noise.factors[:len(parts)], parts, 1))
     if noise.lumped:  # the sensor's distortion, the robot's smooth error, and the target's own
-        distortion = distortion + config.distortion ** 2
-        robot = robot + config.robot_smooth ** 2 * np.repeat([1.0, TURN_LENGTH ** -2], 3)
-    if distortion:
-        total += at.near * _squared(at.of(linear.by_point), distortion)
-    total += _squared(at.of(linear.by_pose), robot)
-    if linear.by_values is not None:
-        total += noise.values * _squared(at.of(linear.by_values))
-    if noise.lumped and problem.method.nuisances:
-        total += _squared(at.of(problem.method.nuisances.feature_errors(linear))) * at.shared
+        axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
+        total += at.near * _squared(linear.by_point[at.rows], config.distortion ** 2)
+        total += _squared(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
+        if problem.method.nuisances:
+            own = problem.method.nuisances.feature_errors(linear)
+            total += _squared(own[at.rows]) * at.shared
     return total
-
-
-def _feature(linear: Linear, at: Stations) -> Array:
-    """Return the covariances (stations, c, c) of the features' own errors."""
-    factor, every = at.of(linear.by_feature), np.arange(at.rows.shape[1])
-    if at.alone:
-        feature = np.zeros(at.near.shape)
-        feature[:, every, every] = np.einsum('sck,sck->sc', factor, factor)
-    else:
-        feature = _squared(factor) * at.shared
-    feature[:, every, every] += 1e-9 ** 2  # m; without noise its weight would be infinite
-    return feature
 
 
 def _variances(noise: NoiseConfig) -> tuple[float, Array]:
@@ -162,64 +124,14 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
         inverse_roots(total_covariance(linear, at, noise)) for at in stations))
 
 
-@dataclass(frozen=True, eq=False)
-class Scales:
+def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
+                 largest: Array) -> tuple[Array, Array]:
     """
-    The prior scales of d blocks, as variances over the configured ones.
-
-    before: (d,) variances so far; evidence: (s, d) log likelihood (6) at each of the s SCALES;
-    fitted: (s, d) the gain, twice the first term of (6); square: (s, d) sum of second moments of
-    the block's parameters; single: (d,) whether it has one parameter; prior: (s, d) its log.
-    """
-
-    before: Array
-    evidence: Array
-    fitted: Array
-    square: Array
-    single: NDArray[np.bool_]
-    prior: Array
-
-    @cached_property
-    def map_scales(self) -> Array:
-        """Return the variances (d,) for the estimate."""
-        grown = _matched(MAP_PRIOR[:, None] + self.evidence, self.fitted)
-        return np.where(self._waiting, np.minimum(grown, self.before), grown)
-
-    @cached_property
-    def conservative(self) -> Array:
-        """Return the variances (d,) for the report."""
-        conservative = _matched(self.prior + self.evidence, self.square)
-        return np.where(self._waiting, self.before, conservative)
-
-    @cached_property
-    def _waiting(self) -> NDArray[np.bool_]:
-        """
-        Return which single-parameter blocks (d,) wait while another one grows.
-
-        Two of them may explain the same residuals; if both were large, neither would seem needed.
-        So the one that explains most grows first. A block grows if its variance more than doubles.
-        """
-        each = _matched(self.prior + self.evidence, self.square)
-        growing = self.single & (each > 2.0 * self.before)
-        if growing.sum() < 2:
-            return np.zeros(len(growing), dtype=bool)
-        # log likelihood over all scales minus that at the previous scale
-        present = np.array([np.interp(np.log(own), np.log(VARIANCES), of_block) for own, of_block
-                            in zip(self.before, self.evidence.T, strict=True)])
-        posterior = self.prior - np.logaddexp.reduce(self.prior) + self.evidence
-        gain = np.logaddexp.reduce(posterior) - present
-        growing[np.argmax(np.where(growing, gain, -np.inf))] = False
-        return growing
-
-
-def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size: Array,
-                 largest: Array) -> Scales:
-    """
-    Return the scales of blocks, (6).
+    Return the scales of blocks, (6), for the estimate and for the report, as variances (d,).
 
     value (q,), covariance (q, q): of the parameters, in units of their sigma when the variance of
-    each block is size (d,) times the configured one; first: (d,) ascending, index of each block's
-    first parameter; largest: (d,) bound of the variance.
+    each block is before (d,) times the configured one; first: (d,) ascending, index of each
+    block's first parameter; largest: (d,) bound of the variance.
     """
     counts = np.diff([*first, len(value)])
     ratios, along = np.diag(covariance).copy(), value.copy()  # posterior over prior variance
@@ -229,7 +141,7 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
             ratios[block], axes = eigen(covariance[block, block])
             along[block] = axes.T @ value[block]
     ratios = np.clip(ratios, 1e-12, 1 - 1e-9)
-    present = np.repeat(size, counts)
+    present = np.repeat(before, counts)
     # what the data alone say, all other unknowns free: information and its gradient
     information, gradient = (1 / ratios - 1) / present, along / (ratios * np.sqrt(present))
     v = VARIANCES[:, None]
@@ -239,10 +151,34 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], size:
     evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
     evidence[v > largest] = -np.inf
     square = np.add.reduceat(posterior * (1 + fitted), first, axis=1)
+    fitted = np.add.reduceat(fitted, first, axis=1)
     single = counts == 1
     prior = np.where(single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
-    fitted = np.add.reduceat(fitted, first, axis=1)
-    return Scales(size, evidence, fitted, square, single, prior)
+    for_estimate = _matched(MAP_PRIOR[:, None] + evidence, fitted)
+    for_report = _matched(prior + evidence, square)
+    waiting = _waiting(single & (for_report > 2.0 * before), prior, evidence, before)
+    return (np.where(waiting, np.minimum(for_estimate, before), for_estimate),
+            np.where(waiting, before, for_report))
+
+
+def _waiting(growing: NDArray[np.bool_], prior: Array, evidence: Array, before: Array
+             ) -> NDArray[np.bool_]:
+    """
+    Return which single-parameter blocks (d,) wait while another one grows.
+
+    Two of them may explain the same residuals; if both were large, neither would seem needed.
+    So the one that explains most grows first. growing: whose variance more than doubles.
+    """
+    if growing.sum() < 2:
+        return np.zeros(len(growing), dtype=bool)
+    # log likelihood over all scales minus that at the previous scale
+    present = np.array([np.interp(np.log(own), np.log(VARIANCES), of_block)
+                        for own, of_block in zip(before, evidence.T, strict=True)])
+    posterior = prior - np.logaddexp.reduce(prior) + evidence
+    gain = np.logaddexp.reduce(posterior) - present
+    waiting = growing.copy()
+    waiting[np.argmax(np.where(growing, gain, -np.inf))] = False
+    return waiting
 
 
 def _matched(posterior: Array, moment: Array) -> Array:

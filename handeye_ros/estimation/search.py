@@ -1,111 +1,204 @@
 """
-From starts to a robustly refined estimate.
+From starts to the stations that agree, and their solution.
 
 Many starts are iterated independently, and poor ones are given up early, by plain residuals: far
 from the solution these say more than whitened ones. One start is then refined robustly: stations
-that do not fit lose weight.
+that do not fit lose weight, (11). The first one that explains nearly all stations is taken.
+Otherwise further starts, and those of random subsets, compete by how well all stations are
+explained. Then stations are dropped one by one, worst first, (12): with the errors that stations
+share lumped into each, and again with all nuisance parameters.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import chain, islice
 
 from handeye_ros.data import Array
+from handeye_ros.errors import HandeyeError
+from handeye_ros.estimation.covariance import contamination
 from handeye_ros.estimation.least_squares import (
     believed,
-    BELIEVED_SHARE,
     graduated,
+    GROSS,
     many_least_squares,
+    outliers,
     Rows,
+    shared_scale,
     States,
     System,
 )
-from handeye_ros.estimation.linalg import covariance_of
-from handeye_ros.estimation.linearise import Linear, linearise, Problem
-from handeye_ros.estimation.model import Estimate, UNUSED
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
-from handeye_ros.estimation.solution import columns_of, Solution
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem, UNUSED
+from handeye_ros.estimation.solve import map_solution, Solution
 import numpy as np
+from numpy.typing import NDArray
 
+SUBSETS = 20  # of six stations: if a third are wrong, one subset has no wrong one with p 0.84
 # Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one
 # that no other can beat; of a station far from it, over the believed quantile (16: 4 sigma).
 # SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
 # fifth of a sigma are distinguished from fits to a half.
 CONVINCING, UNRIVALLED, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
+LUMPED = Noise()  # as configured, blocks as errors of each station
 
 
-@dataclass(frozen=True, eq=False)
-class Refined:
+def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = False,
+                    start: Estimate | None = None) -> Solution:
     """
-    A robust estimate and the mean squared whitened residuals (n,) of all stations.
+    Return the solution of the stations that agree, from several starts.
 
-    problem: whole with labelled observations, without those that do not fit. free: whether
-    observations were left out and the others leave a direction undetermined.
+    subsets: also start from random subsets of the stations if all together do not fit. start: the
+    only start to use, if given. Raises DataError when there is no start.
     """
-
-    whole: Problem
-    problem: Problem
-    estimate: Estimate
-    squares: Array
-    free: bool
-
-    @property
-    def spread(self) -> float:
-        """Return the BELIEVED_SHARE quantile of the squared residuals."""
-        return believed(self.squares)
-
-    @property
-    def misfit(self) -> float:
-        """Return the spread, penalised if the used observations leave a direction undetermined."""
-        return max(self.spread, 2 * LARGEST_SQUARE) if self.free else self.spread
-
-    @property
-    def loss(self) -> float:
-        """
-        Return a robust mean of all squares, penalised if a direction is undetermined.
-
-        Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
-        """
-        loss = float(np.log(SMALL_SQUARE + self.squares).mean())
-        return max(loss, float(np.log(2 * LARGEST_SQUARE))) if self.free else loss
-
-    @property
-    def accepted(self) -> bool:
-        """
-        Return whether nearly all stations fit, within the errors of an inaccurate robot.
-
-        If stations show several surfaces, a better fit is required: a plane partly on one and
-        partly on another near surface also fits within such errors.
-        """
-        enough = UNRIVALLED if self.whole.ambiguous else CONVINCING
-        return self.misfit <= enough and self.far_share <= 0.1
-
-    @property
-    def far_share(self) -> float:
-        """Return the share of stations far from the estimate or without essential observations."""
-        far_off = self.squares > LARGEST_SQUARE * max(1.0, self.spread)
-        unused = self.whole.shows_essential & ~self.problem.shows_essential
-        return float((far_off | unused).mean())
+    if start is not None:
+        return without_outliers(refined(problem, start))
+    starts = chain(problem.guesses(rng), subset_starts(problem, SUBSETS * subsets, rng))
+    best = refined(problem, next(starts))
+    while not accepted(best) and (other := next(starts, None)):
+        best = min(best, refined(problem, other), key=loss)
+    return without_outliers(best)
 
 
-def refined(problem: Problem, estimate: Estimate) -> Refined:
-    """Return the robust estimate that graduated non-convexity reaches from a start."""
-    def refit(at: Weighed, weights: Array) -> Weighed:
-        before = at.linear.problem
-        at = system(before, at.noise).reweighted(at, weights)
-        labelled = relabelled(problem, at.linear.estimate, before)
-        return at if labelled is before else weighed(labelled, at.linear.estimate, at.noise)
+def first_guesses(problem: Problem) -> Solution | None:
+    """Return the solution from the first two starts, None if neither fits."""
+    try:
+        for start in islice(problem.guesses(np.random.default_rng(0)), 2):
+            trial = refined(problem, start)
+            if misfit(trial) < LARGEST_SQUARE:
+                return without_outliers(trial)
+    except (HandeyeError, np.linalg.LinAlgError):
+        pass
+    return None
 
-    start = weighed(relabelled(problem, estimate), estimate, Noise())
+
+def with_blocks(solution: Solution) -> Solution:
+    """
+    Return the solution with all nuisance blocks, outliers dropped.
+
+    With few stations, each may be wrong without being detected; the reported covariance includes
+    this.
+    """
+    def fitted(before: Solution | None, part: Problem) -> Solution:
+        if before is None or len(part.poses) <= MANY:
+            return map_solution(part, solution.estimate)
+        found = before.conservative or before  # a few of very many hardly move the solution
+        if part.pose_model:
+            part = part.with_pose_values(found.problem.pose_values)
+        return map_solution(part, found.estimate, found.noise)
+    return _without_outliers(solution.whole, solution.problem, solution.used, solution.dropped,
+                             fitted)
+
+
+def without_outliers(solution: Solution) -> Solution:
+    """Return the solution after dropping stations that do not fit, one by one."""
+    # least squares could move to a fit between the target and another surface
+    limit = LARGEST_SQUARE if solution.whole.ambiguous else GROSS
+    squares = station_squares(solution)
+    good = squares <= limit * max(1.0, believed(squares))
+    good[np.argsort(squares, kind='stable')[:solution.whole.method.minimum]] = True
+    used, gross = np.flatnonzero(good), np.flatnonzero(~good)
+
+    def least_squares(before: Solution | None, part: Problem) -> Solution:
+        return evaluate(part, fit(part, (before or solution).estimate))
+    return _without_outliers(solution.whole, solution.problem.subset(used), used,
+                             {int(i): float(squares[i]) for i in gross}, least_squares)
+
+
+def _without_outliers(whole: Problem, part: Problem, used: NDArray[np.intp],
+                      dropped: Mapping[int, float],
+                      fitted: Callable[[Solution | None, Problem], Solution]) -> Solution:
+    """
+    Return the solution of the stations of a part that agree.
+
+    used: their indices in the whole; dropped: squares of the others; fitted(solution before, or
+    None, part): the solution of a part.
+    """
+    solution: Solution | None = None
+    while True:
+        solution = replace(fitted(solution, part), whole=whole, used=used, dropped=dropped)
+        squares, freedom = (solution.conservative or solution).left_out()
+        scale = shared_scale(squares, freedom) if solution.noise.lumped else 1.0
+        spare = len(used) - whole.method.minimum
+        worst = outliers(squares / scale, freedom, len(whole.poses), spare)
+        if not len(worst) and not solution.noise.lumped:
+            wrong = contamination(solution, len(dropped))
+            if wrong and wrong.worst is not None and spare > 0:
+                worst = np.array([wrong.worst])
+            elif wrong:
+                solution = replace(solution, contamination=wrong.covariance,
+                                   contaminated=wrong.of_any)
+        if not len(worst):
+            return solution
+        dropped = {**dropped, **{int(used[k]): float(squares[k]) for k in worst}}
+        used = np.delete(used, worst)
+        part = part.subset(np.delete(np.arange(len(part.poses)), worst))
+
+
+def refined(problem: Problem, estimate: Estimate) -> Solution:
+    """Return the solution that graduated non-convexity reaches from a start."""
+    def refit(at: Linear, weights: Array) -> Linear:
+        before = at.problem
+        at = _system(before).reweighted(at, weights)
+        labelled = relabelled(problem, at.estimate, before)
+        return at if labelled is before else linearise(labelled, at.estimate)
+
+    start = linearise(relabelled(problem, estimate), estimate)
     at = graduated(start, _mean_squares, refit)
-    labelled, estimate, squares = at.linear.problem, at.linear.estimate, _mean_squares(at)
-    unused = problem.shows_essential & ~labelled.shows_essential
-    squares = np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
-    fewer = len(labelled.observations) < len(problem.observations)
-    free = fewer and np.linalg.eigvalsh(  # a variance of more than (1 m or 1 rad)^2
-        evaluate(labelled, estimate, Noise()).covariance)[-1] > 1.0
-    return Refined(problem, labelled, estimate, squares, bool(free))
+    return replace(Solution.at(at, LUMPED), whole=problem)
+
+
+def station_squares(solution: Solution) -> Array:
+    """Return the mean squared whitened residuals (n,); large without essential observations."""
+    squares, problem = _mean_squares(solution.linear), solution.problem
+    unused = solution.whole.shows_essential & ~problem.shows_essential
+    return np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
+
+
+def _undetermined(solution: Solution) -> bool:
+    """Return whether observations were left out, and the others leave a direction free."""
+    fewer = len(solution.problem.observations) < len(solution.whole.observations)
+    # a variance of more than (1 m or 1 rad)^2
+    return fewer and bool(np.linalg.eigvalsh(solution.covariance)[-1] > 1.0)
+
+
+def misfit(solution: Solution) -> float:
+    """Return the square that most stations are below; large if a direction is undetermined."""
+    spread = believed(station_squares(solution))
+    return max(spread, 2 * LARGEST_SQUARE) if _undetermined(solution) else spread
+
+
+def loss(solution: Solution) -> float:
+    """
+    Return a robust mean of all squares, penalised if a direction is undetermined.
+
+    Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
+    """
+    found = float(np.log(SMALL_SQUARE + station_squares(solution)).mean())
+    return max(found, float(np.log(2 * LARGEST_SQUARE))) if _undetermined(solution) else found
+
+
+def accepted(solution: Solution) -> bool:
+    """
+    Return whether nearly all stations fit, within the errors of an inaccurate robot.
+
+    If stations show several surfaces, a better fit is required: a plane partly on one and partly
+    on another near surface also fits within such errors.
+    """
+    squares = station_squares(solution)
+    far = squares > LARGEST_SQUARE * max(1.0, believed(squares))
+    unused = solution.whole.shows_essential & ~solution.problem.shows_essential
+    enough = UNRIVALLED if solution.whole.ambiguous else CONVINCING
+    return misfit(solution) <= enough and bool((far | unused).mean() <= 0.1)
+
+
+def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
+    """Yield the first start of each of count random subsets of the stations."""
+    n, size = len(problem.poses), max(6, problem.method.minimum)
+    for _ in range(count if n > size else 0):
+        chosen = np.sort(rng.permutation(n)[:size])
+        yield next(problem.subset(chosen).guesses(rng))
 
 
 def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
@@ -123,23 +216,6 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
         if earlier and used.same(earlier.observations):
             return earlier
     return replace(problem, observations=used)
-
-
-def _mean_squares(at: Weighed) -> Array:
-    problem, r = at.linear.problem, at.white(at.linear.residuals)
-    station, n = problem.observations.station, len(problem.poses)
-    count = np.bincount(station, minlength=n)
-    return np.bincount(station, r ** 2, minlength=n) / np.maximum(count, 1)
-
-
-def far(problem: Problem, estimate: Estimate) -> bool:
-    """Return whether an estimate is too far from most stations to be refined."""
-    labelled = relabelled(problem, estimate)
-    station, n = labelled.observations.station, len(problem.poses)
-    count = np.bincount(station, minlength=n)
-    squares = np.bincount(station, linearise(labelled, estimate).residuals ** 2, minlength=n)
-    typical = np.quantile((squares / np.maximum(count, 1))[count > 0], BELIEVED_SHARE)
-    return bool(np.sqrt(typical) > max(5e-3, 5 * problem.config.limits.residual))  # m
 
 
 def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
@@ -177,45 +253,34 @@ def different(X: Array) -> list[int]:
     return kept
 
 
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """A problem linearised at an estimate, with a whitening computed on demand."""
-
-    linear: Linear
-    noise: Noise
-
-    @cached_property
-    def white(self) -> Whitening:
-        """Return the map to residuals of unit covariance."""
-        return whitening(self.linear, self.noise)
+@lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
+def _white(linear: Linear, noise: Noise = LUMPED) -> Whitening:
+    return whitening(linear, noise)
 
 
-def weighed(problem: Problem, estimate: Estimate, noise: Noise) -> Weighed:
-    """Return a problem linearised at an estimate, with its noise."""
-    return Weighed(linearise(problem, estimate), noise)
+def _mean_squares(linear: Linear) -> Array:
+    """Return the mean squared whitened residuals (n,) of the stations, blocks lumped."""
+    station, n = linear.problem.observations.station, len(linear.problem.poses)
+    squares = np.bincount(station, _white(linear)(linear.residuals) ** 2, minlength=n)
+    return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
 
 
-def system(problem: Problem, noise: Noise) -> System[Weighed]:
+def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
     """Return the least-squares system of a problem; each station is a block."""
-    def rows(at: Weighed) -> Rows:
-        return Rows(at.linear.residuals, lambda: at.linear.jacobian[:, problem.columns],
-                    lambda: at.white)
+    def rows(at: Linear) -> Rows:
+        return Rows(at.residuals, lambda: at.jacobian[:, problem.columns],
+                    lambda: _white(at, noise))
 
-    def retracted(at: Weighed, step: Array) -> Weighed:
-        return weighed(problem, problem.retracted(at.linear.estimate, step), noise)
+    def retracted(at: Linear, step: Array) -> Linear:
+        return linearise(problem, problem.retracted(at.estimate, step))
     return System(rows, retracted, problem.observations.station)
 
 
-def fit(problem: Problem, start: Estimate, noise: Noise) -> Estimate:
+def fit(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
-    start_at = weighed(problem, start, noise)
-    return system(problem, noise).least_squares(start_at).linear.estimate
+    return _system(problem, noise).least_squares(linearise(problem, start)).estimate
 
 
-def evaluate(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution at an estimate, with its covariance."""
-    linear = linearise(problem, estimate)
-    white = whitening(linear, noise)
-    r, J = white(linear.residuals), white(linear.jacobian[:, problem.columns])
-    return Solution(problem, estimate, noise, linear, r, columns_of(problem, J, 0),
-                    covariance_of(J))
+def evaluate(problem: Problem, estimate: Estimate) -> Solution:
+    """Return the solution at an estimate that fits, blocks lumped."""
+    return Solution.at(linearise(problem, estimate), LUMPED)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction
 from handeye_ros.guidance.candidates import Search
 from handeye_ros.guidance.moves import missing, Move, next_move, noun

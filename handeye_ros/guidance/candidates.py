@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import linearise, Problem
 from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.rules import Limits, twist_of, Visited
 from handeye_ros.guidance.score import Mapping, View, with_rows
 from handeye_ros.guidance.views import anchor_of, batch_of, predicted

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Method
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Method, Problem
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.rules import Limits, twist_of
 from handeye_ros.guidance.score import View
 from handeye_ros.guidance.views import anchor_of

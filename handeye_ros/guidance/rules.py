@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.linearise import Linear
+from handeye_ros.estimation.problem import Linear
 from handeye_ros.guidance.score import View
 from handeye_ros.targets.common import EdgeObservations
 import numpy as np

@@ -14,10 +14,8 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Sample
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Observations
-from handeye_ros.estimation.posterior import evaluated
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Observations, Problem
+from handeye_ros.estimation.solve import evaluated, Solution
 import numpy as np
 
 DIRECTIONS = 32  # of the tangents that bound the view

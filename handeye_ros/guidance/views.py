@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import linearise, Problem
-from handeye_ros.estimation.model import Estimate
+from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.guidance import rules
 from handeye_ros.guidance.score import View
 import numpy as np

@@ -18,9 +18,8 @@ from handeye_ros.checks.consistency import require_certain, require_rotations
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, Reject, Sample
 from handeye_ros.errors import DataError, SingularError
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import fit as fit_target
 from handeye_ros.frames import mount_frame, sensor_axes
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
@@ -153,7 +152,7 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
         config = replace(stations.config, method=name)
         agreed = pipeline.estimate(stations.samples, (), config)
         require_certain(agreed, config)
-        return agreed.solution.estimate.X
+        return agreed.estimate.X
     return fit
 
 
@@ -395,8 +394,7 @@ def _believed(ordered: Sequence[Sample], rejects: Sequence[Reject], config: Conf
     except DataError as error:
         return Stations(tuple(ordered), config), error
     ordered = [replace(sample, motion=None) for sample in moved.samples]  # others: no motion
-    solution = agreed.solution
-    known = Known(solution.problem, solution.estimate, solution.noise)
+    known = Known(agreed.problem, agreed.estimate, agreed.noise)
     stations = Stations(tuple(ordered[i] for i in agreed.used), config, known)
     try:
         require_certain(agreed, config)

@@ -11,7 +11,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import mm
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.outcome import left_out, measured_points
 from handeye_ros.results.truth_file import FIELD, field_points

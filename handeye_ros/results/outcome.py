@@ -17,10 +17,8 @@ from handeye_ros.data import (
     TIME_OFFSET,
     TimeOffset,
 )
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Estimate, Problem
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +38,10 @@ class NuisanceReport:
     time_offset: TimeOffset | None
 
 
-def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], agreed: Consensus,
+def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], agreed: Solution,
                          nuisances: NuisanceReport, config: Config, frame_id: str) -> Calibration:
     """Return the calibration of a consensus; samples in the order of the problem's stations."""
-    solution, problem = agreed.solution, agreed.solution.problem
+    solution, problem = agreed, agreed.problem
     parent = mount_frame(config)
     used = [samples[i] for i in agreed.used]
     measured = measured_points(used, problem)
@@ -64,9 +62,9 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
         {'version': __version__, 'config': flatten(config)}, nuisances.time_offset)
 
 
-def _described_target(agreed: Consensus, nuisances: NuisanceReport) -> dict[str, Any]:
+def _described_target(agreed: Solution, nuisances: NuisanceReport) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
-    solution = agreed.solution
+    solution = agreed
     described = solution.problem.method.measures.describe(solution.estimate.target,
                                                           solution.target_std)
     described |= nuisances.values | {'joint': _joint(solution)}
@@ -75,13 +73,13 @@ def _described_target(agreed: Consensus, nuisances: NuisanceReport) -> dict[str,
     return described | ({'note': '; '.join(notes)} if notes else {})
 
 
-def other_surfaces(agreed: Consensus) -> str:
+def other_surfaces(agreed: Solution) -> str:
     """Return in words which of several visible surfaces is the target, '' with one surface."""
-    observed, problem = agreed.whole.subset(agreed.used), agreed.solution.problem
+    observed, problem = agreed.whole.subset(agreed.used), agreed.problem
     several = len(observed.observations) > len(problem.observations)
     if problem.method.essential or not several:
         return ''
-    estimate, obs = agreed.solution.estimate, observed.observations
+    estimate, obs = agreed.estimate, observed.observations
     unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
         [problem.observations.station, problem.observations.source]) @ [1, 1j])
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
@@ -134,7 +132,7 @@ def _edges_used(problem: Problem) -> list[str]:
             for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
-def _dropped_reports(samples: Sequence[Sample], agreed: Consensus) -> list[SampleReport]:
+def _dropped_reports(samples: Sequence[Sample], agreed: Solution) -> list[SampleReport]:
     return [SampleReport(samples[i].stamp, False, reason='contradicts the other stations: its '
                          f'residual is {square ** 0.5:.1f} times what its noise explains')
             for i, square in agreed.dropped.items()]

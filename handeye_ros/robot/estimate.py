@@ -13,10 +13,9 @@ from typing import Protocol
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import process_root
-from handeye_ros.estimation.least_squares import Rows, System
+from handeye_ros.estimation.least_squares import leave_one_out, outliers, Rows, System
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.noise import prior_scales
-from handeye_ros.estimation.outliers import leave_one_out, outliers
 from handeye_ros.robot.model import Arm
 import numpy as np
 from numpy.typing import NDArray
@@ -166,9 +165,10 @@ def estimated_weights(fit: Fit, conservative: bool = False) -> Weights:
     if fit.kinds:
         q, s = fit.data.unknowns, fit.stds
         first = np.searchsorted(fit.group, np.arange(len(fit.kinds)))
-        scales = prior_scales(fit.covariance[q:, q:] / np.outer(s, s), fit.values / s, first,
-                              variances, np.full(len(first), LARGEST))
-        variances = scales.conservative if conservative else scales.map_scales
+        of_map, of_report = prior_scales(
+            fit.covariance[q:, q:] / np.outer(s, s), fit.values / s, first, variances,
+            np.full(len(first), LARGEST))
+        variances = of_report if conservative else of_map
     rows, component = fit.rows, fit.data.component
     J, residuals = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
     free, squares = (np.bincount(component[rows], values, len(fit.weights.noise)) for values in (

@@ -14,10 +14,9 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Linear, linearise, Problem
-from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
+from handeye_ros.estimation.search import robust_solution
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.estimate import State
 from handeye_ros.robot.model import Arm
@@ -153,16 +152,16 @@ def _agreed(problem: Problem) -> tuple[Problem, Estimate, NDArray[np.intp]]:
     """Return the problem of the consistent stations, its estimate, and their indices."""
     noise = replace(problem.config.noise, robot_smooth=INACCURATE)
     rough = replace(problem, config=replace(problem.config, noise=noise))
-    agreed = Consensus.of(rough, np.random.default_rng(SEED), subsets=True)
+    agreed = robust_solution(rough, np.random.default_rng(SEED), subsets=True)
     exact = replace(problem.config, noise=replace(noise, robot_smooth=0.0))
-    solution = agreed.solution
+    solution = agreed
     return replace(solution.problem, config=exact), solution.estimate, agreed.used
 
 
 def misfit(problem: Problem) -> float:
     """Return the median residual (m) of the stations at the best estimate."""
-    agreed = Consensus.of(problem, np.random.default_rng(SEED))
-    g = linearise(agreed.whole, agreed.solution.estimate).residuals
+    agreed = robust_solution(problem, np.random.default_rng(SEED))
+    g = linearise(agreed.whole, agreed.estimate).residuals
     station = problem.observations.station
     squares = np.bincount(station, g ** 2) / np.maximum(np.bincount(station), 1)
     return float(np.sqrt(np.median(squares)))

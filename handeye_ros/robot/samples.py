@@ -11,8 +11,8 @@ from handeye_ros.checks.settings import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import InputError
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.solution import covering
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.solve import covering
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.answer import Answer, compared
 from handeye_ros.robot.causes import (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from handeye_ros.errors import InputError
 from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.robot.urdf import read_arm
 import numpy as np
 
@@ -26,6 +26,6 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
                          'kinematics"')
     _, twists = arm.with_twists(arm.joints_near(solution.problem.robot_poses))
     by_arm = whitening(solution.linear, solution.noise)(solution.linear.by_twists(twists))
-    G = solution.covariance[:6] @ solution.jacobian.T @ by_arm
+    G = solution.covariance[:6] @ solution.columns.T @ by_arm
     before = np.zeros((6, 6)) if solution.contamination is None else solution.contamination
     return replace(solution, contamination=before + G @ arm.covariance @ G.T)

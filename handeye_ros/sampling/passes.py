@@ -6,7 +6,7 @@ numbered and left out like stops. Their poses depend on the unknown time offset.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -26,9 +26,8 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.linearise import Linear, Problem
-from handeye_ros.estimation.model import PoseModel
 from handeye_ros.estimation.noise import TURN_LENGTH
+from handeye_ros.estimation.problem import Linear, PoseModel, Problem
 from handeye_ros.frames import mounted
 from handeye_ros.sampling.dwells import DwellFinder, NS
 from handeye_ros.sampling.station_features import evenly, features_of_each, flipped_features
@@ -167,23 +166,20 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     return replace(problem, pose_model=model, pose_values=values)
 
 
-def errors_in_motion(stamps: NDArray[np.int64], first: Linear) -> Blocks:
-    """Return the blocks of errors of a moving robot: smooth in time, and of the exposure."""
-    size, model = first.problem.config.noise.robot_smooth, first.problem.pose_model
+def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
+    """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
+    size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
     own = stamps if model.stations is None else stamps[model.stations]
     functions = process_in_time((own - stamps[0]) * 1e-9)
-
-    def at(linear: Linear) -> Iterator[ParameterBlock]:
-        for name, axes, std in (('tracking_position', slice(0, 3), size),
-                                ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
-            twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
-            twists = twists.reshape(len(functions), 6, -1)
-            yield ParameterBlock(name, linear.by_twists(twists) * std, std, twists=twists,
-                                 report=f'{name}_error')
-        if linear.problem.config.profile.exposure and linear.problem.method.nuisances:
-            yield _exposure(linear)
-    return at
+    for name, axes, std in (('tracking_position', slice(0, 3), size),
+                            ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
+        twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
+        twists = twists.reshape(len(functions), 6, -1)
+        yield ParameterBlock(name, linear.by_twists(twists) * std, std, twists=twists,
+                             report=f'{name}_error')
+    if linear.problem.config.profile.exposure and linear.problem.method.nuisances:
+        yield _exposure(linear)
 
 
 def _exposure(linear: Linear) -> ParameterBlock:

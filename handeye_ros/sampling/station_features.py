@@ -14,7 +14,7 @@ from handeye_ros import targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.errors import DataError, FeatureError, mm
-from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.problem import Method
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.lines import combined_line, on_line
 import numpy as np

@@ -16,9 +16,8 @@ from itertools import islice
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.estimation.least_squares import believed, graduated, Rows, System, White
-from handeye_ros.estimation.linearise import Linear, linearise, Problem
-from handeye_ros.estimation.model import Estimate
 from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 from handeye_ros.estimation.search import relabelled
 from handeye_ros.sampling.passes import Pairing, problem_of
 import numpy as np

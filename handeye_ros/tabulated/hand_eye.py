@@ -21,12 +21,14 @@ from handeye_ros.checks.errors import ConventionError
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, InputError, mm, TooFewError
-from handeye_ros.estimation.least_squares import Rows, System, White
-from handeye_ros.estimation.outliers import (
+from handeye_ros.estimation.least_squares import (
     adjust,
     Adjusted,
     first_variances,
+    Rows,
+    System,
     variance_components,
+    White,
 )
 from handeye_ros.frames import mount_frame
 from handeye_ros.results.calibration_file import input_values, transform_values

@@ -9,8 +9,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, TooFewError
-from handeye_ros.estimation.least_squares import Rows, System
-from handeye_ros.estimation.outliers import adjust, Adjusted
+from handeye_ros.estimation.least_squares import adjust, Adjusted, Rows, System
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.method import Answer, FileMethod, Index, Input, ReadBag

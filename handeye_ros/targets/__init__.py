@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
-from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.problem import Method
 from handeye_ros.targets.line import LINE
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.plate import PLATE

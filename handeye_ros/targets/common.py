@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import Linear, Problem
-from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.problem import Linear, Observations, Problem
 import numpy as np
 from numpy.typing import NDArray
 

@@ -16,8 +16,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import (
+from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
     FeatureModel,
@@ -25,6 +24,7 @@ from handeye_ros.estimation.model import (
     Measures,
     Method,
     Observations,
+    Problem,
     UNUSED,
 )
 from handeye_ros.estimation.search import best_of

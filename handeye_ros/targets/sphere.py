@@ -14,8 +14,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Feature, Sample
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import (
+from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
     FeatureModel,
@@ -23,6 +22,7 @@ from handeye_ros.estimation.model import (
     Measures,
     Method,
     Observations,
+    Problem,
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features

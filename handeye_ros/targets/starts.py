@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.problem import Problem
 from handeye_ros.targets.common import edges_of, ENDS, FACE, some_stations
 import numpy as np
 from numpy.typing import NDArray

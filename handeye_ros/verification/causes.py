@@ -18,8 +18,8 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.model import Conditions, Method, UNUSED
-from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.estimation.least_squares import chi2_sf
+from handeye_ros.estimation.problem import Conditions, Method, UNUSED
 from handeye_ros.frames import in_mount
 from handeye_ros.targets.common import edges_of
 from handeye_ros.verification import fixed_fit

@@ -18,7 +18,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
-from handeye_ros.estimation.model import Method
+from handeye_ros.estimation.problem import Method
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.targets import METHODS
 from handeye_ros.verification.causes import (

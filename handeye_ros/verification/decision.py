@@ -14,7 +14,7 @@ import math
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.errors import mm
-from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.results.verification_file import formatted
 from handeye_ros.verification.fixed_fit import FixedFit
 from handeye_ros.verification.verification import K, Quantity, StationResult

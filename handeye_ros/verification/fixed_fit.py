@@ -17,8 +17,7 @@ from handeye_ros import se3
 from handeye_ros.config import NoiseConfig, VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
-from handeye_ros.estimation.least_squares import White
-from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.estimation.least_squares import chi2_sf, White
 from handeye_ros.verification.shapes import (
     by_point,
     derivatives,

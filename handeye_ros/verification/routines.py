@@ -10,7 +10,7 @@ from handeye_ros import se3
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array, EdgePoint, Sample
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.problem import Observations
 from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.targets import METHODS
 from handeye_ros.targets.common import edge_noise, ObservationRows

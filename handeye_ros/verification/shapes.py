@@ -8,7 +8,7 @@ from typing import NamedTuple
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import Rows, System, White
-from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.problem import Observations
 import numpy as np
 from numpy.typing import NDArray
 

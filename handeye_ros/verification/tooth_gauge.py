@@ -13,7 +13,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Profile
 from handeye_ros.errors import DataError, mm
-from handeye_ros.estimation.model import Observations
+from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Shape, StationSet, system_of

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.outliers import chi2_sf
+from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.verification.decision import claim_p, decide, FOREIGN, sensitivity
 from handeye_ros.verification.fixed_fit import fit, FixedFit, points_in_base, refit

@@ -7,6 +7,7 @@ from cells import cell, solved
 from handeye_ros import se3
 from handeye_ros.checks.review import flat_crossing
 from handeye_ros.config import with_values
+from handeye_ros.estimation.search import evaluate
 import numpy as np
 import pytest
 
@@ -17,8 +18,8 @@ def test_it_does_not_depend_on_the_axes_across_a_line(turned: float) -> None:
     solution = solved(found.problem)
     T = solution.estimate.target.reshape(4, 4)
     about_line = se3.transform(se3.exp_rotation(np.array([turned, 0.0, 0.0])), np.zeros(3))
-    elsewhere = replace(solution, estimate=replace(solution.estimate,
-                                                   target=(T @ about_line).reshape(-1)))
+    elsewhere = evaluate(solution.problem, replace(
+        solution.estimate, target=(T @ about_line).reshape(-1)))
     config = with_values(found.config, {'sampling.min_crossing_angle': 1.5}, 'test')
     for sample in found.samples[:5]:  # whose laser lines are not square to it
         laser = sample.T_base_flange[:3, :3] @ solution.estimate.X[:3, 0]

@@ -6,7 +6,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import bending, box, field_motions, motions_by_poses
-from handeye_ros.estimation.solution import covering
+from handeye_ros.estimation.solve import covering
 from handeye_ros.simulate import FAULTS, settings, simulate_samples
 import numpy as np
 import pytest

@@ -6,9 +6,8 @@ from dataclasses import replace
 from cells import every_method, noisy, solution_of, WHERE
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import linearise, Problem
-from handeye_ros.estimation.model import Estimate
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Estimate, linearise, Problem
+from handeye_ros.estimation.solve import Solution
 import numpy as np
 import pytest
 

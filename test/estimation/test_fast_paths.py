@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from cells import cell, solved
 from handeye_ros import se3
-from handeye_ros.estimation import posterior
-from handeye_ros.estimation.posterior import map_solution
+from handeye_ros.estimation import solve
+from handeye_ros.estimation.solve import map_solution
 from handeye_ros.results.outcome import Measured
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import sphere
@@ -37,7 +37,7 @@ def test_some_of_many_stations_lead_to_the_answer_of_all(monkeypatch: pytest.Mon
     made = cell(replace(SCENARIOS['plate'], stations=(30, 30)), noise__robot_smooth=1e-4)
     start = solved(made.problem).estimate
     plain = map_solution(made.problem, start)
-    monkeypatch.setattr(posterior, 'MANY', 20)
+    monkeypatch.setattr(solve, 'MANY', 20)
     quick = map_solution(made.problem, start)
     off = se3.difference(quick.estimate.X, plain.estimate.X)
     std = np.sqrt(np.diag(plain.reported)[:6])

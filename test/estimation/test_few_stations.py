@@ -15,9 +15,7 @@ from handeye_ros.checks.errors import (
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.search import evaluate
+from handeye_ros.estimation.search import evaluate, robust_solution, with_blocks
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 import numpy as np
@@ -28,18 +26,18 @@ RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one s
 
 def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
     made = cell('plane', 0)
-    whole = Consensus.of(made.problem, np.random.default_rng(0)).solution
+    whole = robust_solution(made.problem, np.random.default_rng(0))
     few = made.problem.subset(np.arange(4))
-    covariance = evaluate(few, whole.estimate, Noise()).covariance
+    covariance = evaluate(few, whole.estimate).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 
 @pytest.mark.parametrize(('name', 'rank'), RANKS.items())
 def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
     made = cell(name, 0)
-    solution = Consensus.of(made.problem, np.random.default_rng(0)).solution
+    solution = robust_solution(made.problem, np.random.default_rng(0))
     assert (solution.ranks == rank).all()
-    assert solution.redundancy == rank * len(made.samples) - solution.jacobian.shape[1]
+    assert solution.redundancy == rank * len(made.samples) - solution.columns.shape[1]
 
 
 def test_five_profiles_of_a_plane_are_too_few() -> None:
@@ -102,7 +100,7 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
     grown = []
     for stations in ((3, 3), (9, 9)):
         made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
-        solution = Consensus.of(made.problem, np.random.default_rng(0)).refined().solution
+        solution = with_blocks(robust_solution(made.problem, np.random.default_rng(0)))
         without = replace(solution, contamination=None)
         grown.append(np.diag(solution.reported)[:6] / np.diag(without.reported)[:6])
     few, many = grown

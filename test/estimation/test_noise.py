@@ -9,9 +9,9 @@ def conservative(value: float, std: float) -> float:
     """Return the scale of a single parameter that the data alone put at value +- std."""
     information = 1 / std ** 2
     covariance = np.array([[1 / (1 + information)]])
-    found = prior_scales(covariance, covariance[0] * value * information,
-                         np.array([0]), np.ones(1), np.array([1e8]))
-    return float(np.sqrt(found.conservative[0]))
+    _, found = prior_scales(covariance, covariance[0] * value * information,
+                            np.array([0]), np.ones(1), np.array([1e8]))
+    return float(np.sqrt(found[0]))
 
 
 def test_what_the_data_hardly_show_is_not_believed_at_several_times_its_prior() -> None:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.outliers import (
+from handeye_ros.estimation.least_squares import (
     chi2_isf,
     chi2_sf,
     first_variances,

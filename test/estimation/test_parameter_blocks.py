@@ -16,11 +16,10 @@ from handeye_ros.estimation.basis import (
     process_root,
     rational_quadratic,
 )
-from handeye_ros.estimation.blocks import ParameterBlock, prepared
+from handeye_ros.estimation.blocks import blocks_at, ParameterBlock
 from handeye_ros.estimation.linalg import inverse
-from handeye_ros.estimation.linearise import linearise
-from handeye_ros.estimation.posterior import map_solution
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import linearise
+from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
 import numpy as np
 import pytest
@@ -70,7 +69,7 @@ def squared(made: Cell) -> float:
 @pytest.mark.thorough
 @pytest.mark.parametrize('factor', [1 / 3, 3.0])
 def test_robot_noise_that_was_stated_wrongly_is_found(factor: float) -> None:
-    found = [final(stated(cell(MANY, seed), robot=factor)).noise.robot for seed in range(4)]
+    found = [final(stated(cell(MANY, seed), robot=factor)).noise.factors[3] for seed in range(4)]
     assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
 
 
@@ -84,7 +83,7 @@ def test_sensor_noise_that_was_stated_wrongly_is_found(factor: float) -> None:
     for seed in range(4):
         made = cell(quiet, seed)
         made = replace(made, samples=tuple(misjudged(s, factor) for s in made.samples))
-        found.append(final(made).noise.feature)
+        found.append(final(made).noise.factors[0])
     assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
 
 
@@ -98,7 +97,7 @@ def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: floa
 @pytest.mark.thorough
 def test_noise_that_was_stated_rightly_is_kept() -> None:
     noises = [final(cell('plate', seed)).noise for seed in range(10)]
-    factors = [[noise.feature, noise.feature_2, noise.robot] for noise in noises]
+    factors = [[noise.factors[i] for i in (0, 1, 3)] for noise in noises]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little
@@ -122,7 +121,7 @@ def test_settling_changes_no_input() -> None:
     solution = solved(made.problem)
     X = solution.estimate.X.copy()
     other = map_solution(solution.problem, solution.estimate)
-    assert other.noise.robot > 2 and np.array_equal(solution.estimate.X, X)
+    assert other.noise.factors[3] > 2 and np.array_equal(solution.estimate.X, X)
 
 
 # -- robots
@@ -190,7 +189,7 @@ def test_a_distortion_is_no_motion_of_the_plane() -> None:
 
 def found_at(solution: Solution) -> tuple[ParameterBlock, ...]:
     linear = linearise(solution.problem, solution.estimate)
-    return prepared(linear)(linear)
+    return blocks_at(linear)
 
 
 def test_every_nuisance_parameter_has_a_prior_and_what_is_certain_is_none() -> None:
@@ -237,7 +236,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
     samples, truth = simulate_samples(many, np.random.default_rng(0))
     config = with_values(Config(), settings(many), 'a test')
-    found = pipeline.estimate(samples, (), config).solution
+    found = pipeline.estimate(samples, (), config)
     assert found.conservative, 'the scales of the blocks have converged'
     off = se3.difference(found.estimate.X, truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-4

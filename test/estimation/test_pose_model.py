@@ -6,9 +6,8 @@ from dataclasses import replace
 from cells import cell, solved
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import PoseModel
-from handeye_ros.estimation.posterior import map_solution
+from handeye_ros.estimation.problem import PoseModel, Problem
+from handeye_ros.estimation.solve import map_solution
 import numpy as np
 import pytest
 

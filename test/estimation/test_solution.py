@@ -17,8 +17,8 @@ from cells import (
 )
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Sample
-from handeye_ros.estimation.model import Method
-from handeye_ros.estimation.outliers import groups
+from handeye_ros.estimation.least_squares import groups
+from handeye_ros.estimation.problem import Method
 from handeye_ros.targets import METHODS
 import numpy as np
 import pytest

@@ -7,13 +7,15 @@ from handeye_ros import se3
 from handeye_ros.bags import bag
 from handeye_ros.config import load
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import many_least_squares, Rows, System
-from handeye_ros.estimation.linalg import covariance_of
-from handeye_ros.estimation.outliers import (
+from handeye_ros.estimation.least_squares import (
     adjust,
     leave_one_out,
+    many_least_squares,
     outliers,
+    Rows,
+    System,
 )
+from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.simulate import FILE_SCENES
 from handeye_ros.tabulated import FILE_METHODS
 import numpy as np

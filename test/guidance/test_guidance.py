@@ -7,7 +7,8 @@ from cells import ANY_POSE, Cell, cell, problem, solved
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import linearise
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.advice import Advice, advise, judged, Proposal, ROUGHLY_KNOWN, Sigma
 from handeye_ros.guidance.candidates import Search, templates, USEFUL
 from handeye_ros.guidance.moves import design, next_move
@@ -91,16 +92,13 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Sol
     observations = solution.problem.observations
     stations = np.unique(observations.station)
     last = observations.station == stations[-1]
-    rows = solution.jacobian[last][None]
+    rows = solution.columns[last][None]
     problem = solution.problem
     fewer = replace(problem, observations=observations.select(~last))
-    before = replace(solution, problem=fewer, covariance=_inverse(solution.jacobian[~last]))
+    before = Solution.at(linearise(fewer, solution.linear.estimate), solution.noise)
     after = with_rows(before, rows)[0]
     np.testing.assert_allclose(after, solution.covariance[:6, :6], rtol=1e-5, atol=1e-15)
 
-
-def _inverse(J: Array) -> Array:
-    return np.asarray(np.linalg.inv(J.T @ J))
 
 
 def test_the_limits_are_kept(made: tuple[Cell, Solution]) -> None:
@@ -244,8 +242,8 @@ def test_nothing_yet() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
     found, solution = made
-    vague = replace(solution, covariance=solution.covariance + np.diag(
-        [ROUGHLY_KNOWN ** 2 * 2] * len(solution.covariance)))
+    vague = replace(solution, conservative=solution,
+                    contamination=ROUGHLY_KNOWN ** 2 * 2 * np.eye(6))
     result = advise(found.samples, found.config, vague)
     assert result.next is None and result.move is not None
 
@@ -299,7 +297,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
     found = cell('plate', 2)  # 18 samples
     config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
-    solution = pipeline.estimate(found.samples, (), config).solution
+    solution = pipeline.estimate(found.samples, (), config)
     result = advise(found.samples, config, solution)
     assert 'as configured (noise.robot_scale)' in result.why and result.enough
 

@@ -9,7 +9,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.linearise import Problem
+from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import profiles

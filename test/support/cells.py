@@ -8,10 +8,9 @@ from functools import lru_cache
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
-from handeye_ros.estimation.consensus import Consensus
-from handeye_ros.estimation.linearise import Problem
-from handeye_ros.estimation.model import Method
-from handeye_ros.estimation.solution import Solution
+from handeye_ros.estimation.problem import Method, Problem
+from handeye_ros.estimation.search import robust_solution
+from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
@@ -97,7 +96,7 @@ def scenario_of(method: Method) -> Scenario:
 
 def solved(problem: Problem, seed: int = 0) -> Solution:
     """Return the solution from nothing."""
-    return Consensus.of(problem, np.random.default_rng(seed)).solution
+    return robust_solution(problem, np.random.default_rng(seed))
 
 
 def field_error(T: Array, truth: Truth, scenario: Scenario) -> float:

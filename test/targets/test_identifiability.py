@@ -7,8 +7,7 @@ from pathlib import Path
 import re
 
 from cells import Cell, exact_cell
-from handeye_ros.estimation.linearise import linearise
-from handeye_ros.estimation.model import Estimate, UNUSED
+from handeye_ros.estimation.problem import Estimate, linearise, UNUSED
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import METHODS
 import numpy as np

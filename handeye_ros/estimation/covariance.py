@@ -1,0 +1,172 @@
+"""
+What the reported covariance consists of, and its part for a station that may be wrong, (10).
+
+With few stations, a wrong one may not show in the residuals. The hypotheses that one station has a
+small pose error and that all are right are compared by their odds (Box and Tiao 1968, Biometrika
+55:119). Noise and blocks stay as configured: if they could grow with the misfit, a wrong station
+would be hidden.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.basis import box
+from handeye_ros.estimation.least_squares import chi2_sf
+from handeye_ros.estimation.noise import covariances, Noise
+from handeye_ros.estimation.problem import MANY
+from handeye_ros.estimation.solve import evaluated, Solution
+import numpy as np
+
+POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
+WRONG = 0.05  # prior odds of a station being wrong against all being right
+SURE = 100.0  # posterior odds of one station being wrong, from which it is dropped
+EXPLAINED = 0.2  # p-value of the other squares below which more than one is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Contamination:
+    """
+    The probability that each station is wrong, and the change of the transform if it is.
+
+    Of (10), probability: (n,) p_i; shifts: (n, 6) h_i; covariances: (n, 6, 6) Sigma_i. rest: (n,)
+    p-value of the squared residuals without the error of this station.
+    """
+
+    probability: Array
+    shifts: Array
+    covariances: Array
+    rest: Array
+
+    @property
+    def worst(self) -> int | None:
+        """Return the station that is almost surely the only wrong one, or None."""
+        worst = int(np.argmax(self.probability))
+        conclusive = self.probability[worst] > SURE * (1 - self.probability[worst])
+        return worst if conclusive and self.rest[worst] > EXPLAINED else None
+
+    @property
+    def of_any(self) -> float:
+        """Return the probability that one of the stations is wrong."""
+        return float(self.probability.sum())
+
+    @property
+    def covariance(self) -> Array:
+        """Return the term (6, 6) added to the covariance of the transform, (10)."""
+        moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
+        return np.asarray(np.tensordot(self.probability, moved, 1))
+
+
+def contamination(solution: Solution, dropped: int) -> Contamination | None:
+    """
+    Return the contamination of a solution, None with very many stations.
+
+    Between MANY and twice as many stations the probabilities fade to 0. dropped: number of
+    stations dropped as wrong, which make another wrong one likelier.
+    """
+    n = len(solution.problem.poses)
+    weight = min(1.0, 2 - n / MANY)
+    if weight <= 0:
+        return None
+    configured = evaluated(solution.problem, solution.estimate, Noise())
+    wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
+    log_odds, explained = np.empty((2, n))
+    shifts, covariances = np.empty((n, 6)), np.empty((n, 6, 6))
+    for at in configured.problem.stations:
+        i = configured.problem.observations.station[at.rows[:, 0]]
+        K, J = wrong[at.rows], configured.columns[at.rows]
+        across = np.swapaxes(J, 1, 2) @ K
+        moved = configured.covariance @ across
+        inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
+        slope = np.einsum('sci,sc->si', K, configured.white[at.rows])
+        size = np.linalg.solve(inside, slope[..., None])
+        explained[i] = (slope * size[..., 0]).sum(axis=1)
+        log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
+        to_transform = moved[:, :6]
+        shifts[i] = (to_transform @ size)[..., 0]
+        covariances[i] = to_transform @ np.linalg.solve(inside, np.swapaxes(to_transform, 1, 2))
+    log_odds += np.log(WRONG + dropped / (n + dropped))
+    freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
+    return Contamination(weight * _probabilities(log_odds), shifts, covariances,
+                         chi2_sf(np.maximum(configured.squares - explained, 0.0), freedom))
+
+
+def _probabilities(log_odds: Array) -> Array:
+    """Return probabilities (n,) of exclusive cases; log_odds (n,): against none of them."""
+    most = max(0.0, float(log_odds.max()))
+    odds = np.exp(log_odds - most)
+    return np.asarray(odds / (np.exp(-most) + odds.sum()))
+
+
+@dataclass(frozen=True)
+class Term:
+    """
+    A part of the reported covariance by its 1 sigma; the squares of all parts add up.
+
+    translation (m), rotation (rad): root of the mean over the axes; mapped (m): RMS error of
+    points of the field of view, mapped by the transform.
+    """
+
+    name: str
+    translation: float
+    rotation: float
+    mapped: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The parts of the reported covariance of a solution, largest first, and their sum."""
+
+    terms: tuple[Term, ...]
+    total: Term
+    samples: int
+
+
+def budget(solution: Solution) -> Budget:
+    """
+    Return what each cause contributes to the reported covariance of the transform.
+
+    White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
+    the conservative scales: with the gain C A', noise of covariance V gives (C A')V(C A')', and a
+    block's parameters, of unit covariance, give C_xn C_nx. Then what (8) adds to it.
+    """
+    wide = solution.conservative or solution
+    parts = _of_noise(wide)
+    first = wide.unknowns
+    for block in wide.blocks:
+        gain = wide.covariance[:6, first:first + block.count]
+        parts[block.name] = gain @ gain.T
+        first += block.count
+    away, inside = solution.moved_by_report, wide.covariance[:6, :6]
+    contamination = np.zeros((6, 6)) if solution.contamination is None else solution.contamination
+    moved = np.outer(away, away)
+    parts['scales of the estimate'] = moved
+    parts['best fit'] = solution.reported[:6, :6] - contamination - moved - inside
+    parts['one station wrong'] = contamination
+    terms = [_term(solution, name, part) for name, part in parts.items()]
+    return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
+                  _term(solution, 'all', solution.reported[:6, :6]), len(solution.used))
+
+
+def _of_noise(wide: Solution) -> dict[str, Array]:
+    """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
+    parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
+    for at, root in zip(wide.problem.stations, wide.whitening.factors, strict=True):
+        V = covariances(wide.linear, at)
+        V = V * wide.noise.factors[:len(V), None, None, None]
+        gain = (wide.columns[at.rows] @ wide.covariance[:, :6]).swapaxes(1, 2) @ root
+        for name, some in zip(parts, (V[:3].sum(axis=0), V[3:].sum(axis=0)), strict=True):
+            parts[name] += (gain @ some @ gain.swapaxes(1, 2)).sum(axis=0)
+    return parts
+
+
+def _term(solution: Solution, name: str, part: Array) -> Term:
+    """Return the sigmas of a part (6, 6) of the covariance."""
+    points = box(solution.problem.observations.points, (-1, 0, 1))
+    lever = points @ solution.estimate.X[:3, [0, 2]].T
+    turned = np.broadcast_to(np.eye(3), (len(lever), 3, 3))
+    by_motion = np.concatenate([turned, -se3.skew(lever)], axis=2)
+    mapped = np.einsum('pix,xy,piy->', by_motion, part, by_motion) / len(lever)
+    squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
+    return Term(name, *(float(max(square, 0.0) ** 0.5) for square in squares))

@@ -1,0 +1,491 @@
+"""
+What is observed of a target, the problem, and its residuals and derivatives: (1), (2).
+
+A point s = (x, 0, z) of the sensor plane is mapped to the base, p = R_i (X s) + a_i, and has to
+satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any, Self
+
+from handeye_ros import se3
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Feature, Sample
+from handeye_ros.errors import DataError
+from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
+from handeye_ros.estimation.least_squares import groups
+import numpy as np
+from numpy.typing import NDArray
+
+UNUSED = -1  # the kind of an observation that is not part of the target
+MANY = 200  # stations: more of them change variance factors by less than 1 % of a sigma
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """
+    Points of the sensor plane, each with one scalar condition.
+
+    station: (m,) index of the pose, ascending; points: (m, 2) metres; kind: (m,) index of the
+    condition in the method's kinds; noise: (m, 2, 2) factor L: the point's error is L @ e, e of
+    unit covariance; source: (m,) observations of a station with equal source share e. component:
+    (m,) 0 or 1: which variance factor its noise has, by default 0. A target may add arrays (m,
+    ...) in a subclass.
+    """
+
+    station: NDArray[np.intp]
+    points: Array
+    kind: NDArray[np.intp]
+    noise: Array
+    source: NDArray[np.intp]
+    component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+    def __post_init__(self) -> None:
+        """Set the component to the first where none is given."""
+        if len(self.component) < len(self.station):
+            object.__setattr__(self, 'component', np.zeros(len(self.station), dtype=np.intp))
+
+    def __len__(self) -> int:
+        """Return the number of conditions."""
+        return len(self.station)
+
+    def same(self, other: Observations) -> bool:
+        """Return whether others are the same points with the same labels."""
+        return (np.array_equal(self.kind, other.kind)
+                and np.array_equal(self.station, other.station)
+                and np.array_equal(self.points, other.points))
+
+    def select(self, keep: NDArray[np.bool_ | np.intp]) -> Self:
+        """Return some observations, by a mask or by their numbers."""
+        return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def in_base(self, poses: Array, X: Array) -> Array:
+        """Return the points (m, 3) in the base, at poses (n, 4, 4) with the sensor at X (4, 4)."""
+        in_mount = self.points @ X[:3, [0, 2]].T + X[:3, 3]
+        T = poses[self.station]
+        return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
+
+    def repeated(self, stations: int, points: Array) -> Self:
+        """Return the observations of one station repeated, with points (stations * m, 2)."""
+        every = (getattr(self, f.name) for f in fields(self))
+        many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in every))
+        return replace(many, points=points, station=np.repeat(np.arange(stations), len(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseModel:
+    """
+    Poses that depend on parameters with a prior: a time offset, a robot's joints.
+
+    evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists (N, 6, k),
+    their derivatives by the values: translation, and rotation vector about the flange's origin,
+    both in the base frame. names, counts, stds: of the blocks of parameters in order, stds: 1
+    sigma of the prior about 0. white: (k,) 1 sigma of independent errors of the values at each
+    station, such as stamp jitter; None: none. stations: indices of the problem's stations among
+    the N, None: all. least: see ParameterBlock. blocks: source of further blocks for such poses,
+    or None.
+    """
+
+    evaluate: Callable[[Array], tuple[Array, Array]]
+    names: tuple[str, ...]
+    counts: tuple[int, ...]
+    stds: tuple[float, ...]
+    stations: NDArray[np.intp] | None = None
+    least: float = 0.0
+    blocks: Any = None
+    white: Array | None = None
+
+    def at(self, values: Array) -> tuple[Array, Array]:
+        """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""
+        poses, twists = self.evaluate(values)
+        return (poses, twists) if self.stations is None else (
+            poses[self.stations], twists[self.stations])
+
+    def subset(self, stations: NDArray[np.intp]) -> PoseModel:
+        """Return the model of some of the stations."""
+        kept = stations if self.stations is None else self.stations[stations]
+        return replace(self, stations=kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The transform from the mount to the sensor plane X (4, 4) and the target's state (s,)."""
+
+    X: Array
+    target: Array
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Values g (m,) that should vanish, (1), and their derivatives by point and target."""
+
+    g: Array
+    dg_dp: Array
+    dg_dtarget: Array
+
+
+def _never(observations: Observations) -> bool:
+    """Return False: an estimate that fits well is not on a wrong surface."""
+    return False
+
+
+def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
+                   ) -> Observations:
+    """Return the observations unchanged, for a target whose features cannot be confused."""
+    return observations
+
+
+def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
+                    ) -> tuple[Array, NDArray[np.intp]]:
+    """Return points and kinds unchanged: each observation is a measured point."""
+    return points, kind
+
+
+# Plain functions, no lambdas: solutions are pickled between processes.
+def _nothing_stated(config: Config) -> Array:
+    return np.zeros(0)
+
+
+def _known_shape(config: Config) -> Config | None:
+    return None
+
+
+def _nothing_to_say(observations: Observations, points: Array, target: Array, config: Config
+                    ) -> str:
+    return ''
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureModel:
+    """
+    What a target shows in profiles.
+
+    extract(points, config): features of one profile. observe(samples): their observations.
+    measured(sample, points, kind): all measured points (k, 2) and their kinds, for the used
+    observations (points, kind) of a sample. extract_each(profiles, config): features, or the
+    error, of each of many profiles; faster than extract.
+    """
+
+    extract: Callable[[Array, Config], tuple[Feature, ...]]
+    observe: Callable[[Sequence[Sample]], Observations]
+    measured: Callable[[Sample, Array, NDArray[np.intp]],
+                       tuple[Array, NDArray[np.intp]]] = observed_points
+    extract_each: Callable[[Sequence[Array], Config],
+                           Sequence[tuple[Feature, ...] | DataError]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """
+    The conditions of points on a target.
+
+    conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
+    retract(target (s,), delta (k,)): the target moved. free(config): (k,) which of its parameters
+    are unknown. relabel(observations, points in base, target, config): kinds that fit better, for
+    the next solve; UNUSED for an observation that belongs to nothing. ambiguous(observations):
+    whether they may be of several alike surfaces, so that a wrong estimate may fit well.
+    """
+
+    conditions: Callable[[Array, NDArray[np.intp], Array, Config], Conditions]
+    retract: Callable[[Array, Array], Array]
+    free: Callable[[Config], NDArray[np.bool_]]
+    relabel: Callable[[Observations, Array, Array, Config], Observations] = kind_unchanged
+    ambiguous: Callable[[Observations], bool] = _never
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """
+    The stated measures of a target, and what is reported of it.
+
+    tolerances(config): (k,) 1 sigma of the parameters that are stated with one, 0 of all others;
+    configured(config): (k,) the stated values. relax(config): the configuration with the target's
+    shape (its last parameter) unknown, None where it is unknown already. describe(target, std
+    (k,)): the target's estimate as plain values. one_axis: what rotations about one axis alone
+    leave undetermined, in words. elsewhere(observations that do not lie on the target, points in
+    base, target, config): where these lie, in words, '' where there is nothing to say.
+    """
+
+    describe: Callable[[Array, Array], dict[str, Any]]
+    tolerances: Callable[[Config], Array] = _nothing_stated
+    configured: Callable[[Config], Array] = _nothing_stated
+    relax: Callable[[Config], Config | None] = _known_shape
+    one_axis: str = 'the position along it is free'
+    elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """
+    Nuisance parameters of a target's own.
+
+    blocks: the Source (see blocks.py, which imports this module) of the target's blocks.
+    feature_errors(linear): (m, 1) derivatives of the residuals by a unit-variance error of each
+    feature, which replaces the blocks during the search.
+    """
+
+    blocks: Callable[[Any], Any]
+    feature_errors: Callable[[Any], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """
+    One target's estimator, as plain functions; the solver is the same for all.
+
+    kinds: names of the conditions; labels: names of the target's k parameters; essential: kinds
+    of which a station must use one, if it shows any. minimum: fewest samples.
+    guess(problem, rng): estimates to start from, best first.
+    """
+
+    name: str
+    kinds: tuple[str, ...]
+    labels: tuple[str, ...]
+    essential: tuple[str, ...]
+    minimum: int
+    guess: Callable[[Any, np.random.Generator], Iterable[Estimate]]
+    features: FeatureModel
+    geometry: Geometry
+    measures: Measures
+    nuisances: Nuisances | None = None
+
+    @property
+    def essential_kinds(self) -> list[int]:
+        """Return the essential kinds as indices into kinds."""
+        return [k for k, name in enumerate(self.kinds) if name in self.essential]
+
+
+@dataclass(frozen=True, eq=False)
+class Stations:
+    """
+    s stations with c observations each.
+
+    rows: (s, c) row numbers; near: (s, c, c) correlations of the distortion; shared: (s, c, c) 1
+    where two observations share the error of one feature; components: (2, s, c, c) 1 where both
+    are of the first variance component, or both of the second.
+    """
+
+    rows: NDArray[np.intp]
+    near: Array
+    shared: Array
+    components: Array
+
+    def every(self, step: int) -> Stations:
+        """Return every step-th of the stations."""
+        return Stations(self.rows[::step], self.near[::step], self.shared[::step],
+                        self.components[:, ::step])
+
+
+@lru_cache(maxsize=8)  # an estimation asks for those of one problem again and again
+def stations_of(observations: Observations) -> tuple[Stations, ...]:
+    """Return the stations of observations, grouped by their number of observations."""
+    grouped = []
+    for rows in groups(observations.station):
+        points, source = observations.points[rows], observations.source[rows]
+        second = observations.component[rows] > 0
+        apart = points[:, :, None] - points[:, None, :]
+        # 0.01 m: correlation length of the sensor's distortion
+        near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
+        shared = (source[:, :, None] == source[:, None, :]).astype(float)
+        pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
+        grouped.append(Stations(rows, near, shared, np.array(pairs, dtype=float)))
+    return tuple(grouped)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
+
+    pose_model: parameters that the poses depend on, or None; pose_values: (k,) their values.
+    long_errors: whether the robot's smooth error has long wavelengths only.
+    """
+
+    method: Method
+    poses: Array
+    observations: Observations
+    config: Config
+    pose_model: PoseModel | None = None
+    pose_values: Array = field(default_factory=lambda: np.zeros(0))
+    long_errors: bool = False
+
+    def __post_init__(self) -> None:
+        """Set pose_values to 0 if there is a pose model and no values are given."""
+        if self.pose_model is not None and not len(self.pose_values):
+            object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
+
+    @cached_property
+    def columns(self) -> NDArray[np.intp]:
+        """Return the columns of the Jacobian that belong to unknowns."""
+        free = self.method.geometry.free(self.config)
+        return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
+
+    @cached_property
+    def flanges(self) -> tuple[Array, Array]:
+        """Return rotation (m, 3, 3) and position (m, 3) of each observation's flange."""
+        T = self.poses[self.observations.station]
+        return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
+
+    @cached_property
+    def by_columns(self) -> Array:
+        """Return derivatives (9, m * 3) of the points in the base by the columns x, z, t of X."""
+        x, z = self.observations.points.T[:, :, None, None]
+        R, _ = self.flanges
+        return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
+
+    @property
+    def stations(self) -> tuple[Stations, ...]:
+        """Return the observations by station, grouped by their number."""
+        return stations_of(self.observations)
+
+    @cached_property
+    def distinct(self) -> list[int]:
+        """Return the stations of distinct poses, at most MANY."""
+        return farthest_points(pose_features(self.poses), MANY)
+
+    @cached_property
+    def ambiguous(self) -> bool:
+        """Return whether stations show several similar surfaces; only one is the target."""
+        return self.method.geometry.ambiguous(self.observations)
+
+    @property
+    def few(self) -> bool:
+        """Return whether the problem may have several solutions and needs more starts."""
+        return len(self.poses) <= 12
+
+    @property
+    def in_hand(self) -> bool:
+        """Return whether the sensor is on the flange; else the poses are inverted."""
+        return self.config.calibration_type == 'eye_in_hand'
+
+    @cached_property
+    def robot_poses(self) -> Array:
+        """Return the poses (n, 4, 4) of the flange in the base, for either calibration type."""
+        return self.poses if self.in_hand else se3.inverse(self.poses)
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Return basis functions (n, r) of the robot's smooth error at the poses."""
+        return process_root(self.robot_poses, self.long_errors)
+
+    @property
+    def tolerances(self) -> Array:
+        """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
+        stated = self.method.measures.tolerances(self.config)
+        return stated if len(stated) else np.zeros(len(self.method.labels))
+
+    @property
+    def shows_essential(self) -> NDArray[np.bool_]:
+        """Return which stations (n,) have an observation of an essential kind."""
+        method, obs = self.method, self.observations
+        of_kind = np.array([*(name in method.essential for name in method.kinds), False])  # UNUSED
+        shows = np.zeros(len(self.poses), dtype=bool)
+        shows[obs.station[of_kind[obs.kind]]] = True
+        return shows
+
+    def guesses(self, rng: np.random.Generator) -> Iterator[Estimate]:
+        """Return an iterator over starts, best first, computed on demand."""
+        return iter(self.method.guess(self, rng))
+
+    def points_in_base(self, X: Array) -> Array:
+        """Return the observed points (m, 3) in the base."""
+        return self.observations.in_base(self.poses, X)
+
+    def retracted(self, estimate: Estimate, step: Array) -> Estimate:
+        """Return the estimate, or several, after a step (..., u) in the unknown columns."""
+        delta = np.zeros((*step.shape[:-1], 6 + len(self.method.labels)))
+        delta[..., self.columns] = step
+        return Estimate(se3.perturb(estimate.X, delta[..., :6]),
+                        self.method.geometry.retract(estimate.target, delta[..., 6:]))
+
+    def with_pose_values(self, values: Array) -> Problem:
+        """Return the problem with the poses of its pose model at values (k,)."""
+        assert self.pose_model is not None
+        poses, _ = self.pose_model.at(values)
+        return replace(self, poses=poses if self.in_hand else se3.inverse(poses),
+                       pose_values=values)
+
+    def subset(self, stations: NDArray[np.intp]) -> Problem:
+        """Return the problem with only the given stations (ascending indices)."""
+        if len(stations) == len(self.poses):
+            return self
+        fewer = self.observations.select(np.isin(self.observations.station, stations))
+        renumbered = np.searchsorted(stations, fewer.station)
+        model = self.pose_model and self.pose_model.subset(stations)
+        return replace(self, poses=self.poses[stations], pose_model=model,
+                       observations=replace(fewer, station=renumbered))
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """
+    Residuals (..., m) at an estimate, and their Jacobian (..., m, 6 + k) by X and target.
+
+    lever: (..., m, 3) from the sensor's origin to the points, in the mount; by_base: (..., m, 3)
+    derivatives by the points in the base.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    residuals: Array
+    jacobian: Array
+    lever: Array
+    by_base: Array
+
+    @cached_property
+    def by_pose(self) -> Array:
+        """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
+        R, a = self.problem.flanges
+        to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
+        if self.problem.in_hand:
+            return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
+        # the poses are T_flange_base; the robot's error is in its base frame
+        by_mount = self.jacobian[..., :3]
+        p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
+        return -np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
+
+    @cached_property
+    def by_values(self) -> Array | None:
+        """Return derivatives (m, k) by 1 sigma of the white errors of pose values, or None."""
+        model = self.problem.pose_model
+        if model is None or model.white is None:
+            return None
+        return self.by_twists(model.at(self.problem.pose_values)[1] * model.white)
+
+    @cached_property
+    def by_point(self) -> Array:
+        """Return the derivative (..., m, 2) by the point of the sensor plane."""
+        return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])
+
+    @cached_property
+    def by_feature(self) -> Array:
+        """Return the derivative (..., m, 2) by the feature's unit errors."""
+        noise = self.problem.observations.noise
+        return np.asarray(np.einsum('...mi,mij->...mj', self.by_point, noise))
+
+    def by_twists(self, twists: Array) -> Array:
+        """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""
+        station = self.problem.observations.station
+        return np.asarray((self.by_pose[:, None] @ twists[station])[:, 0])
+
+
+def linearise(problem: Problem, estimate: Estimate) -> Linear:
+    """
+    Return residuals and derivatives r, J at an estimate, (2).
+
+    Or at several estimates at once, X (n, 4, 4) and target (n, s), where the method allows that.
+    """
+    obs, X = problem.observations, estimate.X
+    R, a = problem.flanges
+    columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
+    lever = obs.points @ columns[..., :2, :]
+    turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
+    p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
+    conditions = problem.method.geometry.conditions(p, obs.kind, estimate.target, problem.config)
+    by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
+    jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
+                              axis=-1)
+    return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

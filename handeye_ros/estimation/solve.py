@@ -1,0 +1,497 @@
+"""
+The whitened least squares (4) with all blocks, its solution, and the estimate of scales and noise.
+
+With whitened residuals r + J xi + K n = e, parameters n and noise e of unit variance, the least
+squares of [J K; 0 I] give the best linear unbiased xi (Henderson 1975, Biometrics 31:423). The
+variances of the noise are estimated by restricted maximum likelihood in multiplicative fixed-point
+steps (Patterson and Thompson 1971, Biometrika 58:545), held to the configured ones by a weak
+prior; the scales of the parameters from prior and likelihood (see noise).
+
+The estimate and its reported covariance have different prior scales: an error without evidence in
+the data must not move the estimate, but it may exist.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.estimation.blocks import (
+    best_fit_motions,
+    blocks_at,
+    ParameterBlock,
+    pose_corrections,
+)
+from handeye_ros.estimation.least_squares import leave_own_out
+from handeye_ros.estimation.linalg import (
+    covariance_of,
+    FREE,
+    from_information,
+    from_rows,
+    inverse,
+)
+from handeye_ros.estimation.noise import (
+    covariances,
+    Noise,
+    PRIOR_FREEDOM,
+    prior_scales,
+    total_covariance,
+    Whitening,
+    whitening,
+)
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem
+import numpy as np
+from numpy.typing import NDArray
+
+STEPS, LAST_STEPS = 2, 3  # iterations of the scales: in each round, in the last
+MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """
+    The least squares at an estimate, (4), solved, of the stations used.
+
+    linear: the used stations with the labels of their observations, linearised; priors: blocks
+    with their configured sigmas; r: (m,) whitened residuals with all parameters of blocks at 0; A:
+    (m, u + q) whitened derivatives by u unknowns (first six: X) and by q parameters in configured
+    sigmas; gram: A'A, empty with fewer residuals than parameters.
+
+    whole: the problem with all stations and observations; used: (n,) indices of those used;
+    dropped: squared residual of the others; contaminated: probability that one of few used
+    stations is wrong, contamination: (6, 6) of (10); conservative: the solution at conservative
+    scales: its estimate moves too far, its covariance is realistic.
+    """
+
+    linear: Linear
+    noise: Noise
+    priors: tuple[ParameterBlock, ...]
+    whitening: Whitening
+    r: Array
+    A: Array
+    gram: Array
+    whole: Problem
+    used: NDArray[np.intp]
+    dropped: Mapping[int, float] = field(default_factory=dict)
+    contaminated: float = 0.0
+    contamination: Array | None = None
+    conservative: Solution | None = None
+
+    @classmethod
+    def at(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...] | None = None
+           ) -> Solution:
+        """Return the solution of a linearised problem; blocks: by default all of the problem."""
+        if blocks is None:
+            blocks = () if noise.lumped else blocks_at(linear)
+        residuals = linear.residuals
+        for block in blocks:
+            if block.value is not None:  # they are in the estimate or the poses
+                residuals = residuals - block.columns @ (block.value / block.std)
+        white = whitening(linear, noise)
+        own = white(np.column_stack([linear.jacobian[:, linear.problem.columns],
+                                     *(b.columns for b in blocks), residuals]))
+        A = np.ascontiguousarray(own[:, :-1])
+        gram = A.T @ A if len(A) >= A.shape[1] else np.empty((0, 0))
+        return cls(linear, noise, blocks, white, own[:, -1], A, gram, linear.problem,
+                   np.arange(len(linear.problem.poses)))
+
+    @property
+    def problem(self) -> Problem:
+        """Return the problem of the used stations, with the observations used."""
+        return self.linear.problem
+
+    @property
+    def unknowns(self) -> int:
+        """Return the number of unknowns without the nuisance parameters."""
+        return len(self.problem.columns)
+
+    @cached_property
+    def scales(self) -> Array:
+        """Return the scale of each parameter (u + q,): 1 for unknowns, tau for the others."""
+        tau = np.sqrt(self._variances)
+        return np.concatenate([np.ones(self.unknowns), np.repeat(tau, self._counts)])
+
+    @property
+    def _counts(self) -> list[int]:
+        return [block.count for block in self.priors]
+
+    @property
+    def _variances(self) -> Array:
+        """Return the variance of each block (d,) relative to the configured one."""
+        return np.array([self.noise.scales.get(block.name, 1.0) for block in self.priors])
+
+    @cached_property
+    def blocks(self) -> tuple[ParameterBlock, ...]:
+        """Return the blocks; their sigmas are tau times the configured ones."""
+        return tuple(replace(block, std=block.std * float(tau)) for block, tau
+                     in zip(self.priors, np.sqrt(self._variances), strict=True))
+
+    @cached_property
+    def _solved(self) -> tuple[Array, Array]:
+        """Return the step of all parameters (u + q,), and their covariance C, (5)."""
+        if self.noise.lumped:  # the search ends where no step is left
+            return np.zeros(self.unknowns), covariance_of(self.A)
+        priors = self.A.shape[1] - self.unknowns
+        if not len(self.gram):
+            return from_rows(self.columns, self.r, priors)
+        return from_information(self.gram, self.A.T @ self.r, self.scales, priors)
+
+    @property
+    def covariance(self) -> Array:
+        """Return C (u + q, u + q) of (5), in present sigmas of the nuisance parameters."""
+        return self._solved[1]
+
+    @property
+    def nuisance(self) -> Array:
+        """Return the estimates (q,) of the nuisance parameters, in their present sigmas."""
+        return self._solved[0][self.unknowns:]
+
+    @cached_property
+    def columns(self) -> Array:
+        """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
+        return self.A * self.scales
+
+    @cached_property
+    def white(self) -> Array:
+        """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
+        return np.asarray(self.r + self.columns @ self._solved[0])
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """Return the estimate after the last step, which is close to the minimum."""
+        if self.noise.lumped:
+            return self.linear.estimate
+        return self.problem.retracted(self.linear.estimate, self._solved[0][:self.unknowns])
+
+    def stepped(self) -> Linear:
+        """Return the problem linearised after the step, with what depends on block parameters."""
+        problem, estimate = self.problem, self.estimate
+        values, delta = problem.pose_values.copy(), np.zeros(len(problem.method.labels))
+        first = 0
+        for block in self.blocks:
+            after = self.nuisance[first:first + block.count] * block.std
+            first += block.count
+            if block.parameter is not None and block.value is not None:
+                delta[block.parameter] = (after - block.value)[0]
+            elif block.pose_values is not None:
+                values[block.pose_values] = after
+        target = problem.method.geometry.retract(estimate.target, delta)
+        if len(values):
+            problem = problem.with_pose_values(values)
+        return linearise(problem, Estimate(estimate.X, target))
+
+    def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
+        """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
+        J = self.columns[rows]
+        by_covariance = (J.reshape(rows.size, -1) @ self.covariance).reshape(J.shape)
+        return np.asarray(by_covariance @ np.swapaxes(J, 1, 2))
+
+    def factors(self, believed: Array | float = 1.0) -> Array:
+        """Return the variance factors (5,) from residuals, and a prior at believed, (7)."""
+        sums = np.zeros((len(MAP_FACTORS), 2))
+        every = -(-len(self.problem.poses) // MANY)
+        for stations, whole in zip(self.problem.stations, self.whitening.factors, strict=True):
+            at, root = stations.every(every), whole[::every]
+            V = covariances(self.linear, at)
+            W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
+            r = self.white[at.rows]
+            left = np.eye(r.shape[1]) - self.predicted_covariance(at.rows)
+            both = r[:, :, None] * r[:, None]
+            sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
+        before = self.noise.factors
+        sums *= before[:, None]
+        after = before * (sums[:, 0] + PRIOR_FREEDOM * believed / before) / (
+            np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
+        return np.asarray(np.clip(after, 1e-4, 1e8))
+
+    def prior_scales(self) -> tuple[Array, Array]:
+        """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
+        x, covariance = self._solved
+        u, first = self.unknowns, np.cumsum([0, *self._counts])[:-1]
+        largest = np.array([block.largest for block in self.priors])
+        return prior_scales(covariance[u:, u:], x[u:], first, self._variances, largest)
+
+    def with_variances(self, variances: Array) -> Solution:
+        """Return the solution with variances (d,) of blocks, relative to the configured ones."""
+        named = {block.name: max(float(v), block.least)
+                 for block, v in zip(self.priors, variances, strict=True)}
+        return replace(self, noise=replace(self.noise, scales=named))
+
+    def with_factors(self, factors: Array) -> Solution:
+        """Return the solution with other variance factors (5,), at the same estimate."""
+        return Solution.at(self.linear, replace(self.noise, factors=factors), self.priors)
+
+    def rescaled(self, steps: int) -> Solution:
+        """
+        Return the solution at estimated conservative prior scales, itself if these stay the same.
+
+        Ends early if a step hardly changes the variances.
+        """
+        found = self
+        for _ in range(steps if self.priors else 0):
+            _, variances = found.prior_scales()
+            if np.abs(np.log(variances / found._variances)).max() < 0.03:
+                break
+            found = found.with_variances(variances)
+        return found
+
+    @cached_property
+    def reported(self) -> Array:
+        """
+        Return the reported covariance (u, u) of the unknowns, (8).
+
+        It covers the errors of both the mount's transform and the best-fit transform.
+        """
+        wide = self.conservative
+        if wide is None:
+            return self.covariance[:self.unknowns, :self.unknowns]
+        reported, away = wide.reported.copy(), self.moved_by_report
+        reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away), self._best_fit)
+        if self.contamination is not None:
+            reported[:6, :6] += self.contamination
+        return reported
+
+    @property
+    def moved_by_report(self) -> Array:
+        """Return d (6,): how far the conservative scales would move the estimate, (8)."""
+        return se3.difference((self.conservative or self).estimate.X, self.estimate.X)
+
+    @property
+    def _best_fit(self) -> Array:
+        """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
+        wide = self.conservative or self
+        moving = best_fit_motions(wide.linear, wide.blocks)
+        columns = np.hstack([np.eye(6, wide.unknowns), moving])
+        away = self.moved_by_report + moving @ wide.nuisance
+        return np.asarray(columns @ wide.covariance @ columns.T + np.outer(away, away))
+
+    @cached_property
+    def information(self) -> Array:
+        """Return the (u + q, u + q) information of residuals and priors."""
+        prior = np.append(np.zeros(self.unknowns), np.ones(len(self.nuisance)))
+        return np.asarray(self.columns.T @ self.columns + np.diag(prior))
+
+    @cached_property
+    def ranks(self) -> NDArray[np.intp]:
+        """
+        Return the rank (n,) of each station's derivatives by the unknowns.
+
+        Many points of one line have rank two: the offset and the direction of the line.
+        """
+        station = self.problem.observations.station
+        ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
+        J = self.A[:, :self.unknowns]
+        J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+        for at in self.problem.stations:
+            s = np.linalg.svd(J[at.rows], compute_uv=False)
+            # smaller singular values are repeated information with other noise
+            ranks[station[at.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
+        return ranks
+
+    @property
+    def squares(self) -> float:
+        """Return the sum of squares of residuals and nuisance parameters."""
+        return float(self.white @ self.white + self.nuisance @ self.nuisance)
+
+    @property
+    def variance_factor(self) -> float:
+        """Return the squared whitened residual per degree of freedom."""
+        return self.squares / max(self.degrees_of_freedom, 1)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return the number of conditions less the number of unknowns."""
+        return len(self.r) - self.unknowns
+
+    @property
+    def target_std(self) -> Array:
+        """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
+        if self.conservative is not None:
+            return self.conservative.target_std
+        std = np.zeros(len(self.problem.method.labels))
+        variances = np.diag(self.covariance)
+        std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
+        first = self.unknowns
+        for block in self.blocks:
+            if block.parameter is not None:
+                std[block.parameter] = block.std * variances[first] ** 0.5
+            first += block.count
+        return std
+
+    @property
+    def redundancy(self) -> int:
+        """
+        Return the number of independent conditions in excess of the unknowns.
+
+        A repeated pose adds no information; of very many poses only some are counted.
+        """
+        return int(self.ranks[self.problem.distinct].sum()) - self.unknowns
+
+    @property
+    def residual_rms(self) -> float:
+        """Return the RMS (m) of the residuals before whitening."""
+        return float(np.sqrt((self.linear.residuals ** 2).mean()))
+
+    @property
+    def expected_rms(self) -> float:
+        """Return the expected RMS (m) of residuals for configured noise and nuisances."""
+        total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, Noise())))
+                    for at in self.problem.stations)
+        return float((total / len(self.linear.residuals)) ** 0.5)
+
+    @property
+    def deviance(self) -> float:
+        """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
+        spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
+                          for f in self.whitening.factors)
+        factors = self.noise.factors
+        prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
+        return float(spread + np.linalg.slogdet(self.information)[1] + self.squares + prior)
+
+    @property
+    def unused(self) -> NDArray[np.intp]:
+        """Return the used stations that show essential observations, but of which none is used."""
+        shown = self.whole.subset(self.used).shows_essential
+        return self.used[shown & ~self.problem.shows_essential]
+
+    @property
+    def explained(self) -> int:
+        """Return the number of used stations with their essential observations used."""
+        return len(self.used) - len(self.unused)
+
+    @property
+    def unused_share(self) -> float:
+        """Return the share of stations that are dropped or lack their essential observations."""
+        return 1 - self.explained / len(self.whole.poses)
+
+    def corrected_poses(self, nuisance: Array | None = None) -> Array:
+        """
+        Return the poses (n, 4, 4) without the estimated errors of the robot.
+
+        nuisance: (n, q) parameters of the blocks at each pose, None: as estimated.
+        """
+        problem, estimated = self.problem, self.nuisance
+        # the poses already include the parameters that they depend on
+        inside = [np.full(b.count, float(b.value is not None)) for b in self.blocks]
+        values = (estimated if nuisance is None else nuisance) - estimated * np.concatenate(
+            [[], *inside])
+        errors, T = pose_corrections(problem, self.blocks, values), problem.robot_poses
+        corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
+                                  T[:, :3, 3] + errors[:, :3])
+        return corrected if problem.in_hand else se3.inverse(corrected)
+
+    def left_out(self) -> tuple[Array, NDArray[np.intp]]:
+        """
+        Return per station the mean squared leave-one-out residual and its degrees of freedom.
+
+        It is whitened, and to first order from the fit without the station, (12): chi-squared
+        distributed when the station is good. All points of a station share one pose, which has 6
+        degrees of freedom.
+        """
+        station, n = self.problem.observations.station, len(self.problem.poses)
+        statistic, count = np.zeros(n), np.bincount(station, minlength=n)
+        for at in self.problem.stations:
+            r = self.white[at.rows]
+            left_out = leave_own_out(self.predicted_covariance(at.rows), r)
+            statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
+        return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
+
+    def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
+        """
+        Return the estimate without each fold of stations, to first order.
+
+        fold: (n,) fold of each station, from 0. Also returns the poses (n, 4, 4), corrected by the
+        robot's smooth error as estimated from the other folds.
+        """
+        of_row, u = fold[self.problem.observations.station], self.unknowns
+        steps = np.empty((fold.max() + 1, self.A.shape[1]))
+        for k in range(len(steps)):
+            J, r = self.columns[of_row == k], self.white[of_row == k]
+            if len(r) < J.shape[1]:
+                left_out = leave_own_out((J @ self.covariance @ J.T)[None], r[None])[0]
+                steps[k] = self.covariance @ (J.T @ left_out)
+            else:
+                steps[k] = inverse(self.information - J.T @ J) @ (J.T @ r)
+        return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
+                self.corrected_poses(self.nuisance + steps[fold, u:]))
+
+
+def covering(first: Array, second: Array) -> Array:
+    """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
+    std = np.sqrt(np.diag(first))
+    values, vectors = np.linalg.eigh(first / np.outer(std, std))
+    roots = np.sqrt(np.maximum(values, FREE))
+    root, inverse_root = std[:, None] * vectors * roots, (vectors / roots).T / std
+    values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
+    along = root @ vectors
+    return np.asarray((along * np.maximum(values, 1.0)) @ along.T)
+
+
+def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
+    """
+    Return the MAP solution near a start, with prior scales and noise estimated from residuals.
+
+    noise: initial noise, None: as configured. With very many stations, a part of them says what
+    scales and noise are.
+    """
+    noise, every = noise or Noise(lumped=False), len(problem.poses) // MANY
+    if every > 1:
+        some = problem.subset(np.arange(0, len(problem.poses), every))
+        part, diverged = _iterated(Solution.at(linearise(some, start), noise))
+        if not diverged:
+            if problem.pose_model is not None:
+                problem = problem.with_pose_values(part.problem.pose_values)
+            return _answer(Solution.at(linearise(problem, part.linear.estimate), part.noise))
+    found, diverged = _iterated(Solution.at(linearise(problem, start), noise))
+    return found if diverged else _answer(found)
+
+
+def _iterated(found: Solution) -> tuple[Solution, bool]:
+    """Return the converged solution and False, or the best before divergence and True."""
+    least, best, resting = np.inf, found, False
+    for count in range(10):  # linearisations
+        (x, covariance), u = found._solved, found.unknowns
+        size = float(np.abs(x[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
+        diverged = size > 4.0 * max(least, 1.0)
+        if diverged and count > 1:  # the first steps may grow with the scale of a block
+            return best, True
+        best, least = best if diverged else found, min(size, least)
+        factors, before = found.factors(), found.noise.factors
+        steady = np.abs(np.log(factors / before)).max() < 0.1
+        moved = Solution.at(found.stepped(), replace(found.noise, factors=factors))
+        found = moved if resting and steady else moved.rescaled(STEPS)
+        resting = found is moved
+        if size < 0.03 and steady:
+            break
+    return found, False
+
+
+def _answer(found: Solution) -> Solution:
+    """Return the solution at the MAP scales, together with that at the conservative scales."""
+    best = found
+    if found.priors:
+        wide = found.rescaled(LAST_STEPS - 1)
+        for_estimate, for_report = wide.prior_scales()
+        best, found = found.with_variances(for_estimate), found.with_variances(for_report)
+    for _ in range(LAST_STEPS):
+        best = best.with_factors(best.factors(MAP_FACTORS))
+    best = Solution.at(best.stepped(), best.noise)
+    long = replace(best.problem, long_errors=True)
+    wide = Solution.at(linearise(long, best.linear.estimate), found.noise).rescaled(LAST_STEPS)
+    return replace(best, conservative=wide)
+
+
+def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution at an estimate, with noise and prior scales as given."""
+    return Solution.at(linearise(problem, estimate), replace(noise, lumped=False))
+
+
+def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
+    """Return a solution with noise and prior scales estimated again, and further blocks."""
+    linear = linearise(solution.problem, solution.estimate)
+    found = Solution.at(linear, solution.noise, (*further, *blocks_at(linear)))
+    for _ in range(LAST_STEPS):
+        found = found.with_factors(found.factors()).rescaled(STEPS)
+    return found
