@@ -27,6 +27,7 @@ SMOOTH_ERRORS = {
     'tracking_position_error': ('robot, error in motion', 1e3, 'mm'),
     'tracking_rotation_error': ('robot, turn in motion', math.degrees(1), 'degrees'),
     'distortion_error': ('sensor, bent field', 1e3, 'mm'),
+    'line_bend': ('sensor, bent laser line', 1e3, 'mm'),
     'flatness_error': ('target, flatness', 1e3, 'mm'),
 }
 
