@@ -367,7 +367,7 @@ def solved(cell: World) -> Solution | None:
     method, samples = targets.method_for(cell.config), with_common_shape(cell.samples)
     if len(samples) < method.minimum:
         return None
-    problem = Problem(method, mounted(samples, cell.config), method.features.observe(samples),
+    problem = Problem(method, mounted(samples, cell.config), method.observe(samples),
                       cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else

@@ -216,7 +216,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
                for k, (pose, found) in enumerate(zip(T, features, strict=True))]
     method, q = method_for(config), arm.inverse(T)
     return cell, Problem(method, chain_of(arm.urdf()).forward(q),
-                         method.features.observe(samples), config), q
+                         method.observe(samples), config), q
 
 
 def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:

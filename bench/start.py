@@ -123,13 +123,13 @@ def two_ends(sample: Sample, rng: np.random.Generator) -> Sample:
 def posed(samples: tuple[Sample, ...], config: Config) -> Problem:
     """Return the problem of samples."""
     method = targets.method_for(config)
-    return Problem(method, mounted(samples, config), method.features.observe(samples), config)
+    return Problem(method, mounted(samples, config), method.observe(samples), config)
 
 
 def from_truth(problem: Problem, truth: Estimate) -> float:
     """Return the squared whitened residuals per condition of the solution near the truth."""
     p = problem.points_in_base(truth.X)
-    obs = problem.method.geometry.relabel(problem.observations, p, truth.target, problem.config)
+    obs = problem.method.relabel(problem.observations, p, truth.target, problem.config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
     solution = evaluate(problem, fit(problem, truth))
     return float(solution.white @ solution.white)

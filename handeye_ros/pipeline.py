@@ -216,4 +216,4 @@ def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample
 
 def _at_stops(samples: Sequence[Sample], config: Config) -> Problem:
     method = targets.method_for(config)
-    return Problem(method, mounted(samples, config), method.features.observe(samples), config)
+    return Problem(method, mounted(samples, config), method.observe(samples), config)

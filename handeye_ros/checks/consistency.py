@@ -27,7 +27,7 @@ from handeye_ros.checks.shape import require_edges, require_not_only_scale
 from handeye_ros.config import Config, LimitsConfig
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import degrees, mm
-from handeye_ros.estimation.problem import Method, Problem
+from handeye_ros.estimation.problem import Problem, Target
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction, other_axes
 from handeye_ros.se3 import worst_rotation, worst_translation
@@ -42,14 +42,14 @@ MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than nois
 
 
 def require_solvable(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-                     method: Method) -> None:
+                     method: Target) -> None:
     """
     Raise for samples without an answer: number of samples, rotations.
 
     Raises TooFewSamplesError, OneOrientationError and OneAxisError.
     """
     _require_samples(samples, rejects, method)
-    require_rotations(mounted(samples, config), mount_frame(config), method.measures.one_axis)
+    require_rotations(mounted(samples, config), mount_frame(config), method.one_axis)
 
 
 def require_answer(agreed: Solution, config: Config) -> str:
@@ -66,7 +66,7 @@ def require_answer(agreed: Solution, config: Config) -> str:
     return warning
 
 
-def _require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Method) -> None:
+def _require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Target) -> None:
     """Raise TooFewSamplesError when there are fewer samples than the method needs."""
     if len(samples) < method.minimum:
         reasons = [reason for reason, _ in Counter(r.reason for r in rejects).most_common()]

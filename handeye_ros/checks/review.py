@@ -83,7 +83,7 @@ def review(samples: Sequence[Sample], included: Sequence[bool], config: Config) 
         raise NoReviewError(len(chosen))
     method = targets.method_for(config)
     fitted = [samples[i] for i in chosen]
-    problem = Problem(method, mounted(fitted, config), method.features.observe(fitted), config)
+    problem = Problem(method, mounted(fitted, config), method.observe(fitted), config)
     solution = robust_solution(problem, np.random.default_rng(0))
     rms = _residuals(samples, solution, config)
     used = {chosen[place]: k for k, place in enumerate(solution.used)}
@@ -125,8 +125,8 @@ def _together(ones: Sequence[Agreement]) -> Agreement | None:
 def _residuals(samples: Sequence[Sample], solution: Solution, config: Config) -> Array:
     """Return the RMS residual (n,) of each sample at a solution, NaN without observations."""
     method, estimate = solution.problem.method, solution.estimate
-    whole = Problem(method, mounted(samples, config), method.features.observe(samples), config)
-    labelled = method.geometry.relabel(whole.observations, whole.points_in_base(estimate.X),
+    whole = Problem(method, mounted(samples, config), method.observe(samples), config)
+    labelled = method.relabel(whole.observations, whole.points_in_base(estimate.X),
                                        estimate.target, config)
     problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
     measured = measured_points(samples, problem)
@@ -178,7 +178,7 @@ def _crossing(samples: Sequence[Sample], points: Array, solution: Solution, name
     pose = mounted(samples, config)[0] @ estimate.X
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
-    found = [method.geometry.conditions(in_base, np.full(len(points), kind), estimate.target,
+    found = [method.conditions(in_base, np.full(len(points), kind), estimate.target,
                                         config)
              for kind in _with(solution.problem, method.kinds.index(name))]
     distance = np.linalg.norm([one.g for one in found], axis=0)

@@ -115,7 +115,7 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
     if len(ordered) < method.minimum:
         return None
-    problem = Problem(method, mounted(ordered, config), method.features.observe(ordered), config)
+    problem = Problem(method, mounted(ordered, config), method.observe(ordered), config)
     stops = np.array([number[sample.stamp] for sample in ordered])
     return Fit.of(problem, stops, len(results), all_starts)
 

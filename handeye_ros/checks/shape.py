@@ -51,7 +51,7 @@ class Shape:
 
 def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generator) -> Solution:
     """Return the consensus, with free target measures if only these make the stations agree."""
-    config = problem.method.measures.relax(problem.config)
+    config = problem.method.relax(problem.config)
     poor = (agreed.dropped or len(agreed.unused)
             or agreed.variance_factor > CONVINCING)
     if config is None or not poor:
@@ -60,7 +60,7 @@ def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generato
         other = robust_solution(replace(problem, config=config), rng)
     except DataError:
         return agreed
-    stated = float(problem.method.measures.configured(problem.config)[-1])
+    stated = float(problem.method.configured(problem.config)[-1])
     if abs(other.estimate.target[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
@@ -104,9 +104,9 @@ def contradictions(solution: Solution, config: Config) -> Iterator[Shape]:
             first = min(config.target.size, key=lambda size: abs(size - estimated)) if (
                 freed) else estimated - used[block.name]
             yield Shape(block.name, first, estimated, std)
-    given_up = method.geometry.free(solution.problem.config) & ~method.geometry.free(config)
+    given_up = method.free(solution.problem.config) & ~method.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
-        first, std = float(method.measures.configured(config)[i]), float(solution.target_std[i])
+        first, std = float(method.configured(config)[i]), float(solution.target_std[i])
         if abs(target[i - len(labels)] - first) > NOTED_CONTRADICTION * math.hypot(std, stated[i]):
             yield Shape(labels[i], first, float(target[i - len(labels)]), std)
 
@@ -281,7 +281,7 @@ def _lost_edges(agreed: Solution) -> str:
         return ''
     shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
     part, estimate = agreed.whole.subset(agreed.unused), agreed.estimate
-    where = part.method.measures.elsewhere(part.observations, part.points_in_base(estimate.X),
+    where = part.method.elsewhere(part.observations, part.points_in_base(estimate.X),
                                            estimate.target, part.config)
     return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
             'of the target' + (f': {where}' if where else ''))

@@ -5,7 +5,7 @@ With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b of i
 with a normal prior about 0. The scale of that prior is estimated (see noise).
 
 A new block is one more source: a function that yields blocks for a linearised problem. SOURCES
-holds the sources of all targets, Method.nuisances those of one. Parameters that the poses depend
+holds the sources of all targets, Target.blocks those of one. Parameters that the poses depend
 on (a time offset, the joints of the robot) belong to the problem instead, as a PoseModel:
 
     def poses_and_twists(values):  # (k,), so far 0
@@ -82,8 +82,9 @@ Source = Callable[[Linear], Blocks]
 
 def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
     """Return all blocks at an estimate."""
-    own = (linear.problem.method.nuisances, linear.problem.pose_model)
-    sources: list[Source] = [each.blocks for each in own if each and each.blocks]
+    model = linear.problem.pose_model
+    sources: list[Source] = [linear.problem.method.blocks]
+    sources += [model.blocks] if model and model.blocks else []
     return tuple(block for source in (*sources, *SOURCES) for block in source(linear)
                  if block.std > 0 and block.columns.any())
 
@@ -94,7 +95,7 @@ def stated_measures(linear: Linear) -> Blocks:
     method, stds = problem.method, problem.tolerances
     for i in np.flatnonzero(stds).tolist():
         std, at = float(stds[i]), i - len(stds)  # the last of the target's values
-        stated = method.measures.configured(problem.config)[i]
+        stated = method.configured(problem.config)[i]
         yield ParameterBlock(method.labels[i], linear.jacobian[:, 6 + i:7 + i] * std, std,
                              parameter=i, value=target[at:at + 1 or None] - stated,
                              largest=1e8)  # a stated measure may be plainly wrong

@@ -99,9 +99,8 @@ def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
         total += at.near * _squared(linear.by_point[at.rows], config.distortion ** 2)
         total += _squared(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
-        if problem.method.nuisances:
-            own = problem.method.nuisances.feature_errors(linear)
-            total += _squared(own[at.rows]) * at.shared
+        own = problem.method.feature_errors(linear)
+        total += _squared(own[at.rows]) * at.shared
     return total
 
 

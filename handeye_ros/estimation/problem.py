@@ -6,6 +6,7 @@ satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
 """
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
@@ -14,7 +15,7 @@ from typing import Any, Self
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
 from handeye_ros.estimation.least_squares import groups
 import numpy as np
@@ -127,135 +128,110 @@ class Conditions:
     dg_dtarget: Array
 
 
-def _never(observations: Observations) -> bool:
-    """Return False: an estimate that fits well is not on a wrong surface."""
-    return False
-
-
-def kind_unchanged(observations: Observations, points: Array, target: Array, config: Config
-                   ) -> Observations:
-    """Return the observations unchanged, for a target whose features cannot be confused."""
-    return observations
-
-
-def observed_points(sample: Sample, points: Array, kind: NDArray[np.intp]
-                    ) -> tuple[Array, NDArray[np.intp]]:
-    """Return points and kinds unchanged: each observation is a measured point."""
-    return points, kind
-
-
-# Plain functions, no lambdas: solutions are pickled between processes.
-def _nothing_stated(config: Config) -> Array:
-    return np.zeros(0)
-
-
-def _known_shape(config: Config) -> Config | None:
-    return None
-
-
-def _nothing_to_say(observations: Observations, points: Array, target: Array, config: Config
-                    ) -> str:
-    return ''
-
-
-@dataclass(frozen=True, eq=False)
-class FeatureModel:
+class Target(ABC):
     """
-    What a target shows in profiles.
+    One target: what it shows, its conditions and its start; the solver is the same for all.
 
-    extract(points, config): features of one profile. observe(samples): their observations.
-    measured(sample, points, kind): all measured points (k, 2) and their kinds, for the used
-    observations (points, kind) of a sample. extract_each(profiles, config): features, or the
-    error, of each of many profiles; faster than extract.
-    """
-
-    extract: Callable[[Array, Config], tuple[Feature, ...]]
-    observe: Callable[[Sequence[Sample]], Observations]
-    measured: Callable[[Sample, Array, NDArray[np.intp]],
-                       tuple[Array, NDArray[np.intp]]] = observed_points
-    extract_each: Callable[[Sequence[Array], Config],
-                           Sequence[tuple[Feature, ...] | DataError]] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Geometry:
-    """
-    The conditions of points on a target.
-
-    conditions(points in base (m, 3), kind (m,), target (s,), config): see Conditions.
-    retract(target (s,), delta (k,)): the target moved. free(config): (k,) which of its parameters
-    are unknown. relabel(observations, points in base, target, config): kinds that fit better, for
-    the next solve; UNUSED for an observation that belongs to nothing. ambiguous(observations):
-    whether they may be of several alike surfaces, so that a wrong estimate may fit well.
-    """
-
-    conditions: Callable[[Array, NDArray[np.intp], Array, Config], Conditions]
-    retract: Callable[[Array, Array], Array]
-    free: Callable[[Config], NDArray[np.bool_]]
-    relabel: Callable[[Observations, Array, Array, Config], Observations] = kind_unchanged
-    ambiguous: Callable[[Observations], bool] = _never
-
-
-@dataclass(frozen=True, eq=False)
-class Measures:
-    """
-    The stated measures of a target, and what is reported of it.
-
-    tolerances(config): (k,) 1 sigma of the parameters that are stated with one, 0 of all others;
-    configured(config): (k,) the stated values. relax(config): the configuration with the target's
-    shape (its last parameter) unknown, None where it is unknown already. describe(target, std
-    (k,)): the target's estimate as plain values. one_axis: what rotations about one axis alone
-    leave undetermined, in words. elsewhere(observations that do not lie on the target, points in
-    base, target, config): where these lie, in words, '' where there is nothing to say.
-    """
-
-    describe: Callable[[Array, Array], dict[str, Any]]
-    tolerances: Callable[[Config], Array] = _nothing_stated
-    configured: Callable[[Config], Array] = _nothing_stated
-    relax: Callable[[Config], Config | None] = _known_shape
-    one_axis: str = 'the position along it is free'
-    elsewhere: Callable[[Observations, Array, Array, Config], str] = _nothing_to_say
-
-
-@dataclass(frozen=True, eq=False)
-class Nuisances:
-    """
-    Nuisance parameters of a target's own.
-
-    blocks: the Source (see blocks.py, which imports this module) of the target's blocks.
-    feature_errors(linear): (m, 1) derivatives of the residuals by a unit-variance error of each
-    feature, which replaces the blocks during the search.
-    """
-
-    blocks: Callable[[Any], Any]
-    feature_errors: Callable[[Any], Array]
-
-
-@dataclass(frozen=True, eq=False)
-class Method:
-    """
-    One target's estimator, as plain functions; the solver is the same for all.
-
-    kinds: names of the conditions; labels: names of the target's k parameters; essential: kinds
-    of which a station must use one, if it shows any. minimum: fewest samples.
-    guess(problem, rng): estimates to start from, best first.
+    There are m observations of points p (..., m, 3) in the base, a state (..., s) of the target,
+    and k parameters of it. kinds: names of the conditions; labels: names of the parameters;
+    essential: kinds of which a station must use one, if it shows any; minimum: fewest samples;
+    one_axis: what rotations about one axis alone leave undetermined, in words.
     """
 
     name: str
     kinds: tuple[str, ...]
     labels: tuple[str, ...]
-    essential: tuple[str, ...]
-    minimum: int
-    guess: Callable[[Any, np.random.Generator], Iterable[Estimate]]
-    features: FeatureModel
-    geometry: Geometry
-    measures: Measures
-    nuisances: Nuisances | None = None
+    essential: tuple[str, ...] = ()
+    minimum = 6
+    one_axis = 'the position along it is free'
 
     @property
     def essential_kinds(self) -> list[int]:
         """Return the essential kinds as indices into kinds."""
         return [k for k, name in enumerate(self.kinds) if name in self.essential]
+
+    @abstractmethod
+    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
+        """Return the features of one profile (n, 2); raises FeatureError without them."""
+
+    def extract_each(self, profiles: Sequence[Array], config: Config
+                     ) -> Sequence[tuple[Feature, ...] | DataError]:
+        """Return for each profile its features or the error."""
+        found: list[tuple[Feature, ...] | DataError] = []
+        for points in profiles:
+            try:
+                found.append(self.extract(points, config))
+            except FeatureError as error:
+                found.append(error)
+        return found
+
+    @abstractmethod
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of the features of samples."""
+
+    def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
+                 ) -> tuple[Array, NDArray[np.intp]]:
+        """Return all measured points (k, 2) and kinds for the used observations of a sample."""
+        return points, kind
+
+    @abstractmethod
+    def guess(self, problem: Any, rng: np.random.Generator) -> Iterable[Estimate]:
+        """Yield estimates to start from, best first."""
+
+    @abstractmethod
+    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+                   ) -> Conditions:
+        """Return what should vanish for points of kinds (m,), and its derivatives."""
+
+    @abstractmethod
+    def retract(self, target: Array, delta: Array) -> Array:
+        """Return the state after a step (..., k)."""
+
+    def free(self, config: Config) -> NDArray[np.bool_]:
+        """Return which parameters (k,) are unknown."""
+        return np.ones(len(self.labels), dtype=bool)
+
+    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+                ) -> Observations:
+        """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
+        return observations
+
+    def ambiguous(self, observations: Observations) -> bool:
+        """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
+        return False
+
+    def tolerances(self, config: Config) -> Array:
+        """Return 1 sigma of the parameters that are stated with one, 0 of others; () for none."""
+        return np.zeros(0)
+
+    def configured(self, config: Config) -> Array:
+        """Return the stated values of the parameters; () where none can be stated."""
+        return np.zeros(0)
+
+    def relax(self, config: Config) -> Config | None:
+        """Return the configuration with the shape (the last parameter) unknown, None if it is."""
+        return None
+
+    @abstractmethod
+    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+        """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
+
+    def elsewhere(self, observations: Observations, p: Array, target: Array, config: Config
+                  ) -> str:
+        """Return in words where observations lie that are not on the target, '' if unknown."""
+        return ''
+
+    def blocks(self, linear: Any) -> Any:
+        """Return the blocks of nuisance parameters of its own (see blocks.py)."""
+        return ()
+
+    def feature_errors(self, linear: Any) -> Array:
+        """
+        Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
+
+        They replace the blocks during the search.
+        """
+        return np.zeros((len(linear.residuals), 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +280,7 @@ class Problem:
     long_errors: whether the robot's smooth error has long wavelengths only.
     """
 
-    method: Method
+    method: Target
     poses: Array
     observations: Observations
     config: Config
@@ -320,7 +296,7 @@ class Problem:
     @cached_property
     def columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
-        free = self.method.geometry.free(self.config)
+        free = self.method.free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @cached_property
@@ -349,7 +325,7 @@ class Problem:
     @cached_property
     def ambiguous(self) -> bool:
         """Return whether stations show several similar surfaces; only one is the target."""
-        return self.method.geometry.ambiguous(self.observations)
+        return self.method.ambiguous(self.observations)
 
     @property
     def few(self) -> bool:
@@ -374,7 +350,7 @@ class Problem:
     @property
     def tolerances(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
-        stated = self.method.measures.tolerances(self.config)
+        stated = self.method.tolerances(self.config)
         return stated if len(stated) else np.zeros(len(self.method.labels))
 
     @property
@@ -399,7 +375,7 @@ class Problem:
         delta = np.zeros((*step.shape[:-1], 6 + len(self.method.labels)))
         delta[..., self.columns] = step
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
-                        self.method.geometry.retract(estimate.target, delta[..., 6:]))
+                        self.method.retract(estimate.target, delta[..., 6:]))
 
     def with_pose_values(self, values: Array) -> Problem:
         """Return the problem with the poses of its pose model at values (k,)."""
@@ -484,7 +460,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     lever = obs.points @ columns[..., :2, :]
     turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
-    conditions = problem.method.geometry.conditions(p, obs.kind, estimate.target, problem.config)
+    conditions = problem.method.conditions(p, obs.kind, estimate.target, problem.config)
     by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
                               axis=-1)

@@ -209,7 +209,7 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
-    labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
+    labelled = problem.method.relabel(problem.observations, p, estimate.target,
                                                problem.config)
     used = labelled.select(labelled.kind != UNUSED)
     for earlier in (problem, before):

@@ -177,7 +177,7 @@ class Solution:
                 delta[block.parameter] = (after - block.value)[0]
             elif block.pose_values is not None:
                 values[block.pose_values] = after
-        target = problem.method.geometry.retract(estimate.target, delta)
+        target = problem.method.retract(estimate.target, delta)
         if len(values):
             problem = problem.with_pose_values(values)
         return linearise(problem, Estimate(estimate.X, target))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.problem import Method, Problem
+from handeye_ros.estimation.problem import Problem, Target
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.rules import Limits, twist_of
 from handeye_ros.guidance.score import View
@@ -82,14 +82,14 @@ class Move:
     beside: float = 0.0
 
 
-def design(method: Method) -> Array:
+def design(method: Target) -> Array:
     """Return the moves (n, 6) for the target of a method."""
     if _round(method):
         return SPHERE
     return TWO_EDGES if len(method.essential) > 1 else ONE_EDGE
 
 
-def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
+def next_move(taken: int, method: Target, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
     steps = design(method)
     mirrored = -1.0 if taken // len(steps) % 2 else 1.0
@@ -104,12 +104,12 @@ def next_move(taken: int, method: Method, config: Config, view: View) -> Move:
     return Move(text, turn, tilt, place, edge, float(step[5]))
 
 
-def _round(method: Method) -> bool:
+def _round(method: Target) -> bool:
     """Return whether the target looks the same at every crossing."""
     return method.kinds == ('arc',)
 
 
-def _turn(share: float, edge: int, method: Method, config: Config) -> float:
+def _turn(share: float, edge: int, method: Target, config: Config) -> float:
     """Return the turn from the first pose: at the other edge, and obliquely across it."""
     largest = config.guidance.turn
     if not _round(method):  # the line has to cross where parts of the target meet
@@ -119,12 +119,12 @@ def _turn(share: float, edge: int, method: Method, config: Config) -> float:
     return float(np.copysign(turn, share))
 
 
-def noun(method: Method) -> str:
+def noun(method: Target) -> str:
     """Return the feature that the laser line must show, in words."""
     return 'edge' if method.essential else method.name
 
 
-def _start(edge: int, method: Method) -> str:
+def _start(edge: int, method: Target) -> str:
     if len(method.essential) < 2:
         return 'from the pose of the first sample'
     return ('from the pose of the first sample, at the same edge' if edge == 0 else
@@ -141,7 +141,7 @@ def _turns(turn: float, tilt: Array) -> str:
             else 'hold the sensor square to the target')
 
 
-def _shown(method: Method, place: Array, share: Array) -> str:
+def _shown(method: Target, place: Array, share: Array) -> str:
     """Return where in the view the feature should appear, in words."""
     x, z = place * 1e3
     along = ('low', 'middle', 'high')[int(np.sign(share[0])) + 1]

@@ -189,7 +189,7 @@ def _recognised(batch: Batch) -> NDArray[np.bool_]:
     """Return which stations would be labelled like the template."""
     problem, estimate = batch.problem, batch.estimate
     p = problem.points_in_base(estimate.X)
-    labelled = problem.method.geometry.relabel(problem.observations, p, estimate.target,
+    labelled = problem.method.relabel(problem.observations, p, estimate.target,
                                                rules.stricter(problem.config))
     same = labelled.kind == problem.observations.kind
     return np.asarray(same.reshape(len(batch), -1).all(axis=1))

@@ -294,7 +294,7 @@ def _target(review: Review, config: Config) -> Mapping[str, Any]:
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
-    form = shape(problem.method.measures.describe(estimate.target, review.solution.target_std),
+    form = shape(problem.method.describe(estimate.target, review.solution.target_std),
                  config.target.size, points)
     ball = form.ball and (_rounded(form.ball[0]), form.ball[1])
     return {'edges': [_rounded(line) for line in form.edges], 'ball': ball,

@@ -65,7 +65,7 @@ def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], a
 def _described_target(agreed: Solution, nuisances: NuisanceReport) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
     solution = agreed
-    described = solution.problem.method.measures.describe(solution.estimate.target,
+    described = solution.problem.method.describe(solution.estimate.target,
                                                           solution.target_std)
     described |= nuisances.values | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
@@ -83,7 +83,7 @@ def other_surfaces(agreed: Solution) -> str:
     unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
         [problem.observations.station, problem.observations.source]) @ [1, 1j])
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
-    height, of_sensor = (problem.method.geometry.conditions(
+    height, of_sensor = (problem.method.conditions(
         p, obs.kind[unused], estimate.target, problem.config).g
         for p in (observed.points_in_base(estimate.X)[unused], sensors[:, :3]))
     nearer = height * np.sign(of_sensor) > 0
@@ -152,7 +152,7 @@ def left_out(solution: Solution, measured: Measured, max_folds: int = MOST_FOLDS
     by_fold, kind, residuals = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
     ends = np.cumsum(np.bincount(fold[measured.station], minlength=len(estimates))).tolist()
     for first, last, estimate in zip([0, *ends], ends, estimates, strict=False):
-        residuals[order[first:last]] = problem.method.geometry.conditions(
+        residuals[order[first:last]] = problem.method.conditions(
             by_fold[first:last], kind[first:last], estimate.target, problem.config).g
     return residuals
 
@@ -185,7 +185,7 @@ class Measured:
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
         p = self.mapped((problem.poses if poses is None else poses) @ estimate.X)
-        return problem.method.geometry.conditions(p, self.kind, estimate.target, problem.config).g
+        return problem.method.conditions(p, self.kind, estimate.target, problem.config).g
 
     def mapped(self, T: Array) -> Array:
         """Return the points (k, 3) mapped by T (n, 4, 4) of their stations."""
@@ -207,7 +207,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
-    parts = [problem.method.features.measured(sample, obs.points[first:last], obs.kind[first:last])
+    parts = [problem.method.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     count = np.array([len(kind) for _, kind in parts])
     step = max(-(-int(count.sum()) // MOST_POINTS), 1)

@@ -152,7 +152,7 @@ def _evaluated(pairing: Pairing, values: tuple[float, ...]) -> tuple[Array, Arra
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples; for a moving robot with the time offset as an unknown."""
     method = targets.method_for(config)
-    problem = Problem(method, mounted(samples, config), method.features.observe(samples), config)
+    problem = Problem(method, mounted(samples, config), method.observe(samples), config)
     if not any(sample.motion for sample in samples):
         return problem
     pairing = Pairing.of(samples)
@@ -178,7 +178,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
         twists = twists.reshape(len(functions), 6, -1)
         yield ParameterBlock(name, linear.by_twists(twists) * std, std, twists=twists,
                              report=f'{name}_error')
-    if linear.problem.config.profile.exposure and linear.problem.method.nuisances:
+    if linear.problem.config.profile.exposure:
         yield _exposure(linear)
 
 
@@ -190,7 +190,7 @@ def _exposure(linear: Linear) -> ParameterBlock:
     shifts by up to half the exposure times the velocity across the edge, always inwards.
     """
     problem, std = linear.problem, linear.problem.config.profile.exposure / 2
-    assert problem.pose_model is not None and problem.method.nuisances is not None
+    assert problem.pose_model is not None
     twists = problem.pose_model.at(problem.pose_values)[1][:, :, :1]
-    inwards = np.sign(problem.method.nuisances.feature_errors(linear))
+    inwards = np.sign(problem.method.feature_errors(linear))
     return ParameterBlock('exposure', inwards * np.abs(linear.by_twists(twists)) * std, std)

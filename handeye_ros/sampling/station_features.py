@@ -14,7 +14,7 @@ from handeye_ros import targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import AnyProfile, Arc, Array, EdgePoint, FaceLine, Feature, Profile
 from handeye_ros.errors import DataError, FeatureError, mm
-from handeye_ros.estimation.problem import Method
+from handeye_ros.estimation.problem import Target
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.lines import combined_line, on_line
 import numpy as np
@@ -34,7 +34,7 @@ def _disagreeing(what: str, apart: float) -> FeatureError:
                         'object; take the sample again', reason='disagreeing')
 
 
-def of_station(profiles: Sequence[Profile], method: Method, config: Config
+def of_station(profiles: Sequence[Profile], method: Target, config: Config
                ) -> tuple[list[Profile], tuple[Feature, ...]]:
     """
     Return the profiles of a station that show the target, and their combined features.
@@ -54,28 +54,15 @@ def of_station(profiles: Sequence[Profile], method: Method, config: Config
     return used, combine(found, 1 if method.essential else len(method.kinds))
 
 
-def features_of_each(profiles: Sequence[Profile], method: Method, config: Config
+def features_of_each(profiles: Sequence[Profile], method: Target, config: Config
                      ) -> Sequence[tuple[Feature, ...] | DataError]:
     """Return for each profile its features or the error."""
-    several = method.features.extract_each or partial(_one_by_one, method)
-    return several([profile.points for profile in profiles], config)
-
-
-def _one_by_one(method: Method, profiles: Sequence[Array], config: Config
-                ) -> list[tuple[Feature, ...] | DataError]:
-    """Return for each profile its features or the error."""
-    found: list[tuple[Feature, ...] | DataError] = []
-    for points in profiles:
-        try:
-            found.append(method.features.extract(points, config))
-        except FeatureError as error:
-            found.append(error)
-    return found
+    return method.extract_each([profile.points for profile in profiles], config)
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of one profile; raises FeatureError."""
-    return targets.method_for(config).features.extract(profile.points, config)
+    return targets.method_for(config).extract(profile.points, config)
 
 
 def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
@@ -91,7 +78,7 @@ def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
     if not method.essential:
         return ()
     try:
-        return method.features.extract(profile.points, flipped_range(config))
+        return method.extract(profile.points, flipped_range(config))
     except FeatureError:
         return ()
 

@@ -3,19 +3,19 @@ from __future__ import annotations
 
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, OnlyFromFilesError
-from handeye_ros.estimation.problem import Method
+from handeye_ros.estimation.problem import Target
 from handeye_ros.targets.line import LINE
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.plate import PLATE
 from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.wedge import WEDGE
 
-METHODS: dict[str, Method] = {
+METHODS: dict[str, Target] = {
     'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE, 'wedge': WEDGE}
 FROM_FILES = ('points', 'hand_eye', 'tracker')  # see files
 
 
-def method_for(config: Config) -> Method:
+def method_for(config: Config) -> Target:
     """
     Return the method that a configuration asks for.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Linear, Nuisances
+from handeye_ros.estimation.problem import Linear, Target
 from handeye_ros.targets.common import edges_of, ENDS, ends_of, out_of_face
 import numpy as np
 
@@ -78,9 +78,14 @@ def grazing(linear: Linear) -> Blocks:
         yield ParameterBlock('grazing', columns * std, std)
 
 
-def setback_of_each(linear: Linear) -> Array:
-    """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
-    return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
+class FaceTarget(Target):
+    """A target of faces and edges, with their nuisance parameters."""
 
+    def blocks(self, linear: Linear) -> Blocks:
+        """Yield the blocks of set-backs, shapes of edges, and flatness of faces."""
+        return of_faces_and_edges(linear)
 
-FACES_AND_EDGES = Nuisances(of_faces_and_edges, setback_of_each)
+    def feature_errors(self, linear: Linear) -> Array:
+        """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
+        setback = linear.problem.config.target.setback_std
+        return out_of_face(linear)[:, None] * setback

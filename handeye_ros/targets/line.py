@@ -19,17 +19,13 @@ from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
-    FeatureModel,
-    Geometry,
-    Measures,
-    Method,
     Observations,
     Problem,
     UNUSED,
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.blocks import FACES_AND_EDGES
+from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import (
     add_face,
     best_linear,
@@ -56,61 +52,12 @@ BELIEVED_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 
 
-def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of face lines and edge points; labels are assigned later."""
-    return collect(samples, _add)
-
-
 def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source)
     elif isinstance(feature, EdgePoint):
         for kind in (EDGE_Y, EDGE_Z):
             rows.add(station, feature.point, kind, edge_noise(feature), source, feature)
-
-
-def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the distances from the line in y and z, or from the face, of points (..., m, 3)."""
-    T = target.reshape(*target.shape[:-1], 4, 4)
-    R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-    dg_dp = NORMALS[kind] @ np.swapaxes(R, -1, -2)
-    by_rotation = -se3.cross(offset, dg_dp) @ R
-    return Conditions((offset * dg_dp).sum(axis=-1), dg_dp,
-                      np.concatenate([-dg_dp @ R[..., 1:], by_rotation], axis=-1))
-
-
-def retract(target: Array, delta: Array) -> Array:
-    """Return lines (..., 16) after a step: along their y and z, about their x, y and z."""
-    T = target.reshape(*target.shape[:-1], 4, 4)
-    step = np.concatenate([np.einsum('...ij,...j->...i', T[..., :3, 1:3], delta[..., :2]),
-                           np.einsum('...ij,...j->...i', T[..., :3, :3], delta[..., 2:])],
-                          axis=-1)
-    return se3.perturb(T, step).reshape(target.shape)
-
-
-def free(config: Config) -> NDArray[np.bool_]:
-    """Return which parameters are unknown; the turn about the line only with a face."""
-    return np.array([True, True, config.target.use_face, True, True])
-
-
-def relabel(observations: Observations, p: Array, target: Array, config: Config
-            ) -> Observations:
-    """
-    Return the observations labelled, unused ones marked.
-
-    Of several edge points of a station, only the nearest to the line is used. A station that shows
-    another face (the edge of a block has two) takes part with its edge point alone.
-    """
-    edge, away = observations.kind != FACE, _away(p, target)
-    nearest = np.full(observations.station.max() + 1, np.inf)
-    np.minimum.at(nearest, observations.station[edge], away[edge])
-    with_face = np.zeros(len(nearest), dtype=bool)
-    if config.target.use_face:
-        turn = np.abs(_turns(observations, p, target))
-        with_face = np.minimum(turn, np.pi - turn) < SAME_FACE
-    idle = np.where(with_face[observations.station], EDGE_Z, FACE)
-    unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))
-    return replace(observations, kind=np.where(unused, UNUSED, observations.kind))
 
 
 def _turns(observations: Observations, p: Array, target: Array) -> Array:
@@ -120,23 +67,6 @@ def _turns(observations: Observations, p: Array, target: Array) -> Array:
     y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
             for values in local.T)
     return np.asarray(np.where((y == 0) & (z == 0), np.pi / 2, np.arctan2(z, y)))
-
-
-def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """
-    Yield starts, best first, from a sweep of the direction of the line.
-
-    If a face has several visible ends, it is unknown which one is the edge. First the same kind of
-    end is chosen in all stations, then the same side.
-    """
-    target = whole.config.target
-    alone = replace(whole.config, target=replace(target, use_face=False))
-    problem = some_of(replace(whole, config=alone), rng)
-    for parts in (same_kind, same_side):
-        found = (e for part in parts(problem, MINIMUM)
-                 for e in best_of(part, linear_candidates(part)))
-        for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
-            yield _with_face(whole, e) if target.use_face else e
 
 
 def _nearness(problem: Problem, estimate: Estimate) -> float:
@@ -204,15 +134,85 @@ def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
 
 
-def describe(target: Array, std: Array) -> dict[str, Any]:
-    """Return a point of the line and its direction."""
-    T = target.reshape(4, 4)
-    return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
-            'direction': T[:3, 0].tolist()}
+class Line(FaceTarget):
+    """One straight edge: every edge point lies on one line of the base frame."""
+
+    name = 'line'
+    kinds = KINDS
+    labels = LABELS
+    essential = ('edge',)
+    minimum = MINIMUM
+
+    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
+        """Return the features of one profile (n, 2); raises FeatureError without them."""
+        return face_features(points, config)
+
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of face lines and edge points; labels are assigned later."""
+        return collect(samples, _add)
+
+    def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+        """
+        Yield starts, best first, from a sweep of the direction of the line.
+
+        If a face has several visible ends, it is unknown which one is the edge. First the same
+        kind of end is chosen in all stations, then the same side.
+        """
+        target = whole.config.target
+        alone = replace(whole.config, target=replace(target, use_face=False))
+        problem = some_of(replace(whole, config=alone), rng)
+        for parts in (same_kind, same_side):
+            found = (e for part in parts(problem, MINIMUM)
+                     for e in best_of(part, linear_candidates(part)))
+            for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
+                yield _with_face(whole, e) if target.use_face else e
+
+    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+                   ) -> Conditions:
+        """Return the distances from the line in y and z, or from the face."""
+        T = target.reshape(*target.shape[:-1], 4, 4)
+        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
+        dg_dp = NORMALS[kind] @ np.swapaxes(R, -1, -2)
+        by_rotation = -se3.cross(offset, dg_dp) @ R
+        return Conditions((offset * dg_dp).sum(axis=-1), dg_dp,
+                          np.concatenate([-dg_dp @ R[..., 1:], by_rotation], axis=-1))
+
+    def retract(self, target: Array, delta: Array) -> Array:
+        """Return lines (..., 16) after a step: along their y and z, about their x, y and z."""
+        T = target.reshape(*target.shape[:-1], 4, 4)
+        step = np.concatenate([np.einsum('...ij,...j->...i', T[..., :3, 1:3], delta[..., :2]),
+                               np.einsum('...ij,...j->...i', T[..., :3, :3], delta[..., 2:])],
+                              axis=-1)
+        return se3.perturb(T, step).reshape(target.shape)
+
+    def free(self, config: Config) -> NDArray[np.bool_]:
+        """Return which parameters are unknown; the turn about the line only with a face."""
+        return np.array([True, True, config.target.use_face, True, True])
+
+    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+                ) -> Observations:
+        """
+        Return the observations labelled, unused ones marked.
+
+        Of several edge points of a station, only the nearest to the line is used. A station that
+        shows another face (the edge of a block has two) takes part with its edge point alone.
+        """
+        edge, away = observations.kind != FACE, _away(p, target)
+        nearest = np.full(observations.station.max() + 1, np.inf)
+        np.minimum.at(nearest, observations.station[edge], away[edge])
+        with_face = np.zeros(len(nearest), dtype=bool)
+        if config.target.use_face:
+            turn = np.abs(_turns(observations, p, target))
+            with_face = np.minimum(turn, np.pi - turn) < SAME_FACE
+        idle = np.where(with_face[observations.station], EDGE_Z, FACE)
+        unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))
+        return replace(observations, kind=np.where(unused, UNUSED, observations.kind))
+
+    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+        """Return a point of the line and its direction."""
+        T = target.reshape(4, 4)
+        return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+                'direction': T[:3, 0].tolist()}
 
 
-LINE = Method(
-    'line', KINDS, LABELS, essential=('edge',), minimum=MINIMUM, guess=guess,
-    features=FeatureModel(face_features, observe),
-    geometry=Geometry(conditions, retract, free, relabel), measures=Measures(describe),
-    nuisances=FACES_AND_EDGES)
+LINE = Line()

@@ -18,17 +18,13 @@ from handeye_ros.data import Array, FaceLine, Feature, Sample
 from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
-    FeatureModel,
-    Geometry,
-    Measures,
-    Method,
     Observations,
     Problem,
     UNUSED,
 )
 from handeye_ros.estimation.search import best_of, different
 from handeye_ros.profiles.faces import plane_features
-from handeye_ros.targets.blocks import FACES_AND_EDGES
+from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import (
     add_face,
     best_linear,
@@ -51,52 +47,9 @@ AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surf
 TINY = 1e-30  # m^2
 
 
-def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of the face lines of samples."""
-    return collect(samples, _add)
-
-
 def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source)
-
-
-def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the height over the plane of points p (..., m, 3) in base, targets (..., 16)."""
-    T = target.reshape(*target.shape[:-1], 4, 4)
-    offset, normal = p - T[..., None, :3, 3], T[..., None, :3, 2]
-    by_tilt = se3.cross(normal, offset) @ T[..., :3, :2]
-    return Conditions((offset * normal).sum(axis=-1), np.broadcast_to(normal, p.shape),
-                      np.concatenate([-np.ones((*p.shape[:-1], 1)), by_tilt], axis=-1))
-
-
-def retract(target: Array, delta: Array) -> Array:
-    """Return planes (..., 16) after a step: along their normals, about their x and y."""
-    T = target.reshape(*target.shape[:-1], 4, 4)
-    step = np.concatenate([delta[..., :1] * T[..., :3, 2],
-                           np.einsum('...ij,...j->...i', T[..., :3, :2], delta[..., 1:])], axis=-1)
-    return se3.perturb(T, step).reshape(target.shape)
-
-
-def free(config: Config) -> NDArray[np.bool_]:
-    """Return that all three parameters of the plane are unknown."""
-    return np.ones(3, dtype=bool)
-
-
-def relabel(observations: Observations, p: Array, target: Array, config: Config
-            ) -> Observations:
-    """Return the observations with one surface per station: the longest of the near ones."""
-    if not several_surfaces(observations):
-        return observations
-    surface = observations.source // SOURCES
-    squares = conditions(p, observations.kind, target, config).g ** 2
-    chosen = nearest_piece(observations, surface, squares)
-    return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
-
-
-def several_surfaces(observations: Observations) -> bool:
-    """Return whether a station shows several surfaces."""
-    return bool(observations.source.max(initial=0) >= SOURCES)
 
 
 def one_surface(problem: Problem) -> list[Problem]:
@@ -106,7 +59,7 @@ def one_surface(problem: Problem) -> list[Problem]:
     Only the problem itself if no station shows several surfaces.
     """
     obs, sign = problem.observations, problem.config.profile.range_sign
-    if not several_surfaces(obs):
+    if not PLANE.ambiguous(obs):
         return [problem]
     surface = obs.source // SOURCES
     count = int(surface.max()) + 1
@@ -122,28 +75,13 @@ def one_surface(problem: Problem) -> list[Problem]:
     return with_one_piece(problem, surface, [(rank, n > 0) for rank in (depth, order, -depth)])
 
 
-def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield starts, best first; of few stations, which nearly fit in many wrong ways, then all."""
-    problem = some_of(replace(whole, method=PLANE), rng)
-    found: list[Estimate] = []
-    for more in (1, NORMALS // CANDIDATES) if whole.few else (1,):
-        known = len(found)
-        for part in one_surface(problem):
-            found += best_of(part, linear_candidates(part, more), more)
-        fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
-        if several_surfaces(problem.observations):
-            away = {i: _typical_distance(problem, found[i]) for i in fresh}
-            fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
-        yield from (found[i] for i in fresh)
-
-
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     """Return the distance (m) from the plane within which most stations have a surface."""
     p = problem.points_in_base(estimate.X)
-    labelled = relabel(problem.observations, p, estimate.target, problem.config)
+    labelled = PLANE.relabel(problem.observations, p, estimate.target, problem.config)
     used = labelled.kind != UNUSED
     station, n = labelled.station[used], len(problem.poses)
-    away = conditions(p[used], labelled.kind[used], estimate.target, problem.config).g
+    away = PLANE.conditions(p[used], labelled.kind[used], estimate.target, problem.config).g
     count = np.maximum(np.bincount(station, minlength=n), 1)
     return float(np.quantile(np.bincount(station, away ** 2, n) / count, BELIEVED_SHARE) ** 0.5)
 
@@ -180,16 +118,71 @@ def _estimates(x: Array, normal: Array, a_mean: Array) -> list[Estimate]:
     return [Estimate(*both) for both in zip(nearest_transform(x), T, strict=True)]
 
 
-def describe(target: Array, std: Array) -> dict[str, Any]:
-    """Return the plane's normal and distance from the base."""
-    T = target.reshape(4, 4)
-    return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
+class Plane(FaceTarget):
+    """A plane: one straight piece of each profile lies on it; its border is not used."""
+
+    name = 'plane'
+    kinds = ('face',)
+    labels = ('z', 'rx', 'ry')
+    one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
+                'all of the position and part of the rotation')
+
+    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
+        """Return the features of one profile (n, 2); raises FeatureError without them."""
+        return plane_features(points, config)
+
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of the face lines of samples."""
+        return collect(samples, _add)
+
+    def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+        """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
+        problem = some_of(replace(whole, method=PLANE), rng)
+        found: list[Estimate] = []
+        for more in (1, NORMALS // CANDIDATES) if whole.few else (1,):
+            known = len(found)
+            for part in one_surface(problem):
+                found += best_of(part, linear_candidates(part, more), more)
+            fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
+            if self.ambiguous(problem.observations):
+                away = {i: _typical_distance(problem, found[i]) for i in fresh}
+                fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
+            yield from (found[i] for i in fresh)
+
+    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+                   ) -> Conditions:
+        """Return the height over the plane of points p (..., m, 3) in base, targets (..., 16)."""
+        T = target.reshape(*target.shape[:-1], 4, 4)
+        offset, normal = p - T[..., None, :3, 3], T[..., None, :3, 2]
+        by_tilt = se3.cross(normal, offset) @ T[..., :3, :2]
+        return Conditions((offset * normal).sum(axis=-1), np.broadcast_to(normal, p.shape),
+                          np.concatenate([-np.ones((*p.shape[:-1], 1)), by_tilt], axis=-1))
+
+    def retract(self, target: Array, delta: Array) -> Array:
+        """Return planes (..., 16) after a step: along their normals, about their x and y."""
+        T = target.reshape(*target.shape[:-1], 4, 4)
+        tilt = np.einsum('...ij,...j->...i', T[..., :3, :2], delta[..., 1:])
+        step = np.concatenate([delta[..., :1] * T[..., :3, 2], tilt], axis=-1)
+        return se3.perturb(T, step).reshape(target.shape)
+
+    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+                ) -> Observations:
+        """Return the observations with one surface per station: the longest of the near ones."""
+        if not self.ambiguous(observations):
+            return observations
+        surface = observations.source // SOURCES
+        squares = self.conditions(p, observations.kind, target, config).g ** 2
+        chosen = nearest_piece(observations, surface, squares)
+        return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
+
+    def ambiguous(self, observations: Observations) -> bool:
+        """Return whether a station shows several surfaces."""
+        return bool(observations.source.max(initial=0) >= SOURCES)
+
+    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+        """Return the plane's normal and distance from the base."""
+        T = target.reshape(4, 4)
+        return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
 
 
-PLANE = Method(
-    'plane', ('face',), ('z', 'rx', 'ry'), essential=(), minimum=6, guess=guess,
-    features=FeatureModel(plane_features, observe),
-    geometry=Geometry(conditions, retract, free, relabel, several_surfaces),
-    measures=Measures(describe, one_axis='the position along it is free, and if it is the normal '
-                      'of the plane (yaw only) all of the position and part of the rotation'),
-    nuisances=FACES_AND_EDGES)
+PLANE = Plane()

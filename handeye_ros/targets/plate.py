@@ -18,18 +18,14 @@ from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
-    FeatureModel,
-    Geometry,
-    Measures,
-    Method,
     Observations,
     Problem,
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.blocks import FACES_AND_EDGES
+from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import add_face, collect, edge_noise, FACE, ObservationRows
-from handeye_ros.targets.plane import guess as plane_guess
+from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.starts import turned, two_lines
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +41,6 @@ SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another
 BELIEVED_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 
-def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of face lines and edge points; labels are assigned later."""
-    return collect(samples, _add)
-
-
 def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source)
@@ -58,66 +49,9 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
         rows.add(station, feature.point + feature.drop, P, edge_noise(feature), source, feature)
 
 
-def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the height over the face, or the distance from the edge, of points (m, 3)."""
-    T, size, angle = target[:16].reshape(4, 4), target[SIZE], target[ANGLE]
-    R = T[:3, :3]
-    local = (p - T[:3, 3]) @ R
-    along_q = np.array([np.cos(angle), np.sin(angle), 0.0])
-    across_q = np.array([np.sin(angle), -np.cos(angle), 0.0])
-    normals = np.array([[0, 0, 1.0], [0, 1.0, 0], across_q, [0, 1.0, 0], across_q])[kind]
-    offsets = np.array([0.0, 0.0, 0.0, size[1] * np.sin(angle), size[0] * np.sin(angle)])[kind]
-    g = (local * normals).sum(axis=1) - offsets
-    dg_dp = normals @ R.T
-    by_angle = np.where((kind == Q) | (kind == Q_FAR), local @ along_q, 0.0)
-    by_angle = by_angle - np.where(kind == P_FAR, size[1], np.where(
-        kind == Q_FAR, size[0], 0.0)) * np.cos(angle)
-    by_rotation = -se3.cross(p - T[:3, 3], dg_dp)
-    by_size = [np.where(kind == k, -np.sin(angle), 0.0) for k in (Q_FAR, P_FAR)]
-    return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, *by_size, by_angle]))
-
-
-def retract(target: Array, delta: Array) -> Array:
-    """Return the target after a step delta (9,)."""
-    T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
-    return np.append(T.ravel(), target[16:] + delta[6:])
-
-
-def free(config: Config) -> NDArray[np.bool_]:
-    """Return which parameters are unknown: all but the lengths and the edge angle."""
-    return np.array([True] * 6 + [False] * 2 + [config.target.edge_angle_free])
-
-
-def tolerances(config: Config) -> Array:
-    """Return 1 sigma of the stated lengths and of the right angle."""
-    size = config.target.size_std if config.target.size else 0.0
-    angle = 0.0 if config.target.edge_angle_free else config.target.edge_angle_std
-    return np.array([0.0] * 6 + [size, size, angle])
-
-
 def state(T_base_target: Array, config: Config) -> Array:
     """Return the values (19,) that describe a plate as configured, at a pose (4, 4)."""
     return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
-
-
-def relabel(observations: Observations, p: Array, target: Array, config: Config
-            ) -> Observations:
-    """
-    Return the observations with each edge point assigned to the nearest edge.
-
-    An edge is possible if the face is on its right side and the laser crosses it steeply enough.
-    Points far from all edges are not used, such as face ends at the limit of the sensor's range.
-    """
-    rows, outward = _edge_points(observations, p, target)
-    kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
-    distance = np.array([np.abs(conditions(p[rows], np.full(len(rows), k), target, config).g)
-                         for k in kinds])
-    steepness = OUTWARD[kinds] @ outward.T
-    distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
-    nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
-    kind = observations.kind.copy()
-    kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
-    return replace(observations, kind=kind)
 
 
 def _edge_points(observations: Observations, p: Array, target: Array
@@ -135,16 +69,6 @@ def _gate(distance: Array) -> float:
     """Return the largest accepted distance of an edge point, from the distances (m,) of all."""
     believed = np.quantile(distance, BELIEVED_SHARE, method='lower') if len(distance) else 0.0
     return max(SMALLEST_GATE, GATE * float(believed))
-
-
-def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield starts: first the plane, then the two edges in it."""
-    faces = problem.observations.select(problem.observations.kind == FACE)
-    for plane in plane_guess(replace(problem, observations=faces), rng):
-        estimate = _with_edges(problem, plane, rng)
-        yield estimate
-        if problem.config.target.size:  # edge p may run along either of the two
-            yield _turned_around_corner(estimate)
 
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
@@ -203,52 +127,124 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
     return best
 
 
-def relax(config: Config) -> Config | None:
-    """Return the configuration with a free edge angle, None if it is free already."""
-    if config.target.edge_angle_free:
-        return None
-    return replace(config, target=replace(config.target, edge_angle_free=True))
+class Plate(FaceTarget):
+    """A plate: two straight edges with a common corner, and the face between them."""
+
+    name = 'plate'
+    kinds = KINDS
+    labels = LABELS
+    essential = KINDS[1:]
+
+    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
+        """Return the features of one profile (n, 2); raises FeatureError without them."""
+        return face_features(points, config)
+
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of face lines and edge points; labels are assigned later."""
+        return collect(samples, _add)
+
+    def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+        """Yield starts: first the plane, then the two edges in it."""
+        faces = problem.observations.select(problem.observations.kind == FACE)
+        for plane in PLANE.guess(replace(problem, observations=faces), rng):
+            estimate = _with_edges(problem, plane, rng)
+            yield estimate
+            if problem.config.target.size:  # edge p may run along either of the two
+                yield _turned_around_corner(estimate)
+
+    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+                   ) -> Conditions:
+        """Return the height over the face, or the distance from the edge, of points (m, 3)."""
+        T, size, angle = target[:16].reshape(4, 4), target[SIZE], target[ANGLE]
+        R = T[:3, :3]
+        local = (p - T[:3, 3]) @ R
+        along_q = np.array([np.cos(angle), np.sin(angle), 0.0])
+        across_q = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        normals = np.array([[0, 0, 1.0], [0, 1.0, 0], across_q, [0, 1.0, 0], across_q])[kind]
+        offsets = np.array([0.0, 0.0, 0.0, size[1] * np.sin(angle), size[0] * np.sin(angle)])[kind]
+        g = (local * normals).sum(axis=1) - offsets
+        dg_dp = normals @ R.T
+        by_angle = np.where((kind == Q) | (kind == Q_FAR), local @ along_q, 0.0)
+        by_angle = by_angle - np.where(kind == P_FAR, size[1], np.where(
+            kind == Q_FAR, size[0], 0.0)) * np.cos(angle)
+        by_rotation = -se3.cross(p - T[:3, 3], dg_dp)
+        by_size = [np.where(kind == k, -np.sin(angle), 0.0) for k in (Q_FAR, P_FAR)]
+        return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, *by_size, by_angle]))
+
+    def retract(self, target: Array, delta: Array) -> Array:
+        """Return the target after a step delta (9,)."""
+        T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
+        return np.append(T.ravel(), target[16:] + delta[6:])
+
+    def free(self, config: Config) -> NDArray[np.bool_]:
+        """Return which parameters are unknown: all but the lengths and the edge angle."""
+        return np.array([True] * 6 + [False] * 2 + [config.target.edge_angle_free])
+
+    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+                ) -> Observations:
+        """
+        Return the observations with each edge point assigned to the nearest edge.
+
+        An edge is possible if the face is on its right side and the laser crosses it steeply
+        enough. Points far from all edges are not used, such as ends at the limit of the range.
+        """
+        rows, outward = _edge_points(observations, p, target)
+        kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
+        distance = np.array([np.abs(self.conditions(
+            p[rows], np.full(len(rows), k), target, config).g) for k in kinds])
+        steepness = OUTWARD[kinds] @ outward.T
+        distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
+        nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
+        kind = observations.kind.copy()
+        kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
+        return replace(observations, kind=kind)
+
+    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+        """Return the target's pose and edge angle as plain values."""
+        T = target[:16].reshape(4, 4)
+        x, y, z, w = map(float, se3.quaternion(T))
+        translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
+        return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
+                'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
+
+    def tolerances(self, config: Config) -> Array:
+        """Return 1 sigma of the stated lengths and of the right angle."""
+        size = config.target.size_std if config.target.size else 0.0
+        angle = 0.0 if config.target.edge_angle_free else config.target.edge_angle_std
+        return np.array([0.0] * 6 + [size, size, angle])
+
+    def configured(self, config: Config) -> Array:
+        """Return the configured lengths and the right angle between the edges, (9,)."""
+        return np.array([0.0] * 6 + [*(config.target.size or (0.0, 0.0)), np.pi / 2])
+
+    def relax(self, config: Config) -> Config | None:
+        """Return the configuration with a free edge angle, None if it is free already."""
+        if config.target.edge_angle_free:
+            return None
+        return replace(config, target=replace(config.target, edge_angle_free=True))
+
+    def elsewhere(self, observations: Observations, p: Array, target: Array, config: Config
+                  ) -> str:
+        """
+        Return in words where edge points lie that are on no edge of the plate, '' if unknown.
+
+        observations, p: all of these stations; where several points agree, it is another edge.
+        """
+        rows, outward = _edge_points(observations, p, target)
+        size, found = config.target.size, []
+        for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
+            if opposite in (P_FAR, Q_FAR) and not size:
+                continue
+            facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
+            ends = p[rows[facing]]
+            away = np.abs(self.conditions(ends, np.full(len(ends), opposite), target, config).g)
+            middle = float(np.median(away)) if len(away) else 0.0
+            count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
+            if count > 1:
+                found.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
+                    f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
+                    ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
+        return '; '.join(found)
 
 
-def configured(config: Config) -> Array:
-    """Return the configured lengths and the right angle between the edges, (9,)."""
-    return np.array([0.0] * 6 + [*(config.target.size or (0.0, 0.0)), np.pi / 2])
-
-
-def elsewhere(observations: Observations, p: Array, target: Array, config: Config) -> str:
-    """
-    Return in words where edge points lie that are on no edge of the plate, '' if unknown.
-
-    observations, p: all of these stations; where several points agree, it is another edge.
-    """
-    rows, outward = _edge_points(observations, p, target)
-    size, found = config.target.size, []
-    for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
-        if opposite in (P_FAR, Q_FAR) and not size:
-            continue
-        facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
-        away = np.abs(conditions(p, np.full(len(p), opposite), target, config).g[rows[facing]])
-        middle = float(np.median(away)) if len(away) else 0.0
-        count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
-        if count > 1:
-            found.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
-                f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
-                ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
-    return '; '.join(found)
-
-
-def describe(target: Array, std: Array) -> dict[str, Any]:
-    """Return the target's pose and edge angle as plain values."""
-    T = target[:16].reshape(4, 4)
-    x, y, z, w = map(float, se3.quaternion(T))
-    translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
-    return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
-            'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
-
-
-PLATE = Method(
-    'plate', KINDS, LABELS, essential=KINDS[1:], minimum=6, guess=guess,
-    features=FeatureModel(face_features, observe),
-    geometry=Geometry(conditions, retract, free, relabel),
-    measures=Measures(describe, tolerances, configured, relax, elsewhere=elsewhere),
-    nuisances=FACES_AND_EDGES)
+PLATE = Plate()

@@ -17,12 +17,9 @@ from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
-    FeatureModel,
-    Geometry,
-    Measures,
-    Method,
     Observations,
     Problem,
+    Target,
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features
@@ -39,11 +36,6 @@ REGULAR = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 AT_ONCE = 50  # rotations for which the offset across the plane is searched together
 
 
-def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of the arcs' normal points."""
-    return collect(samples, _add)
-
-
 def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
     if isinstance(feature, Arc):
         outward = feature.points - feature.centre
@@ -51,44 +43,6 @@ def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> 
         noise = np.zeros((len(outward), 2, 2))
         noise[:, :, 0] = outward * feature.std[:, None]
         rows.add_points(station, feature.points, 0, noise)
-
-
-def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the distances from the sphere of points p (..., m, 3) in base."""
-    outward = p - target[..., None, :3]
-    x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
-    distance = np.sqrt(x * x + y * y + z * z)
-    outward /= distance[..., None]
-    by_target = np.full((*p.shape[:-1], 4), -1.0)
-    np.negative(outward, out=by_target[..., :3])
-    return Conditions(distance - target[..., 3:], outward, by_target)
-
-
-def retract(target: Array, delta: Array) -> Array:
-    """Return centres and radii (..., 4) after a step delta."""
-    return target + delta
-
-
-def free(config: Config) -> NDArray[np.bool_]:
-    """Return which parameters are unknown: the centre, and the radius if it is not given."""
-    return np.array([True, True, True, config.target.radius <= 0])
-
-
-def tolerances(config: Config) -> Array:
-    """Return 1 sigma of the stated radius."""
-    return np.array([0.0] * 3 + [config.target.radius_std if config.target.radius > 0 else 0.0])
-
-
-def guess(whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """
-    Yield starts, best first, from a sweep of rotations of the sensor.
-
-    For a given rotation, the centre's coordinates in the sensor plane are linear in the other
-    unknowns, on whichever side of the plane the centre lies.
-    """
-    problem = some_of(whole, rng)
-    some = replace(problem, observations=_fewer(problem.observations))
-    yield from best_of(some, _candidates(problem, problem.config.target.radius))
 
 
 def _fewer(observations: Observations) -> Observations:
@@ -181,34 +135,77 @@ def rotations(count: int) -> Array:
     return np.asarray(Rotation.from_quat(q).as_matrix())
 
 
-def arc_points(sample: Sample, points: Array, kind: NDArray[np.intp]
-               ) -> tuple[Array, NDArray[np.intp]]:
-    """Return all raw points of the arcs of a sample."""
-    arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
-    points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
-    return points, np.zeros(len(points), dtype=np.intp)
+class Sphere(Target):
+    """A sphere: all points of all arcs are at the radius from one centre."""
+
+    name = 'sphere'
+    kinds = ('arc',)
+    labels = ('x', 'y', 'z', 'radius')
+
+    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
+        """Return the features of one profile (n, 2); raises FeatureError without them."""
+        return arc_features(points, config)
+
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of the arcs' normal points."""
+        return collect(samples, _add)
+
+    def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
+                   ) -> tuple[Array, NDArray[np.intp]]:
+        """Return all raw points of the arcs of a sample."""
+        arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
+        points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
+        return points, np.zeros(len(points), dtype=np.intp)
+
+    def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+        """
+        Yield starts, best first, from a sweep of rotations of the sensor.
+
+        For a given rotation, the centre's coordinates in the sensor plane are linear in the other
+        unknowns, on whichever side of the plane the centre lies.
+        """
+        problem = some_of(whole, rng)
+        some = replace(problem, observations=_fewer(problem.observations))
+        yield from best_of(some, _candidates(problem, problem.config.target.radius))
+
+    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+                   ) -> Conditions:
+        """Return the distances from the sphere of points p (..., m, 3) in base."""
+        outward = p - target[..., None, :3]
+        x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
+        distance = np.sqrt(x * x + y * y + z * z)
+        outward /= distance[..., None]
+        by_target = np.full((*p.shape[:-1], 4), -1.0)
+        np.negative(outward, out=by_target[..., :3])
+        return Conditions(distance - target[..., 3:], outward, by_target)
+
+    def retract(self, target: Array, delta: Array) -> Array:
+        """Return centres and radii (..., 4) after a step delta."""
+        return target + delta
+
+    def free(self, config: Config) -> NDArray[np.bool_]:
+        """Return which parameters are unknown: the centre, and the radius if it is not given."""
+        return np.array([True, True, True, config.target.radius <= 0])
+
+    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+        """Return the sphere's centre and radius as plain values."""
+        return {'centre': dict(zip('xyz', map(float, target[:3]), strict=True)),
+                'radius': float(target[3]), 'radius_std': float(std[3])}
+
+    def tolerances(self, config: Config) -> Array:
+        """Return 1 sigma of the stated radius."""
+        stated = config.target.radius_std if config.target.radius > 0 else 0.0
+        return np.array([0.0] * 3 + [stated])
+
+    def configured(self, config: Config) -> Array:
+        """Return the configured radius, (4,)."""
+        return np.array([0.0] * 3 + [config.target.radius])
+
+    def relax(self, config: Config) -> Config | None:
+        """Return the configuration with a free radius, None if it is free already."""
+        if config.target.radius <= 0:
+            return None
+        return replace(config, target=replace(config.target, radius=0.0))
 
 
-def relax(config: Config) -> Config | None:
-    """Return the configuration with a free radius, None if it is free already."""
-    if config.target.radius <= 0:
-        return None
-    return replace(config, target=replace(config.target, radius=0.0))
-
-
-def configured(config: Config) -> Array:
-    """Return the configured radius, (4,)."""
-    return np.array([0.0] * 3 + [config.target.radius])
-
-
-def describe(target: Array, std: Array) -> dict[str, Any]:
-    """Return the sphere's centre and radius as plain values."""
-    return {'centre': dict(zip('xyz', map(float, target[:3]), strict=True)),
-            'radius': float(target[3]), 'radius_std': float(std[3])}
-
-
-SPHERE = Method(
-    'sphere', ('arc',), ('x', 'y', 'z', 'radius'), essential=(), minimum=6, guess=guess,
-    features=FeatureModel(arc_features, observe, arc_points),
-    geometry=Geometry(conditions, retract, free),
-    measures=Measures(describe, tolerances, configured, relax))
+SPHERE = Sphere()

@@ -18,11 +18,7 @@ from handeye_ros.data import Array, FaceLine, Feature, Sample
 from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
-    FeatureModel,
-    Geometry,
     linearise,
-    Measures,
-    Method,
     Observations,
     Problem,
     UNUSED,
@@ -31,7 +27,7 @@ from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.lines import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
-from handeye_ros.targets.blocks import FACES_AND_EDGES
+from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import (
     add_face,
     collect,
@@ -51,64 +47,14 @@ MINIMUM = 6  # samples
 SWEEP = 24  # angles tried for the pair of faces about a known edge
 
 
-def observe(samples: Sequence[Sample]) -> Observations:
-    """Return the conditions of the face lines; the left one counts as face 1 for now."""
-    return collect(samples, _add)
-
-
 def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
     if isinstance(feature, FaceLine):
         add_face(rows, station, feature, source, kind=source // SOURCES % len(KINDS))
 
 
-def conditions(p: Array, kind: NDArray[np.intp], target: Array, config: Config) -> Conditions:
-    """Return the height over its face of points p (..., m, 3) in base, targets (..., 18)."""
-    T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
-    R, offset, turn = T[..., :3, :3], p - T[..., None, :3, 3], target[..., 16:][..., kind]
-    c, s = np.cos(turn), np.sin(turn)
-    normal = c[..., None] * R[..., None, :, 1] + s[..., None] * R[..., None, :, 2]
-    along, y, z = np.moveaxis(offset @ R, -1, 0)
-    by_turn = c * z - s * y
-    by_target = np.stack([-c, -s, s * along, -c * along, by_turn, SHARE[kind] * by_turn], axis=-1)
-    return Conditions((offset * normal).sum(axis=-1), normal, by_target)
-
-
-def retract(target: Array, delta: Array) -> Array:
-    """Return targets (..., 18) after a step: along and about y and z, turn, and angle."""
-    T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
-    across = T[..., :3, 1:3]
-    step = np.concatenate([np.einsum('...ij,...j->...i', across, delta[..., :2]),
-                           np.einsum('...ij,...j->...i', across, delta[..., 2:4])], axis=-1)
-    pose = se3.perturb(T, step).reshape(*target.shape[:-1], 16)
-    turns = target[..., 16:] + delta[..., 4:5] + SHARE * delta[..., 5:]
-    return np.concatenate([pose, turns], axis=-1)
-
-
-def free(config: Config) -> NDArray[np.bool_]:
-    """Return that all parameters are unknown."""
-    return np.ones(len(LABELS), dtype=bool)
-
-
-def relabel(observations: Observations, p: Array, target: Array, config: Config
-            ) -> Observations:
-    """Return two lines per station, the best fitting ones, assigned to the two faces."""
-    kind, pair = observations.kind, _pair(observations)
-    group = observations.station * (int(pair.max()) + 1) + pair
-    as_is, swapped = (conditions(p, k, target, config).g ** 2 for k in (kind, 1 - kind))
-    better = (np.bincount(group, swapped) < np.bincount(group, as_is))[group]
-    kind = np.where(better, 1 - kind, kind)
-    chosen = nearest_piece(observations, pair, np.where(better, swapped, as_is))
-    return replace(observations, kind=np.where(chosen, kind, UNUSED))
-
-
 def _pair(observations: Observations) -> NDArray[np.intp]:
     """Return for each observation (m,) the pair of lines that it belongs to."""
     return observations.source // (len(KINDS) * SOURCES)
-
-
-def several_corners(observations: Observations) -> bool:
-    """Return whether a station shows several edges."""
-    return bool(_pair(observations).any())
 
 
 def one_corner(problem: Problem) -> list[Problem]:
@@ -120,7 +66,7 @@ def one_corner(problem: Problem) -> list[Problem]:
     groove, where the faces meet on the other side; or any, that of the longest faces.
     """
     obs, pair = problem.observations, _pair(problem.observations)
-    if not several_corners(obs):
+    if not WEDGE.ambiguous(obs):
         return [problem]
     shape = (len(problem.poses), int(pair.max()) + 1)
     depth = np.full(shape, np.nan)  # of the corners over the range axis
@@ -139,17 +85,6 @@ def one_corner(problem: Problem) -> list[Problem]:
                (order, ~np.isnan(depth))]
     parts = with_one_piece(problem, pair, choices)
     return [part for part in parts if len(part.poses) >= MINIMUM]
-
-
-def guess(problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-    """Yield starts; where several edges are visible, from each choice in turn."""
-    choices = [_guess(part) for part in one_corner(some_of(problem, rng))]
-    while choices:
-        for choice in tuple(choices):
-            if (start := next(choice, None)) is None:
-                choices.remove(choice)
-            else:
-                yield start
 
 
 def _guess(problem: Problem) -> Iterator[Estimate]:
@@ -177,7 +112,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # by their labels
     for start in starts:
         p = problem.observations.in_base(problem.poses, start.X)
-        labelled = relabel(problem.observations, p, start.target, problem.config)
+        labelled = WEDGE.relabel(problem.observations, p, start.target, problem.config)
         part = replace(problem, observations=labelled)
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
     found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
@@ -235,20 +170,79 @@ def _two_directions(angle: Array, weight: Array) -> tuple[float, float]:
     return best
 
 
-def describe(target: Array, std: Array) -> dict[str, Any]:
-    """Return the edge's point and direction, the faces' normals and the angle between (rad)."""
-    T, (first, second) = target[:16].reshape(4, 4), target[16:]
-    between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
-    return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
-            'direction': T[:3, 0].tolist(),
-            **{f'normal_{k}': (np.cos(turn) * T[:3, 1] + np.sin(turn) * T[:3, 2]).tolist()
-               for k, turn in enumerate((first, second), 1)}, 'face_angle': between,
-            'face_angle_std': float(std[5])}
+class Wedge(FaceTarget):
+    """The edge of a block, or a groove: two faces, both visible in every profile."""
+
+    name = 'wedge'
+    kinds = KINDS
+    labels = LABELS
+    minimum = MINIMUM
+
+    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
+        """Return the features of one profile (n, 2); raises FeatureError without them."""
+        return corner_features(points, config)
+
+    def observe(self, samples: Sequence[Sample]) -> Observations:
+        """Return the conditions of the face lines; the left one counts as face 1 for now."""
+        return collect(samples, _add)
+
+    def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+        """Yield starts; where several edges are visible, from each choice in turn."""
+        choices = [_guess(part) for part in one_corner(some_of(problem, rng))]
+        while choices:
+            for choice in tuple(choices):
+                if (start := next(choice, None)) is None:
+                    choices.remove(choice)
+                else:
+                    yield start
+
+    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+                   ) -> Conditions:
+        """Return the height over its face of points p (..., m, 3) in base, targets (..., 18)."""
+        T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+        R, offset, turn = T[..., :3, :3], p - T[..., None, :3, 3], target[..., 16:][..., kind]
+        c, s = np.cos(turn), np.sin(turn)
+        normal = c[..., None] * R[..., None, :, 1] + s[..., None] * R[..., None, :, 2]
+        along, y, z = np.moveaxis(offset @ R, -1, 0)
+        by_turn = c * z - s * y
+        by_target = np.stack(
+            [-c, -s, s * along, -c * along, by_turn, SHARE[kind] * by_turn], axis=-1)
+        return Conditions((offset * normal).sum(axis=-1), normal, by_target)
+
+    def retract(self, target: Array, delta: Array) -> Array:
+        """Return targets (..., 18) after a step: along and about y and z, turn, and angle."""
+        T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+        across = T[..., :3, 1:3]
+        step = np.concatenate([np.einsum('...ij,...j->...i', across, delta[..., :2]),
+                               np.einsum('...ij,...j->...i', across, delta[..., 2:4])], axis=-1)
+        pose = se3.perturb(T, step).reshape(*target.shape[:-1], 16)
+        turns = target[..., 16:] + delta[..., 4:5] + SHARE * delta[..., 5:]
+        return np.concatenate([pose, turns], axis=-1)
+
+    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+                ) -> Observations:
+        """Return two lines per station, the best fitting ones, assigned to the two faces."""
+        kind, pair = observations.kind, _pair(observations)
+        group = observations.station * (int(pair.max()) + 1) + pair
+        as_is, swapped = (self.conditions(p, k, target, config).g ** 2 for k in (kind, 1 - kind))
+        better = (np.bincount(group, swapped) < np.bincount(group, as_is))[group]
+        kind = np.where(better, 1 - kind, kind)
+        chosen = nearest_piece(observations, pair, np.where(better, swapped, as_is))
+        return replace(observations, kind=np.where(chosen, kind, UNUSED))
+
+    def ambiguous(self, observations: Observations) -> bool:
+        """Return whether a station shows several edges."""
+        return bool(_pair(observations).any())
+
+    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+        """Return the edge's point and direction, the faces' normals and their angle (rad)."""
+        T, (first, second) = target[:16].reshape(4, 4), target[16:]
+        between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
+        return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+                'direction': T[:3, 0].tolist(),
+                **{f'normal_{k}': (np.cos(turn) * T[:3, 1] + np.sin(turn) * T[:3, 2]).tolist()
+                   for k, turn in enumerate((first, second), 1)}, 'face_angle': between,
+                'face_angle_std': float(std[5])}
 
 
-WEDGE = Method(
-    'wedge', KINDS, LABELS, essential=(), minimum=MINIMUM, guess=guess,
-    features=FeatureModel(corner_features, observe),
-    geometry=Geometry(conditions, retract, free, relabel, several_corners),
-    measures=Measures(describe),
-    nuisances=FACES_AND_EDGES)
+WEDGE = Wedge()

@@ -19,7 +19,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.problem import Conditions, Method, UNUSED
+from handeye_ros.estimation.problem import Conditions, Target, UNUSED
 from handeye_ros.frames import in_mount
 from handeye_ros.targets.common import edges_of
 from handeye_ros.verification import fixed_fit
@@ -50,7 +50,7 @@ class Comparison:
     (6 + k, 6 + k): their joint covariance; noise_scale: factor of the stated noise.
     """
 
-    method: Method
+    method: Target
     stations: StationSet
     X: Array
     state: Array
@@ -65,12 +65,12 @@ class Comparison:
 
     def conditions(self, p: Array) -> Conditions:
         """Return residuals and derivatives of points p (m, 3) in the base."""
-        return self.method.geometry.conditions(p, self.stations.observations.kind, self.state,
+        return self.method.conditions(p, self.stations.observations.kind, self.state,
                                                self.config)
 
     def labelled(self) -> Comparison:
         """Return it with observations assigned to the parts of the target, others removed."""
-        obs = self.method.geometry.relabel(self.stations.observations, self.points, self.state,
+        obs = self.method.relabel(self.stations.observations, self.points, self.state,
                                            self.config)
         return replace(self, stations=replace(
             self.stations, observations=obs.select(obs.kind != UNUSED)))

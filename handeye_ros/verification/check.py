@@ -18,7 +18,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
-from handeye_ros.estimation.problem import Method
+from handeye_ros.estimation.problem import Target
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.targets import METHODS
 from handeye_ros.verification.causes import (
@@ -106,7 +106,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
                    [k + 1 for k in left_out])
 
 
-def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Method,
+def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Target,
                 joint: Mapping[str, Any], config: Config) -> Comparison:
     size = 6 + len(method.labels)
     try:
@@ -115,7 +115,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Met
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
         raise _no_target(calibration) from error
-    stations = StationSet(mounted(samples, config), method.features.observe(samples))
+    stations = StationSet(mounted(samples, config), method.observe(samples))
     return Comparison(method, stations, calibration.T_flange_sensor @ sensor_axes(config), state,
                       covariance, config, scale).labelled()
 

@@ -51,12 +51,12 @@ class Routine:
 
 def faces(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
     """Return the normal points of all face lines."""
-    return METHODS['plane'].features.observe(samples)
+    return METHODS['plane'].observe(samples)
 
 
 def arcs(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
     """Return the normal points of all arcs."""
-    return METHODS['sphere'].features.observe(samples)
+    return METHODS['sphere'].observe(samples)
 
 
 def edge_points(samples: Sequence[Sample], poses: Array, X: Array, line: bool) -> Observations:

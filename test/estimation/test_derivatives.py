@@ -18,7 +18,7 @@ def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:
 
     def residuals(delta: Array) -> Array:
         moved = Estimate(se3.perturb(at.X, delta[:6]),
-                         problem.method.geometry.retract(at.target, delta[6:]))
+                         problem.method.retract(at.target, delta[6:]))
         return linearise(problem, moved).residuals
     steps = h * np.eye(6 + k)
     return np.column_stack([(residuals(d) - residuals(-d)) / (2 * h) for d in steps])
@@ -29,7 +29,7 @@ def somewhere(problem: Problem, solution: Solution, seed: int) -> tuple[Problem,
     rng = np.random.default_rng(seed)
     at, method = solution.estimate, problem.method
     at = Estimate(se3.perturb(at.X, rng.normal(size=6) * 0.02),
-                  method.geometry.retract(at.target, rng.normal(size=len(method.labels)) * 0.02))
+                  method.retract(at.target, rng.normal(size=len(method.labels)) * 0.02))
     kinds = rng.integers(0, len(method.kinds), len(problem.observations))
     return replace(problem, observations=replace(problem.observations, kind=kinds)), at
 

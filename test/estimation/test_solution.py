@@ -18,7 +18,7 @@ from cells import (
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Sample
 from handeye_ros.estimation.least_squares import groups
-from handeye_ros.estimation.problem import Method
+from handeye_ros.estimation.problem import Target
 from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
@@ -134,9 +134,9 @@ def test_a_subset_keeps_what_belongs_to_its_stations() -> None:
 
 def test_every_method_says_what_it_is() -> None:
     for name, method in METHODS.items():
-        assert isinstance(method, Method) and method.name == name
+        assert isinstance(method, Target) and method.name == name
         assert method.minimum >= 3 and set(method.essential) <= set(method.kinds)
         estimate = solution_of(name).estimate
-        moved = method.geometry.retract(estimate.target, np.zeros(len(method.labels)))
+        moved = method.retract(estimate.target, np.zeros(len(method.labels)))
         assert np.allclose(moved, estimate.target)
-        assert method.geometry.free(noisy(name).config).shape == (len(method.labels),)
+        assert method.free(noisy(name).config).shape == (len(method.labels),)

@@ -118,7 +118,7 @@ def test_residuals_of_profiles_have_their_derivatives(monkeypatch, name):
     q = rng.uniform(-1, 1, (len(samples), 6))
     T = Arm(chain).forward(q)
     method = method_for(config)
-    problem = Problem(method, in_mount(T, config), method.features.observe(samples), config)
+    problem = Problem(method, in_mount(T, config), method.observe(samples), config)
     data = profiles.Profiles(np.vstack([q, q]), (problem, problem), (4, 4), np.arange(2 * len(q)))
     state = State(np.eye(4), np.array([0.1, 0.2, 0.3, 0.02, 0.2, -0.1, 0.4, 0.02]),
                   Arm(chain, own, np.zeros(len(own))), np.zeros((1, 3)))

@@ -8,7 +8,7 @@ from functools import lru_cache
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
-from handeye_ros.estimation.problem import Method, Problem
+from handeye_ros.estimation.problem import Problem, Target
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mounted
@@ -46,7 +46,7 @@ class Cell:
 
 def problem(samples: Sequence[Sample], config: Config) -> Problem:
     method = targets.method_for(config)
-    return Problem(method, mounted(samples, config), method.features.observe(samples), config)
+    return Problem(method, mounted(samples, config), method.observe(samples), config)
 
 
 def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
@@ -83,13 +83,13 @@ def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: obje
 
 
 @lru_cache
-def scenario_of(method: Method) -> Scenario:
+def scenario_of(method: Target) -> Scenario:
     """Return the scenario of a method: of its own name, or the first whose samples it can use."""
     if method.name in SCENARIOS:
         return SCENARIOS[method.name]
     for scenario in SCENARIOS.values():
         samples, _ = simulate_samples(scenario, np.random.default_rng(0))
-        if len(method.features.observe(samples)):
+        if len(method.observe(samples)):
             return scenario
     raise LookupError(f'the simulator has no scene for {method.name}')
 

@@ -53,7 +53,7 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     made = exact_cell(scenario, **VALUES.get(name, {}))
     problem, estimate = made.problem, at_truth(made)
     p = problem.points_in_base(estimate.X)
-    observations = problem.method.geometry.relabel(problem.observations, p, estimate.target,
+    observations = problem.method.relabel(problem.observations, p, estimate.target,
                                                    problem.config)
     used = observations.select(observations.kind != UNUSED)
     problem = replace(problem, observations=used)

@@ -14,7 +14,7 @@ from handeye_ros.profiles.lines import corner_features
 from handeye_ros.sampling.station_features import combine
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import Box, Solid
-from handeye_ros.targets import wedge
+from handeye_ros.targets.wedge import WEDGE
 import numpy as np
 import pytest
 
@@ -70,13 +70,13 @@ def test_derivatives_are_differences() -> None:
     T = se3.transform(se3.exp_rotation(rng.normal(size=3)), rng.normal(size=3))
     target = np.append(T.ravel(), rng.normal(size=2))
     p, kind = rng.normal(size=(8, 3)), np.arange(8) % 2
-    at = wedge.conditions(p, kind, target, Config())
+    at = WEDGE.conditions(p, kind, target, Config())
     for k, h in enumerate(1e-6 * np.eye(6)):
-        ahead, behind = (wedge.conditions(p, kind, wedge.retract(target, s * h), Config()).g
+        ahead, behind = (WEDGE.conditions(p, kind, WEDGE.retract(target, s * h), Config()).g
                          for s in (1, -1))
         np.testing.assert_allclose((ahead - behind) / 2e-6, at.dg_dtarget[:, k], atol=1e-8)
     for k, h in enumerate(1e-6 * np.eye(3)):
-        ahead, behind = (wedge.conditions(p + s * h, kind, target, Config()).g for s in (1, -1))
+        ahead, behind = (WEDGE.conditions(p + s * h, kind, target, Config()).g for s in (1, -1))
         np.testing.assert_allclose((ahead - behind) / 2e-6, at.dg_dp[:, k], atol=1e-8)
 
 
@@ -168,7 +168,7 @@ def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
     """Where an offset of the clocks is looked for, three are tried of each."""
     made = cell('wedge', 0)
     many = problem([on_a_table(sample) for sample in made.samples], made.config)
-    starts = islice(wedge.guess(many, np.random.default_rng(0)), 3)
+    starts = islice(WEDGE.guess(many, np.random.default_rng(0)), 3)
     assert min(made.error(start.X) for start in starts) < 1e-3
 
 
