@@ -94,23 +94,6 @@ def degrees(radians: float) -> str:
     return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
 
 
-class OnlyFromFilesError(InputError):
-    """A target that is solved from files, not from profiles of stations."""
-
-    def __init__(self, target: str) -> None:
-        super().__init__(f'target.type {target} is solved from files, not from a stream of '
-                         'profiles: run "handeye solve INPUT --config FILE"')
-
-
-class TableForProfilesError(InputError):
-    """A table of measured values where a recording of profiles is expected."""
-
-    def __init__(self, path: object, target: str, fitting: Sequence[str]) -> None:
-        super().__init__(f'{path} is a table of measured values, but target.type {target} is seen '
-                         'by the profiles of a recording: set target.type to '
-                         f'{" or ".join(fitting)}, as in --set target.type={fitting[0]}')
-
-
 class BagError(InputError):
     """A recording that cannot be read, or not written; path: the bag."""
 

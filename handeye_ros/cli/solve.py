@@ -25,7 +25,7 @@ from handeye_ros.cli.common import (
     with_kinematics,
 )
 from handeye_ros.config import SAVE_FORMATS
-from handeye_ros.errors import NoRosError, TableForProfilesError
+from handeye_ros.errors import InputError, NoRosError
 import typer
 
 if TYPE_CHECKING:
@@ -92,7 +92,11 @@ def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
     from handeye_ros import tabulated
     method = tabulated.of(settings)
     if method is None and path.suffix in TABLES and path.is_file():
-        raise TableForProfilesError(path, settings.target.type, list(tabulated.FILE_METHODS))
+        fitting = list(tabulated.FILE_METHODS)
+        raise InputError(f'{path} is a table of measured values, but target.type '
+                         f'{settings.target.type} is seen by the profiles of a recording: set '
+                         f'target.type to {" or ".join(fitting)}, as in --set '
+                         f'target.type={fitting[0]}')
     return method
 
 

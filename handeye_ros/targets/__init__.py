@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from handeye_ros.config import Config
-from handeye_ros.errors import BadValueError, OnlyFromFilesError
+from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.estimation.problem import Target
 from handeye_ros.targets.line import LINE
 from handeye_ros.targets.plane import PLANE
@@ -19,11 +19,11 @@ def method_for(config: Config) -> Target:
     """
     Return the method that a configuration asks for.
 
-    Raises BadValueError for a name that does not exist, OnlyFromFilesError for a target that is
-    solved from files.
+    Raises InputError for a name that does not exist, or a target that is solved from files.
     """
     if config.target.type in FROM_FILES:
-        raise OnlyFromFilesError(config.target.type)
+        raise InputError(f'target.type {config.target.type} is solved from files, not from a '
+                         'stream of profiles: run "handeye solve INPUT --config FILE"')
     key, name = ('target.type', config.target.type) if config.method == 'auto' else (
         'method', config.method)
     if name not in METHODS:

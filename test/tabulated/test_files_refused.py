@@ -9,7 +9,7 @@ from file_scenes import given, Run, TABLES, target_of
 from handeye_ros import orientations
 from handeye_ros.cli import simulated
 from handeye_ros.config import Config, load, with_values
-from handeye_ros.errors import BadValueError, OnlyFromFilesError
+from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.simulate import measured
 from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_METHODS
@@ -186,7 +186,7 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('name', FILE_METHODS)
 def test_what_takes_profiles_refuses_them(name: str) -> None:
-    with pytest.raises(OnlyFromFilesError, match=f'{name} is solved from files, .*: run "handeye '
+    with pytest.raises(InputError, match=f'{name} is solved from files, .*: run "handeye '
                        'solve'):
         method_for(load(ROOT / 'config' / f'{name}.yaml'))
     with pytest.raises(BadValueError):
