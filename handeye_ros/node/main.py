@@ -15,7 +15,7 @@ from typing import Any
 
 from handeye_ros.errors import HandeyeError, InputError
 
-THREADS = 4  # of the executor: two groups of services, the timers, the parameters
+THREADS = 6  # of the executor: three groups of services, two timers, the parameters
 SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 USAGE = """\

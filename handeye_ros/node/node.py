@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 CURRENT = 0.2  # s between two messages on ~/current
 NICER = 5  # nice value of the process that solves: the streams come first
 REQUESTS = QoSProfile(depth=1000)  # may wait for a solve; by default ROS keeps only ten
-# Services of type Trigger: a slow one does not make the quick ones wait.
+# Services of type Trigger: those that are quick wait for each other, and for no slow one.
 QUICK = ('take_sample', 'remove_last_sample', 'clear_samples', 'save_calibration', 'verify_start')
 SLOW = ('compute_calibration', 'verify_result')
 
@@ -68,11 +68,11 @@ class HandeyeNode(Node):
             self._page = serve(self)
 
     def _serve(self) -> None:
-        quick, slow = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        quick = MutuallyExclusiveCallbackGroup()
         for name in (*QUICK, *SLOW):
+            group = quick if name in QUICK else MutuallyExclusiveCallbackGroup()
             self.create_service(Trigger, f'~/{name}', partial(self._answer, name),
-                                callback_group=slow if name in SLOW else quick,
-                                qos_profile=REQUESTS)
+                                callback_group=group, qos_profile=REQUESTS)
         self.create_service(SetBool, '~/auto_sample', self._auto_sample, callback_group=quick,
                             qos_profile=REQUESTS)
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)

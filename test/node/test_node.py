@@ -93,7 +93,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(
         assert client.call('remove_last_sample').success
         n = offline.quality.samples_used + offline.quality.samples_rejected
         again = client.call('save_calibration').message
-        assert again.startswith(f'wrote {path}; the previous result is kept in {path.parent}')
+        assert again.startswith(f'saved already: {path}; ')
         assert again.endswith(
             f'it was computed from {n} samples, which have changed since '
             f'(1 removed): call ~/compute_calibration for an answer from the current {n - 1}')
