@@ -266,7 +266,8 @@ class Session:
             needed, motion = self._config.sampling.still_time, self.motion
             if motion is None:
                 how = 'too few poses have come to measure its motion: wait'
-            elif motion.still > 0:
+            elif motion.speed * needed <= self._config.sampling.still_translation and (
+                    motion.turning * needed <= self._config.sampling.still_rotation):
                 missing = max(needed - motion.still, 0.1)
                 how = f'but for {motion.still:.1f} s: wait {missing:.1f} s more'
             else:
