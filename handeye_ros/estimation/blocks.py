@@ -130,14 +130,23 @@ def _motions_of_smooth(linear: Linear) -> Array:
     return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth).reshape(6, -1))
 
 
+def points_on_target(linear: Linear) -> Array:
+    """
+    Return the points (m, 2) of the sensor plane, moved to where their conditions hold.
+
+    With the errors of the measured points in its columns, least squares would shrink all lengths
+    (2,000 stations of a ball: by 0.4 %) and find a distortion that is none.
+    """
+    gradient = linear.by_point
+    square = (gradient ** 2).sum(axis=1)
+    share = np.divide(linear.residuals, square, out=np.zeros(len(square)), where=square > 0)
+    return np.asarray(linear.problem.observations.points - gradient * share[:, None])
+
+
 def sensor_scale(linear: Linear) -> Blocks:
     """Yield the block of one scale error of the sensor, nearly collinear with the robot's."""
     std, gradient = 0.3 * linear.problem.config.noise.robot_scale, linear.by_point
-    # of points moved to where their conditions hold: with the errors of the measured points, least
-    # squares would shrink all lengths (2,000 stations of a ball: by 0.4 %)
-    square = (gradient ** 2).sum(axis=1)
-    share = np.divide(linear.residuals, square, out=np.zeros(len(square)), where=square > 0)
-    points = linear.problem.observations.points - gradient * share[:, None]
+    points = points_on_target(linear)
     stretched = (gradient * (points - points.mean(axis=0))).sum(axis=1)
     yield ParameterBlock('sensor_scale', stretched[:, None] * std, std)
 
@@ -145,18 +154,13 @@ def sensor_scale(linear: Linear) -> Blocks:
 def sensor_distortion(linear: Linear) -> Blocks:
     """Yield the blocks of the sensor's distortion: polynomials in its plane, one per degree."""
     std = linear.problem.config.noise.distortion
-    fields = _fields(linear.problem.observations) if std else []
+    fields = bending(points_on_target(linear), DEGREES) if std else []
     for i, field in enumerate(fields):
         size = std * DISTORTION[DEGREES[i]]
         by_x, by_z = (linear.by_point * size).T[:, :, None]
         yield ParameterBlock(
             f'distortion_{DEGREES[i]}', by_x * field[:, 0] + by_z * field[:, 1], size,
             best_fit=partial(_motions_of_degree, i), report='distortion_error')
-
-
-@lru_cache(maxsize=4)  # of the points alone, at any estimate
-def _fields(observations: Observations) -> list[Array]:
-    return bending(observations.points, DEGREES)
 
 
 @lru_cache(maxsize=4)
