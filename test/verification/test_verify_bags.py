@@ -85,7 +85,7 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
     *_, result = verdicts('sphere', 2, tmp_path)
     found = verification_file.read(tmp_path / 'told.yaml')
     assert found.title == f'sphere: {result["verdict"].upper()}, {result["stations"]} stations'
-    assert not found.good and found.sentences == tuple(result['reasons'])
+    assert found.look == 'bad' and found.sentences == tuple(result['reasons'])
     run = CliRunner().invoke(command(), [
         'report', str(tmp_path / 'right.yaml'), '--verification', str(tmp_path / 'told.yaml'),
         '--out', str(tmp_path / 'r.html')])
