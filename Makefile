@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 # make demo, make test: see README.md. Everything that is installed goes into .venv*.
 BAG ?= bags/plate
 OUT ?= out/demo

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 from glob import glob
 import xml.etree.ElementTree as ElementTree
 

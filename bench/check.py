@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 What `handeye check` names, over seeds: false alarms, and the causes of changes.
 

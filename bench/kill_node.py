@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Kills the node itself at random moments, and counts what is lost of what was acknowledged.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Robots with errors of their own: how well their joints are found, and what is left of the error.
 

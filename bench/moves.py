@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A sensor or target that moves a little half-way must be told; a poor robot must not be called so.
 

@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Bad sessions must not be answered, good ones must not be refused.
 

@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 How long a profile takes, a solve, guess included, and a whole recording offline.
 

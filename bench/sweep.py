@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 How well a robot that moves is calibrated: simulated sweeps through the whole pipeline.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Trials of a Monte-Carlo bench on one process, on local workers of Dask, or on a cluster."""
 from __future__ import annotations
 

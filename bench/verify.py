@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Every verification routine over seeds: are its regions honest, and does it see a wrong calibration.
 

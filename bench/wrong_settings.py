@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 What is said of a recording that is read with a wrong setting: the matrix of causes and refusals.
 

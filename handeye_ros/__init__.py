@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Hand-eye calibration of laser line profilers, offline and as a ROS 2 node.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs one verb on many recordings with Dask: a folder for each, one table, one page."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns."""
 from __future__ import annotations
 

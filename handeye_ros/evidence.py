@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What a recording or a session shows: its samples, and the evidence of a saved calibration."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Frames that sensor and target are fixed in, poses of one in the other, directions in words."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Files that are written: names of folders, whole files, pictures."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Rigid transforms: 4x4 arrays T_parent_child, p_parent = T_parent_child @ p_child.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Lengths on the command line: plain numbers are metres, `0.3mm` and `12.5 mm` have a unit."""
 from collections.abc import Iterable
 import math

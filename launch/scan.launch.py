@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Publishes what a calibrated sensor sees as points in the base, live or from a bag.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Every bad input: the exit code, a sentence that says what to do, and nothing written."""
 from __future__ import annotations
 

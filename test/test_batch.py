@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Many recordings through one verb: rows, what is computed again, and what a lost worker costs."""
 from __future__ import annotations
 

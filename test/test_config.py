@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The configuration: what may be put where, and what is said when it may not."""
 from __future__ import annotations
 

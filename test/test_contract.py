@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What users rely on is there: every name of docs/contract.md, and the public Python API."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Wrong values at the public door are refused by the name of the argument."""
 from __future__ import annotations
 

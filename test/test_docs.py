@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Every command line of the README and the docs is run, or its names are looked up."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The evidence of a calibration: from a recording, and from a session in any order."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """tools/build_interfaces.py: what it builds is what a ROS install has."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Orientations of robot controllers: the examples of their manuals, and there and back."""
 from __future__ import annotations
 

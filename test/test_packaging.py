@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A colcon workspace: built, sourced, and the node started from it, as on a ROS machine."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Rigid transforms against series, products and scipy; inputs stay as they are."""
 from __future__ import annotations
 

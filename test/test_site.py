@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The documentation builds into a site, and no link in it leads nowhere."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Files of measured values: whatever is in them, there is an answer or a sentence."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The command line and the core start and solve where ROS is not installed."""
 from __future__ import annotations
 

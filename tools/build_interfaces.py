@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Build packages of ROS 2 messages into the virtual environment that runs this script.
 

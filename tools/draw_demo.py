@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Draws what the calibration of bags/plate sees and finds, into docs/figures/demo.png.
 

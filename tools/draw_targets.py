@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Draws the targets of docs/start.md: `.venv/bin/python tools/draw_targets.py [FOLDER]`."""
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
 #!/bin/sh
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 # Makes a virtual environment with this package and its requirements, or brings one up to date.
 #
 # usage: tools/environment.sh VENV EXTRAS [CONSTRAINTS]

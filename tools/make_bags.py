@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Makes the recordings in bags/ again: `.venv/bin/python tools/make_bags.py [FOLDER]`."""
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
 #!/usr/bin/env python3
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes docs/reference.md from the configuration: `.venv/bin/python tools/make_reference.py`."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Reads profiles and poses from a rosbag2 recording; bag_write.py writes them.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 folders (mcap): profiles and poses as drivers publish them, and paths."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Converts serialised ROS messages to profiles and poses.
 

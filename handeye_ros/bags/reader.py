@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Messages of a rosbag2 recording (mcap or db3) in the order of the file, as far as it is readable.
 

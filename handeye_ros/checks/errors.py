@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Refusals of an answer: motion, conventions, scale, scatter, moves."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Tests whether other settings or another time offset explain a recording without an answer.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Checks of single nuisance parameters against their priors, and of edges that are not used.
 

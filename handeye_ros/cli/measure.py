@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The verbs that use a calibration: measure something known, see what has moved, scan, seams."""
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulated recordings and files of measured values, each with its truth, as folders."""
 from __future__ import annotations
 

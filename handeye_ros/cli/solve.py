@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The verbs from the samples to the answer and its files; `calibrate` starts the node."""
 from dataclasses import replace
 from importlib.util import find_spec

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The keys: each with its default, description and range, in the sections of a configuration."""
 from __future__ import annotations
 

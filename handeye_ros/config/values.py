@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Sets values of keys with their types; invalid ones raise."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Smooth functions of few coefficients: of the sensor's plane, of a surface, of the robot's poses.
 

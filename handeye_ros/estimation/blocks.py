@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Blocks of nuisance parameters: systematic errors beside the noise (docs/estimator.md, section 2).
 

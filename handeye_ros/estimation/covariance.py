@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 What the reported covariance consists of, and its part for a station that may be wrong, (10).
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Covariances of the residuals, (3), whitening, and the scales of priors, (6).
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 What is observed of a target, the problem, and its residuals and derivatives: (1), (2).
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 The whitened least squares (4) with all blocks, its solution, and the estimate of scales and noise.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Guidance: the uncertainty so far, what is missing, and the next pose."""
 from __future__ import annotations
 

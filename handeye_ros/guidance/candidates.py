@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Candidates for the next pose, and the uncertainty of mapped points expected after each.
 

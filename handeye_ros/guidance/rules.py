@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Which poses may be proposed: the limits of guidance.*, and the conditions of a valid sample.
 

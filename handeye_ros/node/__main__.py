@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the node: `python -m handeye_ros.node`, which is `ros2 run handeye_ros calibrate`."""
 import sys
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Messages received by a running node: their counts, clocks, and the latest ones. No ROS."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Markers: poses of samples, their features, and the current profile."""
 from __future__ import annotations
 

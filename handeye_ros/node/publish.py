@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Publishes saved calibrations on /tf_static: `ros2 run handeye_ros publish FILE...`."""
 from __future__ import annotations
 

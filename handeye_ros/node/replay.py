@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Publishes a bag on its own topics with /clock, at a given rate."""
 from __future__ import annotations
 

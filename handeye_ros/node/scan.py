@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Publishes laser points in the base frame: `ros2 run handeye_ros scan`.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The subscriptions of the node: profiles, poses from a topic, /tf or joint values, and joints."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What the page shows, and what its buttons do: services, parameters, sessions and files."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Fits circles to points, and takes the points of an arc without its rims."""
 from __future__ import annotations
 

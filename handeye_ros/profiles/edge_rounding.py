@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 The rounded or bevelled end of a plate: its shape, and the position of the edge.
 

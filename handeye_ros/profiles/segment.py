@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Straight pieces and circular arcs in a laser profile, robust to gross outliers.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Chen, Zhou, Zhang, Ren 2023: hand-eye calibration under orthogonal constraints.
 

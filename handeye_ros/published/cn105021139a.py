@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 CN105021139A (Wang, Li, Liu 2015): circle target with two diameters, line laser and camera.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Runs every estimator that applies to a target, ours and the published ones, on the same samples.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 The fixed point from different poses: the baseline of Jing 2020, section 2 and eqs. 3 and 4.
 

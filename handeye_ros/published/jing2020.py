@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Jing, Hu, Guo 2020: multiple coordinates transformation with a laser tracker.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Wu, Wang, Li et al. 2017: four points, eye to hand; seam centre line and tool frames.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Zheng, Zhang, Luo et al. 2018: hand-eye calibration based on space linear constraints.
 

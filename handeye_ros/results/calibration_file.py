@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Writes and reads calibration.yaml."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Data of the report: the stops of a recording with their results, and the verdict."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The file formats of a calibration, and the folder for its files."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """From a solution to its Calibration: transform, target, quality, result of each sample."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 3D drawings: the scene of the report, and the shape of an estimated target.
 

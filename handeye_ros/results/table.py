@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Reads and writes truth.yaml of simulated recordings; errors of an answer against it."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A verification from its YAML (see verification/verification.py), formatted."""
 from __future__ import annotations
 

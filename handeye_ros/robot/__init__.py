@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Kinematic calibration of the robot: joints and axes that differ from its URDF.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The corrected arm with its hand-eye transform: from a table of points, and as files."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What contradicts an arm: values beyond its joints, and errors that explain measurements."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A serial arm as stated by its URDF, and with errors of joints and axes: forward kinematics.
 

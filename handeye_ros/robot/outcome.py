@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 From configurations and points to the corrected arm: model selection from simple to rich.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The corrected arm on the screen: degrees and mm, with 1 sigma."""
 from __future__ import annotations
 

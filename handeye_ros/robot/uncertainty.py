@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What the uncertainty of a corrected arm does to a hand-eye transform that is found with it."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The common shape of the edges over all stations, and the edge points that follow from it."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Buffer of the profiles that the current and pending stops can use, bounded in memory."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Messages of one topic in the order of their stamps; implausible ones are dropped.
 

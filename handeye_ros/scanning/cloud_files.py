@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Point clouds as PLY and PCD files, written in pieces with constant memory.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A seam in a cloud, and the tool frames along it, after Wu 2017.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Files of a seam, CSV and YAML, and the sentences on it."""
 from __future__ import annotations
 

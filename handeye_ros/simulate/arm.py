@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A six-axis arm with a spherical wrist, with errors unknown to its controller.
 

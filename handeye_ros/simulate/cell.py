@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The robot cell: true transforms of sensor and target, and the poses that the robot reports."""
 from __future__ import annotations
 

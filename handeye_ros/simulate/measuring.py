@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A cell that is calibrated and then measures: recordings of one sensor and one robot.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Profiles and poses of a whole recording, or its samples directly."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The parameters of a simulated recording; metres, radians, seconds."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The targets of the simulator: stops, features, solids."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The profiler: rendering of the scene, camera effects, and the sensor's own errors."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Solids for ray casting: boxes, balls, rods, and plates with their defects."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The published sensor frame, and the stops of the robot: poses, stamps, motions between."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Targets that are solved from files of measured values, one file each."""
 from __future__ import annotations
 

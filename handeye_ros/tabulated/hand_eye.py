@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A X = X B from any number of poses of a robot and of a target that a camera sees (CN105021139A).
 

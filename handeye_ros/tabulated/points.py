@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Points in two frames from a file: the sensor is beside the robot (Wu 2017)."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A sweep of the profiler over ball and block: from profiles and poses to points (Jing 2020).
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Reflector points of a laser tracker in a file, with the bag of the sweep (Jing 2020)."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The target models, one file each."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Nuisance parameters common to targets: set-back of faces, shapes of edges, flatness."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Common to the targets: ends of faces, collecting observations, linear search for a start."""
 from __future__ import annotations
 

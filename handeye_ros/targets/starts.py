@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Starts from nothing: the ends of faces that belong to the line; the two edges of a plate."""
 from __future__ import annotations
 

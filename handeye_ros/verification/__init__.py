@@ -1,1 +1,3 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Verification of a calibration: routines on known artefacts, and checks on its own target."""

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Fits a shape to measured points, and estimates the calibration error from the deviations.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Samples of a verification: the time offset of a sweep, and the surface that is the artefact.
 

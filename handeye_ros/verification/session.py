@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A running verification: stop by stop, one part (face, ball, pass) after the other.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Observations at the stops of a verification, and the shapes fitted to them."""
 from __future__ import annotations
 

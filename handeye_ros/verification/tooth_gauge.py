@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 A gauge of equal teeth in scanned points: its position, and the face of each point.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The result of a verification: values, table, and YAML."""
 from __future__ import annotations
 

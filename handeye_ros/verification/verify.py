@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """From the stations of several bags and a calibration to the verdict of a routine."""
 from __future__ import annotations
 

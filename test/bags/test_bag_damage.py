@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Bags that are cut off, damaged or none at all: what is whole is read, the rest is told."""
 from __future__ import annotations
 

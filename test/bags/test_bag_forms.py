@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Bags in every form that recorders leave them in."""
 from __future__ import annotations
 

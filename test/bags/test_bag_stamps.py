@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The stamps of a recording: sorted, wild, missing, and of two runs."""
 from __future__ import annotations
 

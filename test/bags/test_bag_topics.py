@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What the topics of a bag carry: wrong ones are named, poses come from transforms too."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Bags are written whole or not at all, and replace nothing but bags."""
 from __future__ import annotations
 

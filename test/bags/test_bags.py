@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The recordings in bags/ are what tools/make_bags.py makes, whole and small."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Serialised messages: read like other readers do, and no bytes break it."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A disk that is full or gone under a running node, and a node that is killed: nothing is lost."""
 from __future__ import annotations
 

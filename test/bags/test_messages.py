@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Profiles from clouds: the layouts of real drivers and of none, any order of the points."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A message of each driver's layout, read with the settings that docs/sensors.md gives for it."""
 from __future__ import annotations
 

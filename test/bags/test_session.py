@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Sessions on the disk: what is told to be there is there, and gives the same answer."""
 from __future__ import annotations
 

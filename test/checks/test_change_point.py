@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A target or sensor that moved in the middle of a recording is named."""
 from __future__ import annotations
 

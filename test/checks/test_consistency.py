@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What motion is missing is told, in the right words and along the true direction."""
 from __future__ import annotations
 

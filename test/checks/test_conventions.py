@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Wrong conventions are named, and nothing is answered."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A range counted the wrong way is named where the fit shows it, and only there."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The angle at which the laser crosses an edge."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Wrong settings and clocks that differ are named, with the right value."""
 from __future__ import annotations
 

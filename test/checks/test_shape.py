@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A target that is not as configured is told, not absorbed."""
 from dataclasses import replace
 import re

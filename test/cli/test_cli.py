@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The command line as a user meets it: every verb in a process of its own."""
 from __future__ import annotations
 

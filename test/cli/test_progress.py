@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Long work tells a terminal how far it is; test_cli.py sees that a pipe is told nothing."""
 from __future__ import annotations
 

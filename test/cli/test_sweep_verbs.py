@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A recording of a sweep on the command line: answer, report, and whether it still holds."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Where no transform is right, what is stated holds the one that serves best."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What each cause contributes to the reported covariance."""
 from __future__ import annotations
 

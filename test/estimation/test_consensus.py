@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Stations that do not fit are left out, with a reason, and do no harm."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Covariance and residuals against trials and real refits; the same for every method."""
 from __future__ import annotations
 

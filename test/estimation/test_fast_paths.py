@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What is done quickly in estimating gives what the plain way of the same gives."""
 from __future__ import annotations
 

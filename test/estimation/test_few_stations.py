@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Few samples: no answer where they cannot judge it, or where another one fits as well."""
 from __future__ import annotations
 

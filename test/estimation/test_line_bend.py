@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A light plane that is bent: the truth stays inside what is stated, and the bend is told."""
 from __future__ import annotations
 

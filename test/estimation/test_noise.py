@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The scales of priors: what the data show of a block, and no more."""
 from __future__ import annotations
 

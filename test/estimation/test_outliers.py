@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Variance components: each cause of noise is identified; quantiles are those of scipy.stats."""
 from __future__ import annotations
 

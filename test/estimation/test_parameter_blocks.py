@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Doubts are unknowns with priors: what the data show is found, what they do not is stated."""
 from __future__ import annotations
 

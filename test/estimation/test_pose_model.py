@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What the poses depend on is found with the transform: blocks with priors that move them."""
 from __future__ import annotations
 

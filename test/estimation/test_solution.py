@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The solver: recovery, invariances, and what a problem is made of; the same for every method."""
 from __future__ import annotations
 

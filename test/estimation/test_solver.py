@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The one least squares: what it finds, what blocks say of it, and that nobody has another."""
 from __future__ import annotations
 

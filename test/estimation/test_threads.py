@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The threads of linear algebra: one inside a solve, as before outside of it."""
 from __future__ import annotations
 

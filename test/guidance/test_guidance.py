@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The advice: it keeps the feature in view, within the limits, and adds what is missing."""
 from __future__ import annotations
 

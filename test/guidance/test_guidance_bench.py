@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The bench of the guidance: it counts as it says, and the moves it follows are good ones."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A person at the cell: a button, a node that dies, a late joiner, and what does not fit."""
 from __future__ import annotations
 

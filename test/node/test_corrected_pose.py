@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The executable `corrected_pose`: joint values in, poses of the corrected arm out."""
 from __future__ import annotations
 

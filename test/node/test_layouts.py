@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The layouts for RViz and Foxglove show what the node publishes, under its names and types."""
 from __future__ import annotations
 

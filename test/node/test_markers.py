@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The markers show the samples where the answer puts them, and how sure it is."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The node in its own process, over real DDS."""
 from __future__ import annotations
 

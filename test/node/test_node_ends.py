@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """How the node ends, idle and while it solves; what destroyed publishers do to its executor."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The processes for long computations: what they answer, and what a killed one costs."""
 from __future__ import annotations
 

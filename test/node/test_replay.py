@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The replay of a bag, heard by a subscriber in another process."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The executable `scan`: points in the base over real topics, and refusals."""
 from __future__ import annotations
 

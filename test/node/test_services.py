@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The services and parameters of a running node, over real DDS."""
 from __future__ import annotations
 

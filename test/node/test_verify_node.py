@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A running node is calibrated from some stops of a recording and verified with the others."""
 from __future__ import annotations
 

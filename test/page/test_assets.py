@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The files of the page: its colours can be read (WCAG 2)."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The page, in a real browser, of the real node fed by a bag; and what it refuses."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The server of the page without a node: who may read and act, and what it bears."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Arcs of a sphere in drawn profiles: exact, noisy, among clutter; any array at all."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Face lines and edge points of drawn profiles."""
 from __future__ import annotations
 

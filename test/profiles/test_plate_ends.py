@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Rounded, bevelled, thin and smoothed ends of plates, against where face and wall meet."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Straight pieces of a profile, exact and under all that a sensor does to them."""
 from __future__ import annotations
 

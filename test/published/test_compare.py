@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The comparison of estimators: what every row says, and that it says it of the same samples."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Chen 2023: the scatter identity, its derivatives, and the truth from its starts."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """CN105021139A: circle target, vanishing points, light plane and two motions."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The fixed point from different poses: the truth, and what a PRP arm cannot know."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Jing 2020: the chain through the laser tracker, its fits and its errors."""
 from __future__ import annotations
 

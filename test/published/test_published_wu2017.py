@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Wu 2017: the best of 210 quadruples, and the seam of its section 4."""
 from __future__ import annotations
 

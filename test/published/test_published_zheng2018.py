@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Zheng 2018: the truth from the nominal mounting, the line search, sensor model and filter."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """calibration.yaml: written whole, read back equal, damaged files refused by sentence."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Every form in which a calibration is written is read back by a reader of its own."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The report of a calibration: what it says, and what a browser shows of it."""
 from __future__ import annotations
 

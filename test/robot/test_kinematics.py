@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Joints and axes of simulated arms, found from a table of one ball; what is odd is refused."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Stations from streams of poses and profiles: where the robot stood, and what gave no sample."""
 from __future__ import annotations
 

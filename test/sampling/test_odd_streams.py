@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Streams that are not as they should be: dropped, told or refused, whatever it is."""
 from __future__ import annotations
 

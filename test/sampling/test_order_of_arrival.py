@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The order in which poses and profiles arrive changes nothing."""
 from __future__ import annotations
 

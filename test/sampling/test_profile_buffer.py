@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What is kept of the profiles of a stop never takes more than so much memory."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Samples that are taken by hand, removed and cleared."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Faces and edges of the profiles of a station together, drawn ones and simulated ones."""
 from __future__ import annotations
 

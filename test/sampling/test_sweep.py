@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A robot that moves: where the flange was, and what single profiles give with the time offset."""
 from __future__ import annotations
 

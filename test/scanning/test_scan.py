@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Profiles and poses to a cloud in the base: exact, at constant memory, in files others read."""
 from __future__ import annotations
 

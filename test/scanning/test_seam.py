@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A seam in a cloud: edges, centre line and frames against the truth; refusals in words."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The simulator: every scenario, what its robot does and what its drivers send."""
 from __future__ import annotations
 

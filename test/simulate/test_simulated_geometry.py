@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The simulator against geometry that is worked out another way."""
 from __future__ import annotations
 

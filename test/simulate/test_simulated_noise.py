@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The noise and the faults of the simulator are as they are stated."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulated cells as the tests of the core want them: samples, truth and settings together."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the command line as a user does, and processes that outlive no test."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What docs/contract.md lists of a node, and what a running one offers."""
 from __future__ import annotations
 

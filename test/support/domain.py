@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A ROS_DOMAIN_ID that no other demo and no test on this machine uses at the same time."""
 from __future__ import annotations
 

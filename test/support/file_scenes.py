@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Scenes of targets that are solved from files, and how they are given to the command."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Joints as a laser profiler sees them: a cross-section swept along y, shadows and noise included.
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A robot with a sensor that streams as drivers do, in real time, and goes where it is told."""
 from __future__ import annotations
 

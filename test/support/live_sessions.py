@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Running sessions without ROS that are given recordings."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 The network of a running node goes and comes back: python lost_network.py FOLDER.
 

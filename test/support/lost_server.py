@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Takes the discovery server away from a node and its client: python lost_server.py FOLDER SERVER.
 

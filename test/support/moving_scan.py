@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A flange that moves evenly over a plane, and what a profiler on it sees."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Laser profiles drawn by hand, and any array that a driver might send."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Small recordings, and bags of every form made of them."""
 from __future__ import annotations
 

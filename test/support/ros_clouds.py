@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Builds PointCloud2 messages of any layout, without ROS, and reads them."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Nodes in processes of their own, and a client that waits for what can be seen of them."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Simulated scenarios in a size that is quick to render."""
 from __future__ import annotations
 

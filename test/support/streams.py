@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Streams of poses and profiles of a robot that stops, and sessions that take them."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """What a laser tracker and a profiler on an arm see of a ball and a block (Jing 2020)."""
 from __future__ import annotations
 

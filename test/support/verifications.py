@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Verifications of simulated artefacts, as the bench makes them."""
 from __future__ import annotations
 

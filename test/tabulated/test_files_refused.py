@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Files that cannot be read or carry no answer, and settings that do not fit them."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A X = X B: the truth, OpenCV beaten, degenerate motions refused."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Points in two frames: the truth, the best of 210 quadruples beaten, wrong input refused."""
 from __future__ import annotations
 

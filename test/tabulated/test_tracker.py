@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Laser tracker, ball and block: from files and profiles to the transform, and what is refused."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The table of docs/estimator.md, of what each motion lets a method know, is what ranks say."""
 from __future__ import annotations
 

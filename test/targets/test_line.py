@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """One straight edge: with and without its face, among other edges."""
 from __future__ import annotations
 

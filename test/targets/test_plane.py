@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A plane: whole profiles without an edge in sight, and what yaw alone leaves open."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """A wedge: two faces that meet, block or groove, in every profile; no labels, no edge points."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Does a calibration still hold: what moved is named, and chance is not taken for a change."""
 from __future__ import annotations
 

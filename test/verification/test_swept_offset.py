@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """The time offset of a calibration, verified on a ball or an edge that the robot sweeps over."""
 from __future__ import annotations
 

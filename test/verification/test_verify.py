@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Routines: the truth lies in their regions, a wrong calibration fails, too little says so."""
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """Every routine on recordings of rendered profiles, from the bag to the verdict."""
 from __future__ import annotations
 

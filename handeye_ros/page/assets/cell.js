@@ -1,3 +1,4 @@
+/* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
 // What a person sets: how samples are taken, topics and the like, sessions, and a verification.
 

@@ -1,3 +1,4 @@
+/* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
 // Shows what the node tells, several times a second, and asks it what the buttons say.
 

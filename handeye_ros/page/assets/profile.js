@@ -1,3 +1,4 @@
+/* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
 // The picture of a profile: points, found faces and edges, in the field of view seen so far.
 

@@ -1,3 +1,4 @@
+/* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
 // The picture in space: sensor and light plane of now, target, samples, and the next pose.
 

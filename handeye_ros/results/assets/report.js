@@ -1,3 +1,4 @@
+/* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
 // The cell of the report, and what is copied from it.
 (() => {

@@ -1,3 +1,4 @@
+/* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
 // Draws in space on a canvas, and turns it: for the page and for the report. No library, as there are
 // lines, faces and points only.
