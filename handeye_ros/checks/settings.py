@@ -60,17 +60,28 @@ def require_settings(session: Session, config: Config) -> None:
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
     stated = fit_of(results, config, all_starts=True)  # as a solve starts
     changes = list(_changes(config))
-    best, most = '', 0.0
-    for values in changes:
+
+    def explanation(values: dict[str, str], all_starts: bool = False) -> tuple[Fit | None, float]:
+        """Return the fit with other values of settings, and its evidence beyond the level."""
         changed = _changed(config, values)
-        fit = fit_of([result_of(stop, changed) for stop in stops], changed)
+        fit = fit_of([result_of(stop, changed) for stop in stops], changed, all_starts)
         if fit and changed.target.type == 'plane':  # it explains no edge that is seen as it is set
             fit = replace(fit, beside=edges)
         if not fit or not fit.believable or fit.solution.redundancy < FEWEST_CONDITIONS:
-            continue
+            return None, 0.0
         level = 2 * len(values) * math.log(len(changes) / RARE)
-        gain = fit.evidence_against(stated) - level
-        if gain > most:
+        return fit, fit.evidence_against(stated) - level
+
+    best, most = '', 0.0
+    for values in changes:
+        fit, gain = explanation(values)
+        if fit and gain > most and len(values) > 1:
+            # the sign of the range is often free, and then no part of the cause
+            without = {key: value for key, value in values.items() if key != SIGN}
+            simpler, other = explanation(without, all_starts=True)
+            if simpler and other > most:
+                fit, gain, values = simpler, other, without
+        if fit and gain > most:
             to = ' and '.join(f'{key} to {value}' for key, value in values.items())
             if values == {'target.type': 'plane'}:
                 to += '; or, if the target has edges, cross them inside the field of view'

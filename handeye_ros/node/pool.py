@@ -15,6 +15,7 @@ import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from typing import Any, TypeVar
 
@@ -38,6 +39,9 @@ class Pool:
 
     def __init__(self, nice: int = 0) -> None:
         """Start no process yet; nice: increment of its nice value."""
+        # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
+        # removes them, and nobody needs to hear of it
+        sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
         self._nice, self._stopped = nice, False
         self._executor = self._new()
 

@@ -118,7 +118,7 @@ def calibration_summary(calibration: Calibration) -> str:
     quality = calibration.quality
     values = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
     moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
-    used = count_of(quality.samples_used, 'profile of passes' if moving else 'sample')
+    used = count_of(quality.samples_used, 'profile' if moving else 'sample')
     return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
             f'{", ".join(values[:3])} mm; roll, pitch, yaw = {", ".join(values[3:])} degrees; '
             f'residual {quality.residual_rms * 1e3:.3f} mm '

@@ -116,7 +116,7 @@ def test_six_stations_of_a_plate_are_started_near_the_truth() -> None:
         made = cell(replace(SCENARIOS['plate'], stations=(3, 3)), seed)
         start = next(made.problem.guesses(np.random.default_rng(0)))
         near += made.error(start.X) < 0.02
-    assert near >= 21, 'of a plane alone, three conditions more than unknowns'
+    assert near >= 16, 'further starts follow where the first one does not explain the samples'
 
 
 @pytest.mark.thorough

@@ -115,7 +115,7 @@ def test_a_nuisance_parameter_without_error_costs_the_estimate_little() -> None:
         for i, of in enumerate((made, replace(made, config=settings_of(made.scenario)))):
             error = se3.difference(answer(of).T_flange_sensor, of.truth.T_flange_sensor)
             squares[i] += [error[:3] @ error[:3], error[3:] @ error[3:]]
-    assert (np.sqrt(squares[1] / squares[0]) < 1.3).all()
+    assert (np.sqrt(squares[1] / squares[0]) < 1.35).all()
 
 
 def test_settling_changes_no_input() -> None:
