@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import combinations
 import math
 
@@ -109,6 +110,7 @@ def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
     return total / (count if values.ndim == 1 else count[:, None]), count
 
 
+@lru_cache(1000)  # sizes of profiles
 def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the first rows of equal bins, and their sizes."""
     first = np.linspace(0, size, bins, endpoint=False).astype(int)
