@@ -184,7 +184,7 @@ def _triples(size: int) -> NDArray[np.intp]:
     span = np.maximum((size / TRIPLE_SPANS / 2).astype(int), 1)[:, None]
     first = np.maximum(np.arange(TRIPLES) * (size - 1 - 2 * span) // (TRIPLES - 1), 0)
     rows = (first + np.arange(3)[:, None, None] * span).reshape(3, -1)
-    return np.minimum(rows, size - 1)
+    return np.asarray(np.minimum(rows, size - 1))
 
 
 def _through(a: Array, b: Array, c: Array) -> Array:
