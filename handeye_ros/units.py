@@ -3,8 +3,24 @@
 """Lengths on the command line: plain numbers are metres, `0.3mm` and `12.5 mm` have a unit."""
 from collections.abc import Iterable
 import math
+import re
 
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
+RADIANS = {'rad': 1.0, 'deg': math.pi / 180}
+WITH_UNIT = re.compile(r'(?<![\w.])([-+]?\d*\.?\d+(?:e[-+]?\d+)?) *([a-z]+)')
+
+
+def assigned(text: str) -> str:
+    """Return key=value with the lengths or angles of its value, such as 20mm, in SI units."""
+    from handeye_ros.config import parameters
+    key, equals, value = text.partition('=')
+    unit = next((p.unit for p in parameters() if p.key == key.strip()), '')
+    factors = {'m': METRES, 'rad': RADIANS}.get(unit, {})
+
+    def in_si(match: re.Match[str]) -> str:
+        factor = factors.get(match[2])
+        return match[0] if factor is None else repr(float(match[1]) * factor)
+    return f'{key}{equals}{WITH_UNIT.sub(in_si, value)}'
 
 
 def limits(texts: Iterable[str], option: str, usual: float) -> list[float]:

@@ -139,9 +139,9 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     assert [job.label for job in jobs] == ['first', 'b', 'first-2']
     assert jobs[0].settings == ('target.radius=0.02', 'name=x')
     assert jobs[0].bag == str(tmp_path / 'a') and jobs[1].config == 'c.yaml'
-    (tmp_path / 'jobs.yaml').write_text('- {bag: a, args: sphere --length 0.2}\n')
+    (tmp_path / 'jobs.yaml').write_text('- {bag: a, args: sphere --stations s.csv}\n')
     assert jobs_of([str(tmp_path / 'jobs.yaml')], Job('', '', 'verify'))[0].args == (
-        'sphere', '--length', '0.2')
+        'sphere', '--stations', 's.csv')
     (tmp_path / 'jobs.yaml').write_text('bag: a\n')
     with pytest.raises(InputError, match='expected a CSV or YAML list'):
         jobs_of([str(tmp_path / 'jobs.yaml')], Job('', '', 'solve'))

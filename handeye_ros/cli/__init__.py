@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def command() -> 'Typer':
     """Return the command; importing a module adds its verbs."""
-    from handeye_ros.cli import common, measure, solve, tools  # noqa: F401
+    from handeye_ros.cli import common, measure, scan, solve, tools  # noqa: F401
     return common.app
 
 

@@ -19,10 +19,12 @@ import typer
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
-    from handeye_ros.bags.bag import Recording
+    from handeye_ros.bags.bag import Flow, Recording
     from handeye_ros.bags.session import Stored
     from handeye_ros.config import Config
+    from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
+    from handeye_ros.sampling.trajectory import Trajectory
 
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
@@ -32,17 +34,23 @@ Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
 ConfigFile = Annotated[NoPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
 Assignments = Annotated[list[str], typer.Option(
-    '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated.')]
+    '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
+    'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
 KinematicsFile = Annotated[NoPath, typer.Option(
     '--kinematics', metavar='FILE', help='A kinematics.yaml, for a bag that holds joint values: '
     'the flange poses are those of its corrected arm.')]
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
+CalibrationFile = Annotated[Path, typer.Option(
+    '--calibration', metavar='FILE', help='The calibration.yaml of this sensor.')]
+MeasureConfig = Annotated[NoPath, typer.Option(
+    help='A ROS parameter file; without it, the settings that the calibration was made with.')]
+OutFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
 TABLES = ('.csv', '.yaml', '.yml')  # files of measured values
 INTERRUPTED = 130
-ORDER = ('batch', 'solve', 'compare', 'scan', 'check', 'kinematics', 'verify', 'replay',
-         'simulate', 'export', 'report', 'seam', 'calibrate', 'samples', 'trend')  # as help lists
+ORDER = ('solve', 'calibrate', 'samples', 'report', 'export', 'compare', 'verify', 'check',
+         'trend', 'kinematics', 'scan', 'seam', 'batch', 'replay', 'simulate')  # as help lists
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
@@ -53,9 +61,21 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     angles: the notation of a table of poses.
     """
     from handeye_ros.config import Config, load, with_assignments
+    from handeye_ros.units import assigned
     base = base or Config()
     assignments = [*assignments, f'target.angles={angles}'] if angles else assignments
-    return with_assignments(load(file, base) if file else base, assignments)
+    return with_assignments(load(file, base) if file else base, map(assigned, assignments))
+
+
+def calibrated(file: Path, config: Path | None, assignments: list[str]
+               ) -> 'tuple[Calibration, Config]':
+    """Return a calibration, and the settings to measure with it."""
+    from handeye_ros.config import load
+    from handeye_ros.results.calibration_file import read_calibration
+    from handeye_ros.results.evidence import use_config
+    calibration = read_calibration(file)
+    settings = use_config(calibration, load(config) if config else None)
+    return calibration, configuration(None, assignments, settings)
 
 
 def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
@@ -92,6 +112,19 @@ def gathered(bag: Path, settings: 'Config') -> 'Session':
     with doing('finding the samples'):
         from handeye_ros import pipeline
         return pipeline.gather(recording.profiles, recording.poses, settings)
+
+
+@contextmanager
+def flowing(bag: Path, settings: 'Config', task: str
+            ) -> 'Iterator[tuple[Flow, Trajectory, Callable[[str], None]]]':
+    """Give a recording profile by profile, its poses, and a function that changes the task."""
+    from handeye_ros.bags.bag import flow
+    from handeye_ros.sampling.trajectory import track_of
+    with doing(task) as update:
+        source = flow(bag, settings)
+        yield source, track_of(source.poses, settings.sampling.max_pose_gap), update
+    for warning in source.warnings:
+        warn(warning)
 
 
 def warn(text: str) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The verbs from the samples to the answer and its files; `calibrate` starts the node."""
+"""The transform, by the estimator or by all of them; the samples; the node that takes them."""
 from dataclasses import replace
 from importlib.util import find_spec
 import os
@@ -19,6 +19,7 @@ from handeye_ros.cli.common import (
     Input,
     KinematicsFile,
     NoPath,
+    OutFile,
     read_bag,
     show,
     stored_session,
@@ -26,35 +27,30 @@ from handeye_ros.cli.common import (
     warn,
     with_kinematics,
 )
-from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.bags.bag import Recording
     from handeye_ros.config import Config
     from handeye_ros.tabulated.method import FileMethod
     from handeye_ros.tabulated.method import Input as Given
-
-Saved = Annotated[Path, typer.Argument(
-    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
 @app.command()
 def solve(
     path: Input,
     config: ConfigFile = None,
-    assignments: Assignments = [],  # noqa: B006 - never changed
+    assignments: Assignments = [],
     angles: Angles = '',
     kinematics: KinematicsFile = None,
     out: Annotated[NoPath, typer.Option(
         metavar='DIR', help='Where calibration.yaml is written; if not given, the folder NAME in '
                             'output_dir, or in out.')] = None,
 ) -> None:
-    """Find the transform from a recording or a file, and write calibration.yaml."""
+    """Find the transform from a recording or a file."""
     stored = stored_session(path)
-    assignments = with_kinematics(assignments, kinematics)
-    settings = configuration(config, assignments, stored.config if stored else None, angles)
+    settings = configuration(config, with_kinematics(assignments, kinematics),
+                             stored.config if stored else None, angles)
 
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
@@ -68,15 +64,16 @@ def solve(
             calibration = calibrate_files(method, content, settings)
         field = method.field(content.data)
     else:
-        inputs = [{'path': str(path.absolute())}]
-        if stored is None:
+        from handeye_ros import pipeline
+        if stored:
+            inputs = [{'path': str(path.absolute())}]
+            with doing('solving'):
+                calibration = pipeline.calibrate_session(stored.session(settings), settings)
+        else:
             recording = read_bag(path, settings)
             inputs = list(recording.inputs)
-        with doing('solving'):
-            from handeye_ros import pipeline
-            calibration = (
-                pipeline.calibrate_session(stored.session(settings), settings) if stored else
-                pipeline.calibrate(recording.profiles, recording.poses, settings))
+            with doing('solving'):
+                calibration = pipeline.calibrate(recording.profiles, recording.poses, settings)
         for warning in calibration.provenance.get('warnings', ()):
             warn(warning)
         calibration = replace(calibration,
@@ -103,12 +100,9 @@ def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
 
 
 def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config') -> 'Given[Any]':
-    def read(bag: Path, settings: 'Config') -> 'Recording':
-        from handeye_ros.bags import bag as bags
-        return bags.read(bag, settings)
-
+    from handeye_ros.bags import bag
     with doing('reading the files'):
-        content = method.read(path, settings, read)
+        content = method.read(path, settings, bag.read)
     for warning in content.warnings:
         warn(warning)
     return content
@@ -118,12 +112,11 @@ def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config') -> 'G
 def compare(
     path: Input,
     config: ConfigFile = None,
-    assignments: Assignments = [],  # noqa: B006 - never changed
+    assignments: Assignments = [],
     angles: Angles = '',
-    out: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='Write the table as YAML too.')] = None,
+    out: OutFile = None,
 ) -> None:
-    """Put the same samples through every estimator that applies, ours and published ones."""
+    """Put the same samples through all estimators."""
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None, angles)
 
@@ -156,9 +149,9 @@ def samples(
     path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
         'The folder of a session, or a bag.'))],
     config: ConfigFile = None,
-    assignments: Assignments = [],  # noqa: B006 - never changed
+    assignments: Assignments = [],
 ) -> None:
-    """Show the samples of a session, and how well each agrees with the others."""
+    """Show the samples of a session, the worst first."""
     from handeye_ros.checks.review import review, sample_summary
     from handeye_ros.errors import DataError
     from rich import box
@@ -178,20 +171,18 @@ def samples(
         agreements = {o.number: (a.residual, a.left_out, a.used) for o, a in
                       zip(outcomes, reviewed.agreements, strict=True) if a}
 
-    columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in ('number', 'residual', 'left out'):
-        columns.add_column(name, justify='right')
-    columns.add_column('')
-    columns.add_column('')
+    table = Table(*[''] * 5, box=box.SIMPLE_HEAD, pad_edge=False)
+    for column, name in zip(table.columns, ('number', 'residual', 'left out'), strict=False):
+        column.header, column.justify = name, 'right'
     for outcome in sorted(session.outcomes, key=lambda o: (
             -agreements.get(o.number, (0.0, -1.0))[1], o.number)):
         residual, left_out, used = agreements.get(outcome.number, (None, None, True))
         state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
-        columns.add_row(
+        table.add_row(
             str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'
                                    for value in (residual, left_out)),
             'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
-    show(columns)
+    show(table)
 
 
 @app.command()
@@ -199,72 +190,16 @@ def calibrate(
     resume: Annotated[bool, typer.Option(
         '--resume', help='Continue the last session; the default is a new one.')] = False,
     config: ConfigFile = None,
-    assignments: Assignments = [],  # noqa: B006 - never changed
+    assignments: Assignments = [],
 ) -> None:
-    """Start the node that takes samples at the cell (needs ROS)."""
+    """Start the node that takes samples (needs ROS)."""
+    from handeye_ros.units import assigned
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
     arguments = ['--params-file', str(config)] if config else []
-    for text in [*assignments, *(['session=last'] if resume else [])]:
+    for text in [*map(assigned, assignments), *(['session=last'] if resume else [])]:
         key, _, value = text.partition('=')
         arguments += ['-p', f'{key.strip()}:={value}']
     command = [sys.executable, '-m', 'handeye_ros.node']
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
-
-
-@app.command()
-def export(
-    path: Saved,
-    name: Annotated[str, typer.Option(
-        '--format', autocompletion=lambda: list(SAVE_FORMATS),
-        help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
-        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
-) -> None:
-    """Write a saved calibration for other programs: URDF, launch file, pendant of a robot, ..."""
-    from handeye_ros.results import exports
-    from handeye_ros.results.calibration_file import file_of, read_calibration
-    form, file = exports.format_of(name), file_of(path)
-    calibration = read_calibration(file)
-    if str(out) == '-':
-        typer.echo(form.text(calibration), nl=False)
-        return
-    target = out or file.parent / form.file_name(calibration)
-    typer.echo(exports.export(calibration, name, target))
-
-
-@app.command()
-def report(
-    path: Saved,
-    bag: Annotated[NoPath, typer.Option(
-        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
-        'names.')] = None,
-    out: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
-    verification: Annotated[list[Path], typer.Option(
-        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
-    )] = [],  # noqa: B006 - never changed
-) -> None:
-    """Show a saved calibration or verification, and its evidence, in one HTML file."""
-    from handeye_ros.evidence import evidence
-    from handeye_ros.output import html_file, write_whole
-    from handeye_ros.results import exports, pages
-    from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.verification_file import content_of as verification_in
-    from handeye_ros.results.verification_file import read
-    if out:
-        html_file(out)
-    if path.is_file() and (values := verification_in(path)):
-        html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, pages.protocol(values))
-        typer.echo(f'wrote {html}')
-        return
-    file, verified = file_of(path), [read(one) for one in verification]
-    calibration = read_calibration(file)
-    with doing('finding the stops'):
-        shown = evidence(calibration, bag, file.parent)
-    with doing('writing the report'):
-        written = pages.write(
-            calibration, shown, out or file.parent / exports.REPORT, verified)
-    typer.echo(f'wrote {written}')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
 from importlib import import_module
@@ -19,22 +19,24 @@ from handeye_ros.cli.common import (
     configuration,
     doing,
     INTERRUPTED,
+    NoPath,
     show,
     stored_session,
     TABLES,
     warn,
 )
+from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.errors import HandeyeError, NoRosError, UnknownNameError, UnwritableError
 import typer
 
 if TYPE_CHECKING:
     from handeye_ros.batch import Job, Row
-    from handeye_ros.config import Config
     from handeye_ros.data import TimedPose
-    from handeye_ros.robot.answer import Answer
     from handeye_ros.robot.model import Chain
     from handeye_ros.robot.samples import Source
 
+Saved = Annotated[Path, typer.Argument(
+    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
 
 
@@ -63,7 +65,7 @@ def batch(
     args: Annotated[str, typer.Option(
         help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
-    assignments: Assignments = [],  # noqa: B006 - never changed
+    assignments: Assignments = [],
     scheduler: Annotated[str, typer.Option(
         help='local: one process for each core of this machine; or the address of a Dask '
         'scheduler, such as tcp://host:8786.')] = 'local',
@@ -73,7 +75,7 @@ def batch(
     dashboard: Annotated[bool, typer.Option(
         '--dashboard', help='Show the page of Dask at port 8787 (local).')] = False,
 ) -> None:
-    """Run one verb on many recordings, in parallel; again: only on new or changed ones."""
+    """Run a verb on many recordings; again: on the new ones."""
     from handeye_ros import batch as batches
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
@@ -130,58 +132,40 @@ def kinematics(
                                              'flange, or the last link.')] = '',
     configs: Annotated[list[Path], typer.Option(
         '--config', metavar='FILE', help='A ROS parameter file, for all sources; or one for each '
-        'of them, in their order.')] = [],  # noqa: B006 - never changed
-    assignments: Assignments = [],  # noqa: B006 - never changed
+        'of them, in their order.')] = [],
+    assignments: Assignments = [],
     out: Annotated[Path, typer.Option(
         metavar='DIR', help='Where corrected.urdf, kinematics.yaml and calibration.yaml are '
                             'written.')] = Path('out/kinematics'),
 ) -> None:
-    """Find the errors of the robot's joints and axes, together with the hand-eye transform."""
-    files = _for_each(sources, configs)
-    settings = configuration(files[0], assignments)
-    from handeye_ros.robot.report import table
-    from handeye_ros.robot.urdf import read_chain
-    text, chain = read_chain(urdf, base, flange)
-    answer = (_solve_table(sources[0], urdf, chain, settings) if _table(sources) else
-              _solve_profiles(zip(sources, files, strict=True), urdf, chain, assignments))
-    for warning in answer.warnings:
-        warn(warning)
-    show(table(answer))
-    typer.echo(answer.save(text, out, settings.save.formats))
-
-
-def _table(sources: list[Path]) -> bool:
-    """Return whether the source is a table; there may be only one."""
+    """Find the errors of joints and axes, with the transform."""
+    if len(configs) not in (0, 1, len(sources)):
+        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
+                                 'for all of them, or one for each')
     tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
     if tables and len(sources) > 1:
         raise typer.BadParameter('give one table only: its column "target" names several '
                                  'points')
-    return bool(tables)
-
-
-def _for_each(sources: list[Path], configs: list[Path]) -> Sequence[Path | None]:
-    """Return the configuration file of each source."""
-    if len(configs) not in (0, 1, len(sources)):
-        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
-                                 'for all of them, or one for each')
-    return configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
-
-
-def _solve_table(source: Path, urdf: Path, chain: 'Chain', settings: 'Config') -> 'Answer':
+    files = configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
+    settings = configuration(files[0], assignments)
     from handeye_ros.results.calibration_file import input_values
     from handeye_ros.robot.answer import solve_table
-    with doing('solving'):
-        return solve_table(source, chain, settings,
-                           [input_values(source), input_values(urdf)])
-
-
-def _solve_profiles(paths: Iterable[tuple[Path, Path | None]], urdf: Path, chain: 'Chain',
-                    assignments: list[str]) -> 'Answer':
-    from handeye_ros.results.calibration_file import input_values
+    from handeye_ros.robot.report import table
     from handeye_ros.robot.samples import solve_sources
-    sources = [_source(path, chain, config, assignments) for path, config in paths]
-    with doing('solving'):
-        return solve_sources(sources, chain, [input_values(urdf)])
+    from handeye_ros.robot.urdf import read_chain
+    text, chain = read_chain(urdf, base, flange)
+    if tables:
+        with doing('solving'):
+            answer = solve_table(tables[0], chain, settings, [*map(input_values, (*tables, urdf))])
+    else:
+        read = [_source(path, chain, file, assignments)
+                for path, file in zip(sources, files, strict=True)]
+        with doing('solving'):
+            answer = solve_sources(read, chain, [input_values(urdf)])
+    for warning in answer.warnings:
+        warn(warning)
+    show(table(answer))
+    typer.echo(answer.save(text, out, settings.save.formats))
 
 
 def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
@@ -211,7 +195,7 @@ def replay(
     bag: Bag,
     rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
 ) -> None:
-    """Publish a recording on its topics, with /clock (needs ROS)."""
+    """Publish a recording on its topics (needs ROS)."""
     try:
         from handeye_ros.node.replay import replay as publish
     except ModuleNotFoundError as error:
@@ -248,7 +232,7 @@ def simulate(
         '--list', callback=_print_scenarios, is_eager=True,
         help='Print all scenarios, and what differs from a plain recording, and exit.')] = False,
 ) -> None:
-    """Make a recording with a known answer, which is written to truth.yaml in it."""
+    """Make a recording with a known answer."""
     if scenario not in _scenarios():
         raise UnknownNameError('scenario', scenario, list(_scenarios()),
                                'handeye simulate --list')
@@ -257,3 +241,60 @@ def simulate(
     with doing('simulating'):
         content = simulated.write(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
+
+
+@app.command()
+def export(
+    path: Saved,
+    name: Annotated[str, typer.Option(
+        '--format', autocompletion=lambda: list(SAVE_FORMATS),
+        help=f'One of {", ".join(SAVE_FORMATS)}.')],
+    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+) -> None:
+    """Write a saved calibration for other programs."""
+    from handeye_ros.results import exports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    form, file = exports.format_of(name), file_of(path)
+    calibration = read_calibration(file)
+    if str(out) == '-':
+        typer.echo(form.text(calibration), nl=False)
+        return
+    target = out or file.parent / form.file_name(calibration)
+    typer.echo(exports.export(calibration, name, target))
+
+
+@app.command()
+def report(
+    path: Saved,
+    bag: Annotated[NoPath, typer.Option(
+        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
+        'names.')] = None,
+    out: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], typer.Option(
+        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
+    )] = [],
+) -> None:
+    """Show a calibration or verification in one HTML file."""
+    from handeye_ros.evidence import evidence
+    from handeye_ros.output import html_file, write_whole
+    from handeye_ros.results import exports, pages
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.verification_file import content_of as verification_in
+    from handeye_ros.results.verification_file import read
+    if out:
+        html_file(out)
+    if path.is_file() and (values := verification_in(path)):
+        html = (out or path.with_suffix('.html')).absolute()
+        write_whole(html, pages.protocol(values))
+        typer.echo(f'wrote {html}')
+        return
+    file, verified = file_of(path), [read(one) for one in verification]
+    calibration = read_calibration(file)
+    with doing('finding the stops'):
+        shown = evidence(calibration, bag, file.parent)
+    with doing('writing the report'):
+        written = pages.write(
+            calibration, shown, out or file.parent / exports.REPORT, verified)
+    typer.echo(f'wrote {written}')

@@ -160,13 +160,13 @@ def _notes(fit: FixedFit, stations: Sequence[StationResult], limits: VerifyConfi
                      'it claims, the artefact moved, or the noise is set too small')
     if _other_size(fit):
         notes.append('the points fit the shape, and no error of the calibration explains these '
-                     'deviations: check the nominal values (--radius, --length)')
+                     'deviations: check the nominal values (verify.radius, verify.lengths)')
     claim = claim_p(fit)
     if claim < SIGNIFICANT:
         notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')
     if limits.tolerance > LARGE:
-        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance and --tolerance '
-                     'are in metres unless a unit is given')
+        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
+                     'in metres unless a unit is given')
     return tuple(notes)
 
 

@@ -84,7 +84,7 @@ def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[Stati
         raise DataError(
             f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
-            'flanks. Give both lengths (--length PITCH --length HEIGHT), and scan the gauge alone')
+            'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
     obs = stations.observations
     least = ROUNDING * float(np.median(obs.noise[on_gauge, 1, 0]))
     by_p = by_point(shape, p[on_gauge], kind[on_gauge], q)

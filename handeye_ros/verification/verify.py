@@ -26,7 +26,7 @@ from handeye_ros.verification.verification import (
 import numpy as np
 
 LEAST_STATIONS = 4  # of a bag
-LENGTHS = 'lengths (--length, verify.lengths)'
+LENGTHS = 'lengths (verify.lengths)'
 OUTLIER = 0.01  # probability that any good station is left out
 MOST_OUTLIERS = 0.2  # of the stations: more are no outliers, but a disagreement
 
@@ -53,7 +53,8 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
                 f'all points closer than {mm(largest)} to its shape. Check which object was under '
-                'the sensor, that it did not move, and that nothing else was in view (--near)')
+                'the sensor, that it did not move, and that nothing else was in view '
+                '(verify.near)')
     quantities = (*_quantities(routine, result, shape.nominals, len(bags)),
                   *routine.spread(used, X, result))
     station_results = _station_results(stations, used, result, left_out, nominal)

@@ -274,7 +274,7 @@ def test_too_few_stations_wrong_counts_and_no_covariance_are_refused():
     with pytest.raises(DataError, match='3 usable stations'):
         result('sphere', made, found)
     for lengths, bags, words in (((0.1,), 1, '2 to 12 bags'), ((0.025,), 6, '3 or 4 or 5 lengths'),
-                                 ((0.1,), 3, r'2 lengths \(--length, .*, and got 1')):
+                                 ((0.1,), 3, r'2 lengths \(.*, and got 1')):
         with pytest.raises(InputError, match=words):
             settings_for(ROUTINES['step'], of_lengths(*lengths), bags)
     made, found = measured('plane')

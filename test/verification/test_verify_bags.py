@@ -36,12 +36,12 @@ WRONG = np.array([6e-4, -6e-4, 6e-4, 5e-3, 5e-3, 5e-3])  # 1 mm and 0.5 degrees
 
 def options(name, made):
     """Return what the command is told of the artefact."""
-    found = [word for length in made.lengths for word in ('--length', length)]
+    keys = {'lengths': list(map(float, made.lengths))}
     if name in ('sphere', 'ball_bar'):
-        found += ['--radius', bench.RADIUS]
+        keys['radius'] = bench.RADIUS
     if name == 'point':
-        found += ['--reference', *made.reference, '--aim', bench.FINE_AIM]
-    return list(map(str, found))
+        keys |= {'reference': list(map(float, made.reference)), 'aim': bench.FINE_AIM}
+    return [word for key, value in keys.items() for word in ('--set', f'verify.{key}={value}')]
 
 
 def within(result):
@@ -113,14 +113,15 @@ def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
     run = handeye('solve', 'plate', '--out', 'cal', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     known = ('--calibration', 'cal/calibration.yaml', '--out', 'v.yaml')
-    run = handeye('verify', 'ball_bar', 'ball_1', 'ball_2', *known, '--radius', cell.ball_radius,
-                  '--length', cell.bar, cwd=tmp_path)
+    run = handeye('verify', 'ball_bar', 'ball_1', 'ball_2', *known, '--set',
+                  f'verify.radius={cell.ball_radius}', '--set', f'verify.lengths=[{cell.bar}]',
+                  cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     result = yaml.safe_load((tmp_path / 'v.yaml').read_text())
     assert result['verdict'] == 'pass'
     assert abs(result['quantities'][2]['value'] - cell.bar) < 1e-4
-    run = handeye('verify', 'tooth', *passes, *known, '--length', cell.gauge.pitch, '--length',
-                  cell.gauge.height, cwd=tmp_path)
+    run = handeye('verify', 'tooth', *passes, *known, '--set',
+                  f'verify.lengths=[{cell.gauge.pitch}, {cell.gauge.height}]', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     result = yaml.safe_load((tmp_path / 'v.yaml').read_text())
     assert result['verdict'] == 'pass'
@@ -137,9 +138,9 @@ def test_the_verb_on_rendered_profiles(tmp_path):
     bag_write.write(tmp_path / 'ball', made.profiles, made.poses)
     for name, T in (('right', X), ('wrong', se3.perturb(X, np.array([1e-3, 0, 0, 0, 0.009, 0])))):
         write_calibration(bench.calibration(T, np.diag(bench.STD ** 2)), tmp_path / f'{name}.yaml')
-        run = handeye('verify', 'sphere', 'ball', '--calibration', f'{name}.yaml', '--radius',
-                      f'{1e3 * scenario.target.radius}mm', '--out', 'v.yaml', '--stations',
-                      's.csv', cwd=tmp_path)
+        run = handeye('verify', 'sphere', 'ball', '--calibration', f'{name}.yaml', '--set',
+                      f'verify.radius={1e3 * scenario.target.radius} mm', '--out', 'v.yaml',
+                      '--stations', 's.csv', cwd=tmp_path)
         assert run.returncode == {'right': 0, 'wrong': 1}[name], run.stderr
         result = yaml.safe_load((tmp_path / 'v.yaml').read_text())
         assert result['verdict'] == {'right': 'pass', 'wrong': 'fail'}[name]
@@ -148,9 +149,9 @@ def test_the_verb_on_rendered_profiles(tmp_path):
         assert run.stdout.splitlines()[0].startswith(f'sphere: {result["verdict"].upper()}')
     run = handeye('verify', 'ball_bar', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
     assert_refused(run, 2, 'ball_bar needs 2 bags, and got 1')
-    run = handeye('verify', 'sphere', 'ball', '--calibration', 'right.yaml', '--tolerance', '0.3',
-                  cwd=tmp_path)
-    assert run.returncode == 2 and 'this is 300 mm' in run.stderr
+    run = handeye('verify', 'sphere', 'ball', '--calibration', 'right.yaml', '--set',
+                  'verify.tolerance=300 mm', cwd=tmp_path)
+    assert run.returncode == 1 and 'the tolerance is 300 mm' in run.stdout
     run = handeye('verify', 'cube', 'ball', '--calibration', 'right.yaml', cwd=tmp_path)
     assert_refused(run, 2, 'no routine "cube"')
     run = handeye('verify', 'sphere', 'ball', '--calibration', 'none.yaml', cwd=tmp_path)

@@ -1,0 +1,152 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Points in the robot's base, and the seam in them."""
+import math
+from pathlib import Path
+from typing import Annotated, TYPE_CHECKING
+
+from handeye_ros.cli.common import (
+    app,
+    Assignments,
+    Bag,
+    calibrated,
+    CalibrationFile,
+    doing,
+    flowing,
+    KinematicsFile,
+    MeasureConfig,
+    NoPath,
+    with_kinematics,
+)
+import typer
+
+if TYPE_CHECKING:
+    from handeye_ros.data import Array
+
+FAR = 10.0  # m: a larger plain number is taken for mm, and refused
+THINNED = 2e-4  # m: edge of the cubes, each with one point
+LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
+
+
+@app.command()
+def scan(
+    bag: Bag,
+    calibration: CalibrationFile,
+    out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
+    config: MeasureConfig = None,
+    assignments: Assignments = [],
+    kinematics: KinematicsFile = None,
+    voxel: Annotated[str, typer.Option(
+        metavar='L', help='Keep one point of each cube with this edge (0.2mm, or metres).')
+    ] = '0',
+    limits: Annotated[tuple[str, str], typer.Option(
+        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
+    ] = ('-inf', 'inf'),
+    incidence: Annotated[float, typer.Option(
+        min=0.0, max=90.0, help='Keep points that the laser meets at no larger angle to the '
+        'surface normal, as far as a profile shows it (degrees).')] = 90.0,
+    std: Annotated[bool, typer.Option(
+        '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
+) -> None:
+    """Put profiles into the base: a cloud of points."""
+    from handeye_ros.scanning.cloud_files import cloud_writer, header_of
+    from handeye_ros.scanning.scan import Scanner, ScanOptions
+    header_of(out)
+    answer, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
+    scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
+    count = scanner.count
+    with (flowing(bag, settings, 'reading the poses') as (source, track, update),
+          cloud_writer(out, f'frame {scanner.frame}, metres') as writer):
+        for points in scanner.scan(source.profiles(), track):
+            writer.write(points)
+            update(f'{count.profiles} profiles, {writer.count} points')
+        scanner.require_points()
+    dropped = [f'{number} {reason}' for number, reason in (
+        (count.without_pose, 'profiles without a pose'),
+        (count.out_of_limits, 'points outside the limits'),
+        (count.thinned, 'points thinned out')) if number]
+    typer.echo(f'{count.profiles} profiles, {count.returns} returns' + (
+        f'; left out: {", ".join(dropped)}' if dropped else ''))
+    typer.echo(f'wrote {out.absolute()}: {writer.count} points in {scanner.frame}')
+
+
+def _known_line(name: str) -> str:
+    if name not in LINES:
+        raise typer.BadParameter(f'{name!r} is not one of {", ".join(LINES)}')
+    return name
+
+
+@app.command()
+def seam(
+    path: Annotated[Path, typer.Argument(
+        metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
+    out: Annotated[Path, typer.Option(
+        metavar='DIR', help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
+    calibration: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='The calibration.yaml that puts a bag into the base.')] = None,
+    config: MeasureConfig = None,
+    assignments: Assignments = [],
+    pitch: Annotated[str, typer.Option(
+        metavar='L', help='Distance between tool frames along the seam (5mm, or metres).')
+    ] = '5mm',
+    box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
+        metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
+    ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
+    widest: Annotated[str, typer.Option(
+        metavar='L', help='Largest distance between the edges of the seam.')] = '12mm',
+    towards: Annotated[tuple[float, float, float], typer.Option(
+        metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
+    ] = (0.0, 0.0, -1.0),
+    travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')] = 0.0,
+    line: Annotated[str, typer.Option(callback=_known_line, help=(
+        'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
+        'centre, root, first or second edge.'))] = 'auto',
+    start: Annotated[tuple[str, str, str], typer.Option(
+        metavar='X Y Z', help='A place near the end where the path starts.')] = ('', '', ''),
+    bag: Annotated[bool, typer.Option(
+        '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
+) -> None:
+    """Find the seam in a cloud, and tool frames along it."""
+    from handeye_ros import units
+    from handeye_ros.scanning import seam_files
+    from handeye_ros.scanning.seam import find_seam, tool_frames
+    import numpy as np
+    low, high = np.reshape(units.limits(box, '--box', FAR), (3, 2)).T
+    gap = units.length(widest, '--widest', 0.1, 1e-4)
+    spacing = units.length(pitch, '--pitch', 0.1, 1e-5)
+    begin = [units.length(text, '--start', FAR) for text in start] if start[0] else None
+    points, frame = _cloud(path, calibration, config, assignments)
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    with doing('looking for the seam'):
+        result = find_seam(points, gap, towards, line, begin)
+        frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
+    seam_files.write(out, result, frames, frame)
+    if bag:
+        import time
+
+        from handeye_ros.bags.bag_write import write_path
+        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
+    for sentence in seam_files.sentences(result, frames):
+        typer.echo(sentence)
+    typer.echo(f'wrote {out.absolute()}')
+
+
+def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
+           ) -> tuple['Array', str]:
+    """Return the points (n, 3) of a cloud or a bag, and their frame."""
+    from handeye_ros.errors import InputError
+    from handeye_ros.scanning.cloud_files import FORMATS, read_cloud
+    from handeye_ros.scanning.scan import Scanner, ScanOptions
+    import numpy as np
+    if path.suffix.lower() in FORMATS:
+        return read_cloud(path), 'base'
+    if calibration is None:
+        raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
+                         'calibration of its sensor: --calibration FILE')
+    answer, settings = calibrated(calibration, config, assignments)
+    scanner = Scanner(answer, settings, ScanOptions(voxel=THINNED))
+    with flowing(path, settings, 'scanning') as (source, track, _):
+        rows = np.concatenate(list(scanner.scan(source.profiles(), track)))
+    scanner.require_points()
+    return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame
