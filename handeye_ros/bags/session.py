@@ -160,8 +160,11 @@ class SessionFiles:
         self._lock: int | None = None
         if stored:
             try:
-                self._lock = _claimed(stored.path)
+                self._lock = claimed(stored.path)
                 _write_metadata(stored.path, self._files, self._types)
+            except BlockingIOError as error:
+                raise SessionError(stored.path, 'is in use by another node: end that node first, '
+                                                'or begin a new session') from error
             except OSError as error:
                 raise UnwritableError(stored.path, error.strerror or str(error)) from error
 
@@ -245,19 +248,18 @@ class SessionFiles:
             with suppress(FileExistsError):
                 folder.mkdir()
                 _sync(parent)
-                return folder, _claimed(folder)
+                return folder, claimed(folder)
         raise FileExistsError(f'{parent / stamp} is there already')
 
 
-def _claimed(folder: Path) -> int:
-    """Lock a session against other nodes; the lock ends with the process. SessionError."""
+def claimed(folder: Path) -> int:
+    """Lock a folder until the process ends; raises BlockingIOError if another has, OSError."""
     lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
+    except BlockingIOError:
         os.close(lock)
-        raise SessionError(folder, 'is in use by another node: end that node first, or begin a '
-                                   'new session') from error
+        raise
     return lock
 
 

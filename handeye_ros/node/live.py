@@ -1,32 +1,42 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A running session without ROS: streams, samples, review, answer and verification.
+A running session without ROS: samples, review, advice, answer and verification.
 
-One thread owns the samples: one after the other, it evaluates the stops that are over, does what
-services ask for, and begins what follows from the samples. Evaluations and long computations run
-in two other processes, and the thread waits for the short ones only. One lock protects what
-messages change; it is held at most for one message. What is used is stored, and what is stored is
-used: a sample is taken when its event is on the disk.
+The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
+into the session. A stop that is over, or long enough, waits in `waiting` or `early` for the
+worker, which has it evaluated in another process, stores it on the disk, puts the outcome into the
+session and calls `changed`: this publishes ~/samples (outputs.py). What is used is stored, and
+what is stored is used.
+
+Threads: the drain thread; the worker (one, here), the only one that changes anything but what
+messages change; the threads of ROS (node.py) and of the page, which ask the worker and wait for
+it. Two processes (pool.py): the evaluator, which the worker waits for, and the solver, which it
+does not. Locks: `lock` for what messages change, held for at most one message; one in outputs.py,
+so that nothing is published after the end; one in node.py, so that settings change one by one.
 """
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-import fcntl
-from functools import partial
-import os
 from pathlib import Path
 import sys
-import threading
+from threading import Lock
 import traceback
 from typing import Any, TypeVar
 
 from handeye_ros import pipeline
-from handeye_ros.bags.session import CONFIGURED, Event, OutputFolders, REMOVED, SessionFiles
+from handeye_ros.bags.session import (
+    claimed,
+    CONFIGURED,
+    Event,
+    OutputFolders,
+    REMOVED,
+    SessionFiles,
+)
 from handeye_ros.checks.review import (
     count_of,
     flat_crossing,
@@ -66,15 +76,6 @@ PROFILES_COME = 1.0  # s since the last profile
 Result = TypeVar('Result')
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """Result of the last attempt to take a sample; number: 0 without a sample."""
-
-    accepted: bool
-    number: int
-    text: str
-
-
 @dataclass(frozen=True, eq=False)
 class Derived:
     """
@@ -110,11 +111,12 @@ class LiveSession:
     """
     All functions of the running node.
 
-    Whoever holds lock may use session, waiting and early; all else is changed by the thread alone,
-    and read at any time. calibration: the last answer that was not refused; missing: why there is
-    none; withdrawn: why the previous one was withdrawn; file: where it was saved, '' if it was
-    not; last: the last evaluated outcome; attempt: the last attempt to take a sample; verdict: of
-    the last verification; extremes: visible points (k, 2) at the ends of the field of view.
+    Whoever holds lock may use session, waiting, early and joints; all else is changed by the
+    worker alone, and read at any time. calibration: the last answer that was not refused; missing:
+    why there is none; withdrawn: why the previous one was withdrawn; file: where it was saved, ''
+    if it was not; last: the last evaluated outcome; attempt: the last attempt to take a sample
+    (accepted, number or 0, text); verdict: of the last verification; extremes: visible points
+    (k, 2) at the ends of the field of view.
     """
 
     def __init__(self, config: Config, folders: OutputFolders, files: SessionFiles,
@@ -123,29 +125,27 @@ class LiveSession:
         Start without samples; raises BadValueError for a method that does not exist.
 
         evaluator, solver: where stops are evaluated, and long computations run; changed: called by
-        the thread after every change.
+        the worker after every change.
         """
         self.config, self.folders, self.files = config, folders, files
         self.evaluator, self.solver, self._changed = evaluator, solver, changed
-        self.lock = threading.Lock()
+        self.lock = Lock()
         self.session = Session(config)
         self.waiting: deque[Stop] = deque()  # complete stops, not yet evaluated
         self.early: Stop | None = None  # the current stop, once it has enough profiles
-        self.arrivals, self.latest = Arrivals(), Latest(self.lock)
         self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
+        self.arrivals, self.latest = Arrivals(), Latest(self.lock)
         self._skipped = 0  # number of dropped stops
 
-        self._wake = threading.Event()
-        self._asked: deque[Callable[[], None]] = deque()
-        self._thread: threading.Thread | None = None
-        self._ended = False
+        self._worker: ThreadPoolExecutor | None = None
+        self._woken = self._ended = False
         self._works: list[str] = []  # that are running, in words
         self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
         self._unstored: set[int] = set()  # numbers of stops that could not be stored
         self._settings = self._cleared = 0  # how often they were changed, or all was cleared
         self._evaluation_trouble = self._store_trouble = self._failure = ''
 
-        self.attempt: Attempt | None = None
+        self.attempt: dict[str, Any] | None = None
         self.last: Outcome | None = None
         self._refused: dict[int, Array] = {}  # T_base_flange of stops without a sample, by start
         self.extremes = np.zeros((0, 2))
@@ -193,14 +193,103 @@ class LiveSession:
     def _queue_stops(self) -> None:
         """Queue stops for evaluation; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
-        self.waiting.extend(self.session.passed())
+        stops = self.session.passed()
+        self.waiting.extend(stops)
         while len(self.waiting) > MOST_STOPS:
             self.waiting.popleft()
             self._skipped += 1
-        if self.waiting or self.early:
-            self._wake.set()
+        if stops or self.early:
+            self._wake()
 
-    # state
+    # the worker
+
+    def start(self) -> None:
+        """Start the worker, and the processes, to finish their imports before the first stop."""
+        self._worker = ThreadPoolExecutor(1, 'worker')
+        for pool in (self.evaluator, self.solver):
+            pool.submit(trim_memory)
+        self._wake()
+
+    def stop(self) -> None:
+        """End the worker and the processes."""
+        self._ended = True
+        self.evaluator.stop()
+        self.solver.stop()
+        if self._worker:
+            self._worker.shutdown(wait=False, cancel_futures=True)
+
+    def _later(self, work: Callable[..., object], *args: Any) -> None:
+        """Have the worker do something, and publish; without a worker it is done at once."""
+        if self._worker is None:
+            work(*args)
+            self._changed()
+        elif not self._ended:
+            with suppress(RuntimeError):  # it has ended meanwhile
+                self._worker.submit(self._report, work, *args)
+
+    def _report(self, work: Callable[..., object], *args: Any) -> None:
+        """Do something, and publish what has changed; its failure is published too."""
+        try:
+            work(*args)
+            self._changed()
+            self._failure = ''
+        except Exception as error:  # noqa: BLE001 - the worker must go on
+            if not self._ended:
+                self._failure = str(error) if isinstance(error, HandeyeError) else (
+                    f'the work on the samples failed, which should not happen: {error!r}; see the '
+                    'log, and please report it')
+                print(traceback.format_exc(), file=sys.stderr, flush=True)
+
+    def _ask(self, work: Callable[..., Result], *args: Any) -> Result:
+        """Return the result of something that the worker does; raises its exceptions."""
+        if self._worker is None:
+            return work(*args)
+        try:
+            answered = self._worker.submit(work, *args)
+            self._wake()
+        except RuntimeError as error:
+            raise PoolEndedError from error
+        try:
+            return answered.result()
+        except CancelledError as error:
+            raise PoolEndedError from error
+
+    def _wake(self) -> None:
+        """Have the worker look for what is due."""
+        if self._worker and not self._woken:
+            self._woken = True
+            self._later(self._go_on)
+
+    def _go_on(self) -> None:
+        """Evaluate what is due, stop by stop: who has asked meanwhile waits for one stop only."""
+        self._woken = False
+        if self._evaluate_one():
+            self._wake()
+
+    def update(self) -> None:
+        """Evaluate all that is due; for a session without a worker."""
+        while self._evaluate_one():
+            pass
+        self._changed()
+
+    def _evaluate_one(self) -> bool:
+        """Evaluate one stop, or, if none is due, begin what follows from the samples."""
+        with self.lock:
+            over = bool(self.waiting)
+            stop = self.waiting.popleft() if over else self.early
+            self.early = self.early if over else None
+        if stop:
+            self._evaluate(stop, over)
+            self.files.sync()
+            trim_memory()
+        elif self._stale:
+            self._evaluate_again(self._stale.popleft())
+        else:
+            self._derive()
+            return False
+        return True
+
+    # what others tell of it
 
     def copied(self) -> Session:
         """Return a copy of the session at this moment."""
@@ -231,14 +320,13 @@ class LiveSession:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return the current warnings, one sentence each."""
-        verifying, skipped = self._verifying, ''
-        if self._skipped:
-            skipped = (f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} '
-                       'that waited to be evaluated: the processor cannot keep up; stop less '
-                       'often, or publish fewer points')
+        verifying = self._verifying
         continues = '' if verifying is None else (
             f'a verification ({verifying.routine.name}) continues: stops are not samples until '
             '~/verify_result')
+        skipped = '' if not self._skipped else (
+            f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that waited to '
+            'be evaluated: the processor cannot keep up; stop less often, or publish fewer points')
         return tuple(filter(None, (continues, skipped, self._evaluation_trouble)))
 
     @property
@@ -259,98 +347,23 @@ class LiveSession:
                 f'changed since ({differences}): call ~/compute_calibration for an answer from '
                 f'the current {len(now)}')
 
-    # the thread
-
-    def start(self) -> None:
-        """Start the thread, and the processes, to finish their imports before the first stop."""
-        self._thread = threading.Thread(target=self._run, name='samples', daemon=True)
-        self._thread.start()
-        for pool in (self.evaluator, self.solver):
-            pool.submit(trim_memory)
-
-    def stop(self) -> None:
-        """End the thread and the processes."""
-        self._ended = True
-        self._wake.set()
-        self.evaluator.stop()
-        self.solver.stop()
-
-    def _run(self) -> None:
-        while not self._ended:
-            self._wake.wait()
-            self._wake.clear()
-            try:
-                self.update()
-                self._failure = ''
-            except Exception as error:  # noqa: BLE001 - the thread must continue
-                if self._ended:
-                    return
-                self._failure = (f'the work on the samples failed, which should not happen: '
-                                 f'{error!r}; see the log, and please report it')
-                print(traceback.format_exc(), file=sys.stderr, flush=True)
-        while self._asked:  # nobody waits for ever
-            self._asked.popleft()()
-
-    def update(self) -> None:
-        """Do all that is due: what was asked for, stops, samples of other settings."""
-        evaluated = False
-        while not self._ended:
-            with self.lock:
-                over = bool(self.waiting)
-                if over:
-                    stop: Stop | None = self.waiting.popleft()
-                else:
-                    stop, self.early = self.early, None
-            if stop:
-                self._evaluate(stop, over)
-                evaluated = True
-            elif self._asked:
-                self._asked.popleft()()
-            elif self._stale:
-                self._evaluate_again(self._stale.popleft())
-            else:
-                break
-            self._changed()
-        if evaluated:
-            self.files.sync()
-            trim_memory()
-        self._derive()
-
-    def _later(self, work: Callable[[], None]) -> None:
-        """Have the thread do something; without a thread it is done at once."""
-        if self._thread and not self._ended:
-            self._asked.append(work)
-            self._wake.set()
-        else:
-            work()
-
-    def _ask(self, work: Callable[[], Result]) -> Result:
-        """Return the result of work done by the thread; raises its exceptions."""
-        answered: Future[Result] = Future()
-
-        def answer() -> None:
-            try:
-                answered.set_result(work())
-            except BaseException as error:  # noqa: BLE001 - it is raised where it was asked for
-                answered.set_exception(error)
-        self._later(answer)
-        return answered.result()
+    # samples
 
     def _evaluated(self, function: Callable[..., Result], *args: Any) -> Result:
         """Return the result of a function of a stop; this process helps where the other ends."""
         try:
             result = self.evaluator.run(function, *args)
-        except PoolEndedError as error:  # the sample must not be lost
+        except PoolEndedError as error:
+            if self._ended:
+                raise
             self._evaluation_trouble = f'{error}; the node itself has evaluated the stop'
-            return function(*args)
+            return function(*args)  # the sample must not be lost
         self._evaluation_trouble = ''
         return result
 
     def _result(self, stop: Stop, config: Config | None = None) -> Sample | Reject:
         config = config or self.config
         return self._evaluated(result_of, needed(stop, config), config)
-
-    # samples
 
     def _evaluate(self, stop: Stop, over: bool) -> None:
         """Put the outcome of a stop into the session, replacing an earlier one."""
@@ -381,8 +394,13 @@ class LiveSession:
             return  # the same result with more profiles is not reported again
         verdict = (f'sample {outcome.number} taken' if outcome.sample else
                    f'stop {outcome.number} gave no sample')
-        text = '; '.join(filter(None, (sample_summary(outcome.result), remark)))
-        self.attempt = Attempt(outcome.sample is not None, outcome.number, f'{verdict}: {text}')
+        self._tell(outcome, '; '.join(filter(None, (
+            f'{verdict}: {sample_summary(outcome.result)}', remark))))
+
+    def _tell(self, outcome: Outcome, text: str) -> None:
+        """Publish the last attempt to take a sample."""
+        self.attempt = {'accepted': outcome.sample is not None, 'number': outcome.number,
+                        'text': text}
         self.last = outcome
 
     def _stored(self, outcome: Outcome) -> Outcome:
@@ -441,21 +459,17 @@ class LiveSession:
         return self._ask(self._take)
 
     def _take(self) -> str:
-        try:
-            stop = self._standing()
-            return self._take_for_verification(stop) if self._verifying else self._take_at(stop)
-        except HandeyeError as error:
-            self.attempt = Attempt(False, 0, str(error))
-            raise
-
-    def _standing(self) -> Stop:
-        """Return the current stop; raises DataError as the session does."""
         silence = self.arrivals.silence('pose')
         limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
-        if self.arrivals.counts['pose'] and silence > limit:
-            raise silent_poses(silence)
-        with self.lock:
-            return self.session.current_stop()
+        try:
+            if self.arrivals.counts['pose'] and silence > limit:
+                raise silent_poses(silence)
+            with self.lock:
+                stop = self.session.current_stop()
+            return self._take_for_verification(stop) if self._verifying else self._take_at(stop)
+        except HandeyeError as error:
+            self.attempt = {'accepted': False, 'number': 0, 'text': str(error)}
+            raise
 
     def _take_at(self, stop: Stop) -> str:
         config = self.config
@@ -478,7 +492,7 @@ class LiveSession:
             self.session.put(outcome)
         note = ' again, as the robot has not moved since' if repeated else ''
         text = f'sample {outcome.number} taken{note}: {sample_summary(sample)}'
-        self.attempt, self.last = Attempt(True, outcome.number, text), outcome
+        self._tell(outcome, text)
         return text
 
     def remove_last_sample(self) -> str:
@@ -533,7 +547,6 @@ class LiveSession:
         if replace(old_config, session=self.config.session) != self.config:
             self.files.append(Event(CONFIGURED, self.config))
         self._requested = self._outdated = bool(session.samples)
-        self._wake.set()
         count = sum(outcome.sample is not None for outcome in session.outcomes)
         return f'continuing with {count_of(count, "sample")} of {self.path}'
 
@@ -548,7 +561,7 @@ class LiveSession:
 
     def configure(self, config: Config) -> None:
         """Apply another configuration, already checked by params.changed."""
-        self._ask(partial(self._configure, config))
+        self._ask(self._configure, config)
 
     def _configure(self, config: Config) -> None:
         old, new = flatten(self.config), flatten(config)
@@ -570,7 +583,7 @@ class LiveSession:
         except InputError as error:
             self._store_trouble = str(error)
 
-    # review, guidance and answer
+    # review and advice
 
     def _derive(self) -> None:
         """Begin what follows from the samples, if they or the settings have changed."""
@@ -593,8 +606,8 @@ class LiveSession:
             future = self.solver.submit(derive, [o.sample for o in outcomes], included,
                                         self.config, self.extremes, refused)
             self._deriving = True
-            future.add_done_callback(lambda done: self._later(
-                partial(self._put_derived, done, outcomes, basis)))
+            future.add_done_callback(
+                lambda done: self._later(self._put_derived, done, outcomes, basis))
 
     def _put_derived(self, done: Future[tuple[Review | None, str, Advice]],
                      outcomes: tuple[Outcome, ...], basis: tuple[Any, ...]) -> None:
@@ -602,16 +615,17 @@ class LiveSession:
         try:
             found, reason, advice = done.result()
         except ENDED as error:
+            found, reason, advice = None, str(error), self.derived.advice
             if self._failed != basis:  # one more try
                 self._failed = basis
+                self._derive()
                 return
-            self._failure = str(PoolEndedError())
-            found, reason, advice = None, str(error), self.derived.advice
         if basis[0] == self._cleared:
             advised = max((outcome.number for outcome in outcomes), default=0)
             self.derived = Derived(advice, advised, found, reason, outcomes, basis)
-        if not self._thread:
-            self._changed()
+        self._derive()  # if the samples have changed meanwhile
+
+    # answer
 
     def compute_calibration(self) -> str:
         """
@@ -621,7 +635,7 @@ class LiveSession:
         answer; after a DataError the previous answer is withdrawn.
         """
         self._requested = True
-        return self._ask(partial(self._solve, rest=True)).result()
+        return self._ask(self._solve, True).result()
 
     def _solve(self, rest: bool) -> Future[str]:
         """Begin to solve; return the future of the message. rest: see _evaluate_all."""
@@ -641,8 +655,8 @@ class LiveSession:
         cleared = self._cleared
         computed = self.solver.submit(pipeline.calibrate_session, samples, config)
         self._works.append(COMPUTED)
-        computed.add_done_callback(lambda done: self._later(
-            partial(self._put_answer, done, answered, session, cleared)))
+        computed.add_done_callback(
+            lambda done: self._later(self._put_answer, done, answered, session, cleared))
         return answered
 
     def _put_answer(self, computed: Future[Calibration], answered: Future[str], session: Session,
@@ -654,19 +668,25 @@ class LiveSession:
             self._outdated = self._failed != COMPUTED
             self._failed = COMPUTED
             answered.set_exception(PoolEndedError())
-            return
         except HandeyeError as error:
             if cleared == self._cleared:
                 self._refuse(error)
             answered.set_exception(error)
-            return
         except Exception as error:
             answered.set_exception(error)
             raise
-        if cleared != self._cleared:
-            answered.set_exception(DataError('the samples were cleared while the calibration was '
-                                             'computed, so there is no answer: take new samples'))
-            return
+        else:
+            if cleared == self._cleared:
+                self._put_calibration(calibration, session)
+                answered.set_result(calibration_summary(calibration))
+            else:
+                answered.set_exception(DataError(
+                    'the samples were cleared while the calibration was computed, so there is no '
+                    'answer: take new samples'))
+        self._derive()  # settings may have changed meanwhile
+
+    def _put_calibration(self, calibration: Calibration, session: Session) -> None:
+        """Publish an answer, computed from the samples of a session."""
         config = self.config
         inputs = [{'topic': config.profile_topic},
                   {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
@@ -675,7 +695,6 @@ class LiveSession:
                                    provenance={**calibration.provenance, 'inputs': inputs})
         self._solved, self._failed = _identities(session), None
         self.withdrawn = self.missing = self.file = ''
-        answered.set_result(calibration_summary(self.calibration))
 
     def _refuse(self, error: HandeyeError) -> None:
         """Withdraw the answer after a refusal; what only disturbs the streams withdraws none."""
@@ -718,17 +737,13 @@ class LiveSession:
         if folder not in self._claims:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                claim = os.open(folder / '.lock', os.O_RDONLY | os.O_CREAT, 0o644)
-            except OSError as error:
-                raise UnwritableError(folder, error.strerror or str(error)) from error
-            try:
-                fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._claims[folder] = claimed(folder)
             except BlockingIOError as error:
-                os.close(claim)
                 raise InputError(f'another running node saves its results in {folder}: set name '
                                  'or output_dir of this one, so that neither replaces those of '
                                  'the other') from error
-            self._claims[folder] = claim
+            except OSError as error:
+                raise UnwritableError(folder, error.strerror or str(error)) from error
         return folder
 
     # verification: stops give no samples until its result
@@ -766,9 +781,8 @@ class LiveSession:
         if verifying is None or verifying.scans:
             return None
         result = verifying.add(stop, self.config, self._result)
-        self.attempt = Attempt(not isinstance(result, Reject), 0,
-                               f'verification: {verifying.text}; {sample_summary(result)}')
-        self.last = Outcome(0, stop, result)
+        self._tell(Outcome(0, stop, result),
+                   f'verification: {verifying.text}; {sample_summary(result)}')
         return result
 
     def _take_for_verification(self, stop: Stop) -> str:
@@ -793,7 +807,7 @@ class LiveSession:
             result = self.solver.run(session.result, calibration, config)
         finally:
             self._works.remove('the calibration is verified')
-        return self._ask(partial(self._put_verdict, result))
+        return self._ask(self._put_verdict, result)
 
     def _finished_verification(self) -> tuple[VerificationSession, Calibration, Config]:
         if self._verifying is None:

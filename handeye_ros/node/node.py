@@ -115,10 +115,10 @@ class HandeyeNode(Node):
         if outcome and attempt and outcome is not self._logged:
             self._logged = outcome
             if outcome.sample:
-                self._inform(attempt.text)
+                self._inform(attempt['text'])
                 self._outputs.show_features(outcome.sample)
             else:
-                self._warn(attempt.text)
+                self._warn(attempt['text'])
         self._outputs.show()
 
     def _diagnose(self) -> None:

@@ -49,7 +49,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     samples = [_sample(outcome, session, agreements.get(outcome.number))
                for outcome in session.outcomes]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
-    motion, attempt = session.motion, live.attempt
+    motion = session.motion
     late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
             'before: sampling continues by itself if the clock was set back'
             ) if session.late else ''
@@ -71,8 +71,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                     'notes': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst],
         'review': derived.no_review,
-        'attempt': attempt and {'accepted': attempt.accepted, 'number': attempt.number,
-                                'text': attempt.text},
+        'attempt': live.attempt,
         'calibration': _calibration(live, session), 'guidance': _guidance(live)}
 
 
