@@ -3,7 +3,7 @@
 """The node `handeye`: topics, services and parameters around a running session."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -160,9 +160,16 @@ class HandeyeNode(Node):
         stored = read_session(path)
         files, session = SessionFiles(self._folders.folder, stored), stored.session(config)
         text = self.live.open(files, session, stored.config)
-        self.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
-                                       list(stored.config.samples.exclude))])
+        self.set_values({'samples.exclude': list(stored.config.samples.exclude)})
         return text
+
+    def set_values(self, values: Mapping[str, Any]) -> str:
+        """Set parameters by key; return why one is refused, '' if all are set."""
+        results = self.set_parameters([
+            # ROS gives an empty list no type
+            Parameter(key, Parameter.Type.INTEGER_ARRAY, value) if value == [] else
+            Parameter(key, value=value) for key, value in values.items()])
+        return '; '.join(result.reason for result in results if not result.successful)
 
     def _answer(self, name: str, _: Trigger.Request, response: Trigger.Response
                 ) -> Trigger.Response:
@@ -178,12 +185,10 @@ class HandeyeNode(Node):
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:
-        result = self.set_parameters([Parameter(
-            'sampling.mode', value='still' if request.data else 'manual')])[0]
-        response.success, response.message = result.successful, result.reason
-        if result.successful:
-            response.message = ('a sample is taken at every stop of the robot' if request.data
-                                else 'samples are taken by ~/take_sample only')
+        refusal = self.set_values({'sampling.mode': 'still' if request.data else 'manual'})
+        response.success, response.message = not refusal, refusal or (
+            'a sample is taken at every stop of the robot' if request.data else
+            'samples are taken by ~/take_sample only')
         return response
 
     # parameters

@@ -21,15 +21,11 @@ from handeye_ros.frames import in_mount
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import extremes
 from handeye_ros.guidance.views import anchor_of
-from handeye_ros.node.arrivals import Current
-from handeye_ros.node.live import LiveSession
-from handeye_ros.node.state import State
 from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.scene import shape
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
-from rclpy.parameter import Parameter
 
 # buttons that call the service of their name
 SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
@@ -42,6 +38,8 @@ SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise
 MOST_POINTS = 400  # of a profile: about the pixels of a tablet
 DIGITS = 6  # after the decimal point of a metre
 
+Live = Any  # the session of the node, handeye_ros.node.live.LiveSession
+State = Mapping[str, Any]  # of handeye_ros.node.state
 Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Read = Callable[[Mapping[str, str]], Any]
 
@@ -64,7 +62,7 @@ class Source:
 class Served(Protocol):
     """Interface of the node that the page needs."""
 
-    live: LiveSession
+    live: Live
 
     @property
     def state(self) -> State:
@@ -79,8 +77,8 @@ class Served(Protocol):
     def open_session(self, name: str) -> str:
         """Continue a previous session; return the message. Raises HandeyeError."""
 
-    def set_parameters(self, changes: list[Parameter]) -> Any:
-        """Set parameters; see rclpy."""
+    def set_values(self, values: Mapping[str, Any]) -> str:
+        """Set parameters by key; return why one is refused, '' if all are set."""
 
     def get_logger(self) -> Any:
         """Return the log."""
@@ -115,9 +113,8 @@ def _exclude(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
     if type(number) is not int or number not in {s['number'] for s in node.state['samples']}:
         return False, f'there is no sample {str(number)[:20]}'
     numbers = {*node.live.config.samples.exclude} - {number} | ({number} if out else set())
-    result, = node.set_parameters([Parameter('samples.exclude', Parameter.Type.INTEGER_ARRAY,
-                                             sorted(numbers))])
-    return result.successful, result.reason or (
+    refusal = node.set_values({'samples.exclude': sorted(numbers)})
+    return not refusal, refusal or (
         f'sample {number} is left out' if out else f'sample {number} is back')
 
 
@@ -129,10 +126,8 @@ def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
             return False, f'{key[:40]} is not set by the page'
         config = configuration.with_assignments(config, [f'{key}={text}'])
     after = configuration.flatten(config)
-    for result in node.set_parameters([Parameter(key, value=after[key]) for key in values]):
-        if not result.successful:
-            return False, result.reason
-    return True, ', '.join(f'{key} is {after[key]}' for key in values)
+    refusal = node.set_values({key: after[key] for key in values})
+    return not refusal, refusal or ', '.join(f'{key} is {after[key]}' for key in values)
 
 
 def _cell(node: Served) -> dict[str, Any]:
@@ -158,7 +153,7 @@ def _cell(node: Served) -> dict[str, Any]:
                 'choices': choices.get(key, list(parameters[key].choices))} for key in SETTINGS]}
 
 
-def _file(live: LiveSession, name: str) -> tuple[str, str]:
+def _file(live: Live, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     if live.calibration is None:
         raise DataError('there is no calibration to save: call ~/compute_calibration first, and '
@@ -178,7 +173,7 @@ def _report(calibration: Calibration, session: str) -> str:
     return pages.html(calibration, evidence(calibration, Path(session) if session else None))
 
 
-def contents(state: State, live: LiveSession) -> dict[str, Any]:
+def contents(state: State, live: Live) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
     config, current = live.config, live.latest.current(live.config)
     profile = current and _profile(current.points, current.features, current.reason)
@@ -200,7 +195,7 @@ def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str
     yield 'samples used', str(quality.samples_used), '', ''
 
 
-def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
+def stop_profile(live: Live, number: int) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for outcome in live.copied().outcomes:
         if outcome.number == number:
@@ -225,7 +220,7 @@ def _profile(points: Array, features: Iterable[Feature], reason: str) -> dict[st
     return {'points': _rounded(points[::step]), 'lines': lines, 'spots': spots, 'reason': reason}
 
 
-def _edges(live: LiveSession) -> dict[int, str]:
+def _edges(live: Live) -> dict[int, str]:
     """Return the edges of the target crossed by each used sample, by its number."""
     review = live.derived.review
     if review is None:
@@ -240,7 +235,7 @@ def _edges(live: LiveSession) -> dict[int, str]:
     return edges
 
 
-def _scene(live: LiveSession, current: Current | None) -> dict[str, Any]:
+def _scene(live: Live, current: Any) -> dict[str, Any]:
     """
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 
