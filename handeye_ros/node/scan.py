@@ -16,29 +16,27 @@ from __future__ import annotations
 import argparse
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 import sys
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
-from handeye_ros.bags.bag import pose_from_joints
-from handeye_ros.bags.messages import pose_from_cdr, returns_of, transforms_from_cdr
+from handeye_ros.bags.messages import returns_of
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
-from handeye_ros.errors import DataError, NoRosError, UnusableMessageError
+from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.node.main import exit_code, spin
 from handeye_ros.node.outputs import cloud
-from handeye_ros.node.streams import LATCHED_TREE, STREAM, TFMessage, THROTTLE
+from handeye_ros.node.streams import LATCHED_TREE, pose_topics, STREAM, THROTTLE
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from handeye_ros.results.evidence import use_config
-from handeye_ros.robot.urdf import read_arm
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 PERIOD = 0.05  # s between two clouds
 KEPT_POSES = 2000  # profiles may still need them: 20 s of 100 Hz
@@ -50,7 +48,7 @@ class ScanNode(Node):
     """Subscribes to profiles and poses, and publishes points."""
 
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
-        """Subscribe; raises NoRosError for poses from transforms without tf2_msgs."""
+        """Subscribe; raises InputError for poses from transforms without tf2_msgs."""
         super().__init__('handeye_scan')
         self._config = config
         self._scanner = Scanner(calibration, config, options)
@@ -58,24 +56,13 @@ class ScanNode(Node):
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._dropped = 0
-        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
-        config, profiles, poses = self._config, self._profiles, self._poses
         self._listen(PointCloud2, config.profile_topic,
-                     lambda data: profiles.extend(returns_of(data, config.profile)))
-        if config.kinematics:
-            arm = read_arm(Path(config.kinematics))
-            self._listen(JointState, config.joint_topic,
-                         lambda data: poses.append(pose_from_joints(arm, data)))
-        elif config.pose_source == 'topic':
-            self._listen(PoseStamped, config.pose_topic, self._on_pose)
-        elif TFMessage:
-            self._listen(TFMessage, '/tf_static', lambda data: poses.extend(
-                self._tracker.add(transforms_from_cdr(data), True)), LATCHED_TREE)
-            self._listen(TFMessage, '/tf', lambda data: poses.extend(
-                self._tracker.add(transforms_from_cdr(data), False)))
-        else:
-            raise NoRosError('scan with pose_source tf', 'tf2_msgs')
+                     lambda data: self._profiles.extend(returns_of(data, config.profile)))
+        tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+        for message, name, read_poses in pose_topics(config, tracker):
+            self._listen(message, name, partial(self._on_poses, read_poses),
+                         LATCHED_TREE if name == '/tf_static' else STREAM)
         self.create_timer(PERIOD, self._publish_ready)
 
     def _listen(self, kind: Any, topic: str, receive: Callable[[bytes], object],
@@ -88,13 +75,14 @@ class ScanNode(Node):
                 self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
         self.create_subscription(kind, topic, on_message, qos, raw=True)
 
-    def _on_pose(self, data: bytes) -> None:
-        pose = pose_from_cdr(data)
-        if pose.parent_frame.lstrip('/') not in ('', self._config.base_frame):
-            raise UnusableMessageError(
-                f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
-                f'robot_base_frame is "{self._config.base_frame}"')
-        self._poses.append(pose)
+    def _on_poses(self, read_poses: Callable[[bytes], list[TimedPose]], data: bytes) -> None:
+        for pose in read_poses(data):
+            if not self._config.kinematics and pose.parent_frame.lstrip('/') not in (
+                    '', self._config.base_frame):
+                raise UnusableMessageError(
+                    f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
+                    f'robot_base_frame is "{self._config.base_frame}"')
+            self._poses.append(pose)
 
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""

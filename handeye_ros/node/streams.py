@@ -37,7 +37,8 @@ try:
 except ImportError:  # the wheels of rclpy come without it
     TFMessage = None
 
-__all__ = ['LATCHED_TREE', 'STREAM', 'Streams', 'TFMessage', 'THROTTLE', 'topics_with']
+__all__ = ['LATCHED_TREE', 'pose_topics', 'STREAM', 'Streams', 'TFMessage', 'THROTTLE',
+           'topics_with']
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 # The queue holds 20 s of poses at 100 Hz, for times when other work takes the processor.
@@ -53,17 +54,7 @@ THROTTLE = 5.0  # s between two warnings of a kind
 LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
-
-NO_TF = ('pose_source is tf, but tf2_msgs is not installed: '
-         f'{INSTALL_TF2}; or publish the poses on pose_topic')
-HINTS = {  # why another message type cannot be used, or the remedy
-    'geometry_msgs/msg/Pose': ', as a Pose has no time',
-    'geometry_msgs/msg/PoseWithCovarianceStamped': ', without the covariance',
-    'geometry_msgs/msg/TransformStamped': ' (or set pose_source to tf)',
-    'sensor_msgs/msg/LaserScan': ': let the driver publish its points',
-    'sensor_msgs/msg/PointCloud': ', its successor',
-}
-
+ReadPoses = Callable[[bytes], list[TimedPose]]
 
 class NoExecutor(MutuallyExclusiveCallbackGroup):
     """Excludes subscriptions from executors, which are slower than reading in a thread."""
@@ -91,6 +82,28 @@ class _Topic:
     subscription: Any = None
     publishers: int = 0
     number: int = 0
+
+
+def pose_topics(config: Config, tracker: FlangeTracker) -> list[tuple[Any, str, ReadPoses]]:
+    """
+    Return message type and name of the topics that give the poses, and what reads a message.
+
+    tracker: follows the transforms, where they come from /tf. Raises InputError.
+    """
+    if config.kinematics:
+        arm = read_arm(Path(config.kinematics))
+        return [(JointState, config.joint_topic, lambda data: [pose_from_joints(arm, data)])]
+    if config.pose_source == 'topic':
+        return [(PoseStamped, config.pose_topic, lambda data: [pose_from_cdr(data)])]
+    if not TFMessage:
+        raise InputError('pose_source is tf, but tf2_msgs is not installed: '
+                         f'{INSTALL_TF2}; or publish the poses on pose_topic')
+    return [(TFMessage, name, partial(_flange_poses, tracker, static))
+            for name, static in (('/tf_static', True), ('/tf', False))]
+
+
+def _flange_poses(tracker: FlangeTracker, static: bool, data: bytes) -> list[TimedPose]:
+    return tracker.add(transforms_from_cdr(data), static)
 
 
 class Streams:
@@ -123,23 +136,13 @@ class Streams:
         reliable = QoSProfile(depth=STREAM.depth, reliability=RELIABLE)
         topics = [_Topic('profile', PointCloud2, config.profile_topic, self._on_profile,
                          reliable, alone=True)]
-        if config.kinematics:
-            pose_of = partial(pose_from_joints, read_arm(Path(config.kinematics)))
-            topics.append(_Topic('pose', JointState, config.joint_topic,
-                                 partial(self._on_pose, pose_of), reliable, alone=True))
-        else:
+        if not config.kinematics:
             topics.append(_Topic('', JointState, config.joint_topic, self._on_joints))
-            if config.pose_source == 'topic':
-                topics.append(_Topic('pose', PoseStamped, config.pose_topic,
-                                     partial(self._on_pose, pose_from_cdr), reliable,
-                                     alone=True))
-            elif TFMessage:
-                topics += [_Topic('pose', TFMessage, '/tf_static',
-                                  partial(self._on_transforms, True), LATCHED_TREE),
-                           _Topic('pose', TFMessage, '/tf',
-                                  partial(self._on_transforms, False))]
-            else:
-                raise InputError(NO_TF)
+        for message, name, read in pose_topics(config, self._tracker):
+            shared = message is TFMessage
+            qos = STREAM if name == '/tf' else LATCHED_TREE if shared else reliable
+            topics.append(_Topic('pose', message, name, partial(self._on_poses, read), qos,
+                                 alone=not shared))
         for topic in topics:
             self._subscribe(topic)
         self._topics = topics
@@ -159,12 +162,8 @@ class Streams:
         if any(outcome.sample for outcome in self._live.copied().outcomes):
             raise InputError('the topics cannot change while there are samples from them: call '
                              '~/clear_samples first, which begins a new session')
-        by_topic = config.pose_source == 'topic'
-        if not by_topic and not TFMessage:
-            raise InputError(NO_TF)
-        names = [self._full_name(config.profile_topic)]
-        names += [self._full_name(config.pose_topic)] * by_topic
-        if len(set(names)) < len(names):
+        names = [self._full_name(name) for _, name, _ in pose_topics(config, self._tracker)]
+        if self._full_name(config.profile_topic) in names:
             raise InputError('profile_topic and pose_topic are the same: each needs its own')
         return True
 
@@ -244,16 +243,13 @@ class Streams:
             self._live.add_profile(profile_part)
         self._last_stamp = message.stamp
 
-    def _on_pose(self, pose_of: Callable[[bytes], TimedPose], data: bytes) -> None:
-        self._live.add_poses([self._stamped(pose_of(data))])
+    def _on_poses(self, read: ReadPoses, data: bytes) -> None:
+        self._live.add_poses([self._stamped(pose) for pose in read(data)])
 
     def _on_joints(self, data: bytes) -> None:
         """Keep joint values for `handeye kinematics`, as they are."""
         seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
         self._live.add_joints(seconds * 1_000_000_000 + nanoseconds, data)
-
-    def _on_transforms(self, static: bool, data: bytes) -> None:
-        self._live.add_poses(self._tracker.add(transforms_from_cdr(data), static))
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
@@ -312,9 +308,8 @@ def _why_silent(node: Node, key: str, topic: str, message_type: str) -> str:
     types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
     if message_type in types:
         return ''
-    hints = ''.join(HINTS.get(kind, '') for kind in sorted(types))
     reason = f'{name} has no publisher' if not types else (
-        f'it carries {", ".join(sorted(types))}, expected {message_type}{hints}')
+        f'it carries {", ".join(sorted(types))}, expected {message_type}')
     alternatives = topics_with(node, message_type)
     if alternatives:
         reason += f'; {message_type} is on {", ".join(alternatives[:LISTED])}: set {key}'
