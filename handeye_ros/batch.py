@@ -47,10 +47,6 @@ LOCAL = {  # settings of Dask on this machine
     # a worker is given one job at a time, so that a job that ends it takes no other along
     'distributed.scheduler.worker-saturation': 1.0,
     'distributed.scheduler.allowed-failures': 1,
-    # the profiler stores call stacks: half a megabyte for each job
-    'distributed.worker.profile.enabled': False,
-    # with Dask's 64 kB memory is released and requested again: 11,000 page faults a job, not 500
-    'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 2**27,
     # the client handles ctrl-C and ends the workers
     'distributed.worker.preload': ['import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)']}
 
@@ -103,9 +99,6 @@ def opened(source: str) -> Iterator[tuple[Any, str]]:
     """Give the file system of a path or URL, and the path on it; raises InputError."""
     try:
         from fsspec.core import url_to_fs
-    except ImportError as error:
-        raise _not_installed('fsspec') from error
-    try:
         system, path = url_to_fs(source)
         system.invalidate_cache()  # a long-lived worker caches old listings
         yield system, path
@@ -113,11 +106,6 @@ def opened(source: str) -> Iterator[tuple[Any, str]]:
         raise InputError(f'{source} cannot be read ({type(error).__name__}: {error}): check it, '
                          'its credentials, and that the library of its file system (such as '
                          's3fs) is installed') from error
-
-
-def _not_installed(name: str) -> InputError:
-    return InputError(f'batch needs {name}, which is not installed: pip install '
-                      '"handeye_ros[batch]"')
 
 
 def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
@@ -205,11 +193,8 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
     workers, memory: of this machine, 0: one for each core; the memory that each may use.
     Raises InputError.
     """
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise _not_installed('distributed') from error
+    import dask
+    from distributed import Client, LocalCluster
     with ExitStack() as stack:
         if scheduler == 'local':
             stack.enter_context(dask.config.set(LOCAL))
@@ -228,16 +213,55 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
         yield stack.enter_context(client)
 
 
-def require_memory(text: str) -> None:
-    """Raise InputError for what is no size of memory."""
+def require_dask(memory: str) -> None:
+    """Raise InputError without Dask, and for what is no size of memory."""
     try:
         from dask.utils import parse_bytes
-        parse_bytes(0 if text == 'auto' else text)
+        import distributed  # noqa: F401 - only whether it is there
+        parse_bytes(0 if memory == 'auto' else memory)
     except ImportError as error:
-        raise _not_installed('distributed') from error
+        raise InputError(f'batch needs {error.name}, which is not installed: pip install '
+                         '"handeye_ros[batch]"') from error
     except ValueError as error:
-        raise InputError(f'"{text}" is no size of memory: give one such as 2GB or 500MB, or auto'
-                         ) from error
+        raise InputError(f'"{memory}" is no size of memory: give one such as 2GB or 500MB, or '
+                         'auto') from error
+
+
+def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, client: Callable[[], Any]
+            ) -> Iterator[Row]:
+    """
+    Yield the row of each job: of the unchanged at once, of the others when they are done.
+
+    verb: runs the words of a command in a process, and returns its exit code; client: gives a
+    context of a Dask client, where there is something to compute. A worker that ends costs only
+    its own job. At last the worst answers of `solve` get their report.
+    """
+    rows = [row for row in (unchanged(job, out) for job in jobs) if row]
+    yield from rows
+    done = {row['label'] for row in rows}
+    pending = [job for job in jobs if job.label not in done]
+    if not pending:
+        return
+    from distributed import as_completed
+    with client() as workers:
+        by_future = dict(zip(workers.map(partial(run, out=out, verb=verb), pending, pure=False),
+                             pending, strict=True))
+        for future, result in as_completed(by_future, with_results=True, raise_errors=False):
+            job, error = by_future.pop(future), future.exception()
+            rows.append(result if error is None else {
+                'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
+                'cause': f'{type(error).__name__}: {error}', 'computed': True})
+            yield rows[-1]
+        folders = [out / row['label'] for row in worst_answers(rows) if row['verb'] == 'solve']
+        workers.gather(workers.map(
+            partial(_quietly, verb), [['report', str(folder)] for folder in folders
+                                      if not (folder / 'report.html').exists()],
+            pure=False), errors='skip')
+
+
+def _quietly(verb: Verb, words: list[str]) -> int:
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        return verb(words)
 
 
 def unchanged(job: Job, out: Path) -> Row | None:
@@ -253,11 +277,7 @@ def unchanged(job: Job, out: Path) -> Row | None:
 
 
 def run(job: Job, out: Path, verb: Verb) -> Row:
-    """
-    Return the row of a job after running it; its folder below out appears complete or not at all.
-
-    verb: runs the words of a command in this process, and returns its exit code.
-    """
+    """Return the row of a job after running it; its folder below out appears whole or not."""
     folder = out / job.label
     unfinished = folder.with_name(f'.{folder.name}.part')
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -327,18 +347,6 @@ def _figures_in(folder: Path) -> Row:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
                        for k, axis in enumerate(('x', 'y', 'z', 'rx', 'ry', 'rz'))}
     return values
-
-
-def rows_of(client: Any, jobs: Sequence[Job], out: Path, verb: Verb) -> Iterator[Row]:
-    """Yield the row of each job when it is done; a killed worker only costs its own job."""
-    from distributed import as_completed
-    by_future = dict(zip(client.map(partial(run, out=out, verb=verb), jobs, pure=False), jobs,
-                         strict=True))
-    for future, result in as_completed(by_future, with_results=True, raise_errors=False):
-        job, error = by_future.pop(future), future.exception()
-        yield result if error is None else {
-            'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
-            'cause': f'{type(error).__name__}: {error}', 'computed': True}
 
 
 def result_of(row: Row) -> str:

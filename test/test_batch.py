@@ -57,8 +57,8 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], Job('', '', 'solve'))
     assert [job.label for job in jobs] == sorted(texts)
-    with client_of('local', workers=2, memory='500MB') as client:
-        rows = {row['label']: row for row in rows_of(client, jobs, out, pretended)}
+    workers = partial(client_of, 'local', workers=2, memory='500MB')
+    rows = {row['label']: row for row in rows_of(jobs, out, pretended, workers)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
         'killing': CRASHED, 'memory': CRASHED, 'crashing': CRASHED, 'refused': 3}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
@@ -167,8 +167,8 @@ def test_an_interrupt_says_how_far_it_came_and_a_second_run_goes_on(tmp_path):
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
         said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and 'Traceback' not in ''.join(said), said
-    assert ' of 200 done; run again to continue' in said[1]
     done = len(list(tmp_path.glob('out/*/job.json')))
+    assert f'{done} of 200 done; run again to continue' in said[1]
     assert 0 < done < 200 and len(list(tmp_path.glob('out/*/calibration.yaml'))) == done
 
 

@@ -3,10 +3,10 @@
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
-import io
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -30,7 +30,7 @@ from handeye_ros.errors import HandeyeError, NoRosError, UnknownNameError, Unwri
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.batch import Job, Row
+    from handeye_ros.batch import Row
     from handeye_ros.data import TimedPose
     from handeye_ros.robot.model import Chain
     from handeye_ros.robot.samples import Source
@@ -48,11 +48,6 @@ def run_verb(words: list[str]) -> int:
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(bool(end.code))
     return 0
-
-
-def _run_quietly(words: list[str]) -> int:
-    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-        return run_verb(words)
 
 
 @app.command()
@@ -79,7 +74,7 @@ def batch(
     from handeye_ros import batch as batches
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
-    batches.require_memory(memory)
+    batches.require_dask(memory)
     jobs = batches.jobs_of(sources, batches.Job(
         '', '', verb, batches.words_of(args, Path()), str(config.absolute()) if config else '',
         tuple(assignments)))
@@ -87,36 +82,26 @@ def batch(
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
     rows: list[Row] = []
-    pending: list[Job] = []
+    workers = partial(batches.client_of, scheduler, memory=memory, dashboard=dashboard)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for job in jobs:
-            if row := batches.unchanged(job, out):
+        with advancing(f'{len(jobs)} recordings') as progress:
+            for row in batches.rows_of(jobs, out, run_verb, workers):
                 rows.append(row)
-            else:
-                pending.append(job)
-        unchanged = len(rows)
-        if pending:
-            with batches.client_of(scheduler, memory=memory, dashboard=dashboard) as client:
-                with advancing(f'{len(pending)} recordings') as progress:
-                    for row in batches.rows_of(client, pending, out, run_verb):
-                        rows.append(row)
-                        progress((len(rows) - unchanged) / len(pending))
-                client.gather(client.map(_run_quietly, [
-                    ['report', str(out / row['label'])] for row in batches.worst_answers(rows)
-                    if verb == 'solve' and not (out / row['label'] / 'report.html').exists()
-                ], pure=False), errors='skip')
+                progress(len(rows) / len(jobs))
         batches.write_table(rows, out)
     except KeyboardInterrupt:
-        typer.echo(f'{len(rows)} of {len(jobs)} done; run again to continue', err=True)
+        done = sum(batches.unchanged(job, out) is not None for job in jobs)
+        typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
         raise typer.Exit(INTERRUPTED) from None
     except OSError as error:
         if error.filename is None:
             raise
         raise UnwritableError(error.filename, error.strerror or str(error)) from error
     counts = Counter(map(batches.result_of, rows)).items()
+    computed = sum(row['computed'] for row in rows)
     typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'
-               f' {len(pending)} computed, the others unchanged; wrote {out}')
+               f' {computed} computed, the others unchanged; wrote {out}')
 
 
 @app.command()
