@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-import errno
 import os
 import signal
 import sys
@@ -46,51 +45,40 @@ def own_arguments(argv: Sequence[str]) -> list[str]:
 
 
 def main() -> int:
-    """Run the executable `calibrate`; return the exit code, 1 if output cannot be written."""
-    code = 0
-    sys.setswitchinterval(SWITCH)
-    # small matrices: more threads would slow down the streams
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    with suppress(KeyboardInterrupt):
-        try:
-            code = _run(own_arguments(sys.argv[1:]))
-        except OSError as error:
-            if error.errno != errno.ENOSPC:
-                raise
-            code = 1
-    return code if _flushed() else code or 1
-
-
-def _run(arguments: Sequence[str]) -> int:
-    if arguments and arguments[0] in ('-h', '--help'):
+    """Run the executable `calibrate`; return the exit code."""
+    arguments = own_arguments(sys.argv[1:])
+    if arguments[:1] in (['-h'], ['--help']):
         print(USAGE, end='')
         return 0
     if arguments:
         print(f'error: unknown arguments: {" ".join(arguments)} (ROS arguments such as '
               f'--params-file and -p follow --ros-args)\n{USAGE}', end='', file=sys.stderr)
         return 2
+    sys.setswitchinterval(SWITCH)
+    # small matrices: more threads would slow down the streams
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     # an exception in the import of an extension module would be lost
     _on_signals(lambda *_: os._exit(0))
-    from handeye_ros.node.node import HandeyeNode
-    from rclpy.executors import MultiThreadedExecutor
-    _on_signals(signal.default_int_handler)
+    try:
+        from handeye_ros.node.node import HandeyeNode
+        from rclpy.executors import MultiThreadedExecutor
+        _on_signals(signal.default_int_handler)
+    except KeyboardInterrupt:
+        return 0
 
-    def run() -> None:
-        working = spin(HandeyeNode, lambda: MultiThreadedExecutor(THREADS), stop_of)
-        if working:  # Python would wait for the thread that solves
-            _flushed()
-            os._exit(0)
-
-    def stop_of(node: Any) -> Any:
+    def stop(node: Any) -> None:
+        working = node.live.working
         node.stop()
-        return node.live.working
-    return exit_code(run)
+        if working:  # Python would wait for the thread that solves
+            sys.stdout.flush()
+            os._exit(0)
+    return exit_code(lambda: spin(HandeyeNode, lambda: MultiThreadedExecutor(THREADS), stop))
 
 
 def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
-         stop: Callable[[Any], Any] = lambda node: None) -> Any:
+         stop: Callable[[Any], None] = lambda node: None) -> None:
     """
-    Run the node that make() returns until Ctrl-C or SIGTERM; return what stop(node) returns.
+    Run the node that make() returns until Ctrl-C or SIGTERM, then stop(node).
 
     Raises InputError if ROS does not start, or a topic cannot be used.
     """
@@ -102,7 +90,7 @@ def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
             node = make()
         except (InvalidHandle, RCLError) as error:
             if not rclpy.ok():  # ended by a signal
-                return None
+                return
             reason = ' '.join(str(error).split())[:120]
             raise InputError(f'the node cannot use its topics ({reason}): check pose_topic and '
                              'profile_topic; each needs its own') from error
@@ -118,10 +106,9 @@ def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
             if rclpy.ok():  # else ended by a signal
                 raise
         finally:
-            left = stop(node)
+            stop(node)
             runner.shutdown()
             node.destroy_node()
-        return left
 
 
 def exit_code(run: Callable[[], None]) -> int:
@@ -172,15 +159,3 @@ def _on_signals(handler: Callable[[int, Any], Any]) -> None:
     """Set the handler of Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
-
-
-def _flushed() -> bool:
-    """Flush the output; return whether it could be written."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:
-            with suppress(OSError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-            return False
-    return True

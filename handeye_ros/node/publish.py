@@ -27,30 +27,25 @@ def publish(paths: Sequence[Path]) -> None:
     """
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
-    calibrations: list[Calibration] = []
-    failed: list[HandeyeError] = []
+    calibrations: dict[str, Calibration] = {}  # by the frame of the sensor
+    failed = 0
     for path in paths:
         try:
-            calibrations.append(_read(path, calibrations))
+            calibration = read_calibration(file_of(path).absolute())
+            if calibration.child_frame in calibrations:
+                raise InputError(
+                    f'{path} is not published: another of the files gives the pose of '
+                    f'{calibration.child_frame}, and a frame has one parent; name each sensor '
+                    'once')
+            calibrations[calibration.child_frame] = calibration
         except HandeyeError as error:
-            failed.append(error)
+            failed += 1
             print(error, file=sys.stderr, flush=True)
     if calibrations:
-        spin(lambda: _publisher(calibrations))
+        spin(lambda: _publisher([*calibrations.values()]))
     if failed:
-        raise InputError(f'{len(failed)} of {len(paths)} calibrations not published: see above, '
+        raise InputError(f'{failed} of {len(paths)} calibrations not published: see above, '
                          'and name files that handeye solve or ~/save_calibration wrote')
-
-
-def _read(path: Path, calibrations: Sequence[Calibration]) -> Calibration:
-    """Return a calibration; raises InputError if its sensor has a frame already."""
-    file = file_of(path).absolute()
-    calibration = read_calibration(file)
-    if any(known.child_frame == calibration.child_frame for known in calibrations):
-        raise InputError(f'{file} is not published: another of the files gives the pose of '
-                         f'{calibration.child_frame}, and a frame has one parent; name each '
-                         'sensor once')
-    return calibration
 
 
 def _publisher(calibrations: Sequence[Calibration]) -> Node:

@@ -10,11 +10,11 @@ import math
 from pathlib import Path
 import sys
 import time
-from typing import Any
 
 from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
 from handeye_ros.node.main import exit_code, ros
+from handeye_ros.node.outputs import time_message
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -64,42 +64,33 @@ def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: f
 def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
     """Return a publisher for each topic with an installed type; report the others."""
     publishers = {}
-    for topic, type_name in topics.items():
-        message_type = _message_type(type_name)
-        if message_type is None:
-            print(f'{topic} is left out: {type_name} is not installed', file=sys.stderr)
-        else:
-            durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static'
-                          else DurabilityPolicy.VOLATILE)
-            publishers[topic] = node.create_publisher(
-                message_type, topic, QoSProfile(depth=1000, durability=durability))
+    for topic, kind in topics.items():
+        package, _, name = kind.replace('/msg/', '/').partition('/')
+        try:
+            message_type = getattr(import_module(f'{package}.msg'), name)
+        except (AttributeError, ImportError):
+            print(f'{topic} is left out: {kind} is not installed', file=sys.stderr)
+            continue
+        durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static'
+                      else DurabilityPolicy.VOLATILE)
+        publishers[topic] = node.create_publisher(
+            message_type, topic, QoSProfile(depth=1000, durability=durability))
     return publishers
-
-
-def _message_type(name: str) -> Any:
-    package, _, kind = name.replace('/msg/', '/').partition('/')
-    try:
-        return getattr(import_module(f'{package}.msg'), kind, None)
-    except ImportError:
-        return None
 
 
 def _wait_for_subscribers(publishers: dict[str, Publisher], wait_for: int | None,
                           timeout: float) -> None:
     needed = len(publishers) if wait_for is None else min(wait_for, len(publishers))
-    end = time.monotonic() + timeout
-    while len(unsubscribed := _without_subscriber(publishers)) > len(publishers) - needed:
+    end, missing = time.monotonic() + timeout, list(publishers)
+    while len(missing) > len(publishers) - needed:
+        missing = [topic for topic, one in publishers.items() if not one.get_subscription_count()]
         if time.monotonic() > end:
-            print(f'no subscriber on {", ".join(unsubscribed)}; starting anyway',
-                  file=sys.stderr)
+            if missing:
+                print(f'no subscriber on {", ".join(missing)}; starting anyway', file=sys.stderr)
             break
         time.sleep(TICK)
-    if len(unsubscribed) < len(publishers):
+    if len(missing) < len(publishers):
         time.sleep(DISCOVERY)
-
-
-def _without_subscriber(publishers: dict[str, Publisher]) -> list[str]:
-    return [t for t, publisher in publishers.items() if not publisher.get_subscription_count()]
 
 
 def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
@@ -116,17 +107,11 @@ def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
         task = progress.add_task('replay', total=last - first)
         for message in messages:
             while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
-                clock.publish(_clock(bag_time()))
+                clock.publish(Clock(clock=time_message(bag_time())))
                 progress.update(task, completed=bag_time() - first)
                 time.sleep(min(ahead, TICK))
             publishers[message.topic].publish(message.data)
-        clock.publish(_clock(last))
-
-
-def _clock(stamp: int) -> Clock:
-    msg = Clock()
-    msg.clock.sec, msg.clock.nanosec = divmod(stamp, 1_000_000_000)
-    return msg
+        clock.publish(Clock(clock=time_message(last)))
 
 
 def main() -> int:
