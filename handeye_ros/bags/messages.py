@@ -48,7 +48,7 @@ SHARED = 0.5  # smallest common fraction of the line in rows that are profiles
 FEWEST_COLUMNS = 10  # of rows that are compared
 BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}  # share of a message's time before its stamp
 
-PROBE = 200_000_000  # ns between two profiles whose points are checked
+PROBE = 1_000_000_000  # ns between two profiles whose points are checked
 MOST_SHAPES = 1000  # of messages, that are known to be valid
 OVERHEAD = 600  # bytes of memory for a message, without its data
 

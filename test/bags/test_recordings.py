@@ -1,0 +1,416 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings in every form, whole and damaged: what is whole is read, the rest is told."""
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+import sqlite3
+
+from handeye_ros.bags import bag, bag_write
+from handeye_ros.bags.reader import Raw, TF
+from handeye_ros.config import Config, ProfileConfig
+from handeye_ros.errors import BagError, DataError, InputError
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from recordings import (
+    assert_equal_recordings,
+    CONFIG,
+    LAYOUTS_OF_MCAP,
+    POSES,
+    POSES_PERIOD,
+    PROFILES,
+    profiles,
+    PROFILES_PERIOD,
+    restamped,
+    rewrite,
+    rosbags_copy,
+    scan,
+    split,
+    START,
+    TYPES,
+    with_messages,
+    written,
+)
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+SQLITE3, NONE = StoragePlugin.SQLITE3, CompressionMode.NONE
+
+
+def refused(words, path, config=CONFIG, kind=InputError):
+    with pytest.raises(kind, match=words):
+        bag.read(path, config)
+
+
+# -- forms
+
+
+@pytest.mark.parametrize('layout', LAYOUTS_OF_MCAP)
+def test_every_layout_of_mcap(good_bag, tmp_path, layout):
+    recording = bag.read(rewrite(good_bag, tmp_path / 'x.mcap', **LAYOUTS_OF_MCAP[layout]), CONFIG)
+    assert_equal_recordings(recording)
+    assert recording.warnings == ()
+
+
+# sqlite3 has no compression of its own
+@pytest.mark.parametrize(('plugin', 'mode'), [
+    (plugin, mode) for plugin in StoragePlugin for mode in CompressionMode
+    if (plugin, mode) != (SQLITE3, CompressionMode.STORAGE)])
+def test_every_storage_and_compression_of_rosbag2(good_bag, tmp_path, plugin, mode):
+    recording = bag.read(rosbags_copy(good_bag, tmp_path / 'copy', plugin, mode), CONFIG)
+    assert_equal_recordings(recording)
+    assert recording.warnings == ()
+
+
+@pytest.mark.parametrize('listed', [True, False])
+def test_a_split_bag_and_one_with_a_file_missing(good_bag, tmp_path, listed):
+    target = split(good_bag, tmp_path / 'split', listed)
+    recording = bag.read(target, CONFIG)
+    assert_equal_recordings(recording)
+    assert len(recording.inputs) == 11
+    (target / 'split_4.mcap').unlink()
+    recording = bag.read(target, CONFIG)
+    assert len(recording.profiles) < len(PROFILES)
+    missing = '1 of the 11 files that metadata.yaml lists are missing'
+    assert (missing in recording.warnings) == listed
+
+
+def test_a_packed_file_beside_the_unpacked_one_is_the_same(good_bag, tmp_path):
+    copy = rosbags_copy(good_bag, tmp_path / 'copy', StoragePlugin.MCAP, CompressionMode.FILE)
+    (copy / 'metadata.yaml').unlink()
+    (copy / 'copy.mcap').write_bytes((good_bag / 'good.mcap').read_bytes())
+    assert_equal_recordings(bag.read(copy, CONFIG))
+
+
+def test_names_of_types_and_topics(good_bag, tmp_path):
+    short = {'/profile': 'sensor_msgs/PointCloud2', '/flange_pose': 'geometry_msgs/PoseStamped'}
+    slashes = Config(profile_topic='/profile', pose_topic='/flange_pose')
+    assert_equal_recordings(bag.read(rewrite(good_bag, tmp_path / 's.mcap', types=short), slashes))
+
+
+# -- damage
+
+
+@pytest.mark.parametrize('layout', LAYOUTS_OF_MCAP)
+@pytest.mark.parametrize('share', [0.3, 0.9])
+def test_a_cut_mcap_gives_what_lies_before_the_cut(good_bag, tmp_path, layout, share):
+    options = LAYOUTS_OF_MCAP[layout] | {'chunk_size': 10_000}
+    file = rewrite(good_bag, tmp_path / 'cut.mcap', **options)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:int(share * len(whole))])
+    recording = bag.read(file, CONFIG)
+    n, m = len(recording.profiles), len(recording.poses)
+    assert_equal_recordings(recording, PROFILES[:n], POSES[:m])
+    # all that is stored before the cut, but for a message and what a packer holds back
+    assert n >= share * len(PROFILES) - (2 if 'compression' not in options else 5)
+    assert f'cut.mcap is cut off or damaged: read {n + m} messages' in recording.warnings[0]
+
+
+def test_a_recorder_that_was_killed_leaves_no_end(good_bag, tmp_path):
+    recording = bag.read(rewrite(good_bag, tmp_path / 'killed.mcap', finish=False), CONFIG)
+    assert len(recording.profiles) > len(PROFILES) - 5
+    assert 'cut off' in recording.warnings[0]
+
+
+@pytest.mark.parametrize('index', [0, 15])
+def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index):
+    # the first defines the channels too
+    file = rewrite(good_bag, tmp_path / 'damaged.mcap')
+    data = bytearray(file.read_bytes())
+    raw = next(r for r in scan(good_bag)[1]
+               if (r.topic, r.log_time) == ('/profile', PROFILES[index].stamp))
+    data[data.index(raw.data) + 1000] ^= 0xff
+    file.write_bytes(data)
+    recording = bag.read(file, CONFIG)
+    assert 0 < len(PROFILES) - len(recording.profiles) <= 2
+    assert PROFILES[index].stamp not in [p.stamp for p in recording.profiles]
+    assert recording.warnings == ('damaged.mcap is damaged: 1 chunk(s) of it were left out',)
+
+
+@pytest.fixture(scope='module')
+def small(tmp_path_factory):
+    """Return a folder of short recordings in all layouts."""
+    folder = tmp_path_factory.mktemp('small')
+    bag_write.write(folder / 'good', PROFILES[:4], POSES[:8])
+    for layout, options in LAYOUTS_OF_MCAP.items():
+        rewrite(folder / 'good', folder / layout, **options)
+    return folder
+
+
+PLACES = st.integers(0, 2 ** 20)
+
+
+@settings(max_examples=100)
+@given(st.sampled_from(list(LAYOUTS_OF_MCAP)), PLACES, st.binary(min_size=1, max_size=40), PLACES)
+@example('lz4', 8035, b'\x00\x00', 24)  # a channel behind the chunks
+@example('plain', 6005, b'\x00\x00\x00\x00\x80', 5)  # a length that no index can have
+def test_damage_anywhere_is_an_input_error_or_a_part_of_the_truth(
+        small, layout, start, garbage, rest):
+    content = bytearray((small / layout).read_bytes())
+    start %= len(content)
+    content[start:start + len(garbage)] = garbage
+    file = small / 'damaged.mcap'
+    file.write_bytes(content[:start + rest % (len(content) - start + 1)])
+    try:
+        recording = bag.read(file, CONFIG)
+    except (InputError, DataError) as error:
+        assert str(error)
+    else:
+        assert recording.profiles
+        assert recording.poses
+
+
+@pytest.mark.parametrize('content', [None, 'a: [b', 'a: b'])
+def test_a_folder_without_usable_metadata(good_bag, content):
+    (good_bag / 'metadata.yaml').unlink()
+    if content:
+        (good_bag / 'metadata.yaml').write_text(content)
+    recording = bag.read(good_bag, CONFIG)
+    assert_equal_recordings(recording)
+    assert 'metadata.yaml is missing or damaged' in recording.warnings[0]
+
+
+def test_a_db3_that_is_whole_cut_or_without_its_table(good_bag, tmp_path):
+    file = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE) / 'copy.db3'
+    assert_equal_recordings(bag.read(file, CONFIG))
+    whole = file.read_bytes()
+    file.write_bytes(whole[:len(whole) * 2 // 3])
+    refused('copy.db3 is cut off or damaged', file)
+    file.write_bytes(whole)
+    with sqlite3.connect(file) as database:
+        database.execute('DROP TABLE messages')
+    refused('no messages on /profile', file)
+
+
+@pytest.mark.parametrize('broken', [False, True])
+def test_a_db3_whose_recorder_was_killed_keeps_the_rest_in_its_log(good_bag, tmp_path, broken):
+    copy = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE)
+    killed = tmp_path / 'killed'
+    killed.mkdir()
+    with closing(sqlite3.connect(copy / 'copy.db3')) as database:
+        rows = database.execute('SELECT * FROM messages').fetchall()
+        database.execute('PRAGMA journal_mode=WAL')
+        database.execute('DELETE FROM messages WHERE id > 60')
+        database.commit()
+        database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+        database.executemany('INSERT INTO messages VALUES (?, ?, ?, ?)', rows[60:])
+        database.commit()
+        for name in ('copy.db3', 'copy.db3-wal'):
+            (killed / name).write_bytes((copy / name).read_bytes())
+    if broken:
+        (killed / 'copy.db3-wal').write_bytes(b'no log at all' * 100)
+    before = sorted((p.name, p.read_bytes()) for p in killed.iterdir())
+    recording = bag.read(killed / 'copy.db3', CONFIG)
+    count = len(recording.profiles) + len(recording.poses)
+    assert count == (60 if broken else len(PROFILES) + len(POSES))
+    assert sorted((p.name, p.read_bytes()) for p in killed.iterdir()) == before
+
+
+@pytest.mark.parametrize(('content', 'reason'), [
+    (b'', 'the file is empty'), (b'x: 1\n', 'is not a bag'), (b'#ROSBAG V2.0\n', 'a ROS 1 bag'),
+    (b'\x89MCAP0\r\n', 'holds no messages'), (b'\x28\xb5\x2f\xfd12345678', 'is not a bag'),
+    (b'SQLite format 3\0', 'holds no messages'), (None, 'no such file or folder')])
+def test_not_a_bag(tmp_path, content, reason):
+    if content is not None:
+        (tmp_path / 'x.mcap').write_bytes(content)
+    refused(reason, tmp_path / 'x.mcap', kind=BagError)
+    (tmp_path / 'x.mcap').unlink(missing_ok=True)
+    refused('holds no .mcap or .db3 file', tmp_path, kind=BagError)
+
+
+# -- stamps
+
+
+def restamped_bag(folder, tmp_path, topics, stamp_of):
+    """Return a copy whose header stamps are stamp_of(log time) while log times stay."""
+    def change(raw):
+        if raw.topic not in topics:
+            return raw
+        sec, nanosec = divmod(stamp_of(raw.log_time), 1_000_000_000)
+        stamp = sec.to_bytes(4, 'little') + nanosec.to_bytes(4, 'little')
+        return raw._replace(data=raw.data[:4] + stamp + raw.data[12:])
+
+    (tmp_path / 'again').mkdir()
+    return with_messages(folder, tmp_path / 'again', change)
+
+
+def test_slight_disorder_is_sorted(good_bag, tmp_path):
+    order = np.arange(len(POSES)).reshape(-1, 2)[:, ::-1].ravel()
+    stamps = {POSES[i].stamp: POSES[j].stamp for i, j in enumerate(order)}
+    file = restamped_bag(good_bag, tmp_path, ['/flange_pose'], stamps.__getitem__)
+    assert [p.stamp for p in bag.read(file, CONFIG).poses] == [p.stamp for p in POSES]
+
+
+def test_messages_that_lie_in_any_order_are_sorted_by_their_receipt(good_bag, tmp_path):
+    messages = scan(good_bag)[1]
+    shuffled = [messages[i]._replace(log_time=START + 60 * (messages[i].log_time - START))
+                for i in np.random.default_rng(5).permutation(len(messages))]
+    file = rewrite(good_bag, tmp_path / 'shuffled.mcap', shuffled)
+    file = restamped_bag(file, tmp_path, ['/profile', '/flange_pose'], lambda log_time: log_time)
+    recording = bag.read(file, CONFIG)
+    for found, items in ((recording.profiles, PROFILES), (recording.poses, POSES)):
+        assert [p.stamp for p in found] == [START + 60 * (p.stamp - START) for p in items]
+    assert [warning[-10:] for warning in recording.warnings] == ['ere sorted'] * 2
+
+
+def test_two_runs_are_refused(good_bag, tmp_path):
+    # of one simulated clock, one after the other
+    spread = [raw._replace(log_time=START + 9 * (raw.log_time - START))
+              for raw in scan(good_bag)[1]]
+    file = rewrite(good_bag, tmp_path / 'twice.mcap', spread + spread)
+    file = restamped_bag(file, tmp_path, ['/profile', '/flange_pose'], lambda log_time: log_time)
+    refused('two runs', file, kind=DataError)
+
+
+@pytest.mark.parametrize(('stamp_of', 'words'), [
+    (lambda t: t - t % 2 * 60 * 10**9, 'two runs'),
+    (lambda t: t if t < START + 5 * 10**9 else t - 5 * 10**9, 'jump back by 4.9 s at message 51')])
+def test_times_that_start_again_are_refused(tmp_path, stamp_of, words):
+    longer = restamped(POSES, [START + i * 100_000_000 + i % 2 for i in range(len(POSES))])
+    file = restamped_bag(written(tmp_path, poses=longer), tmp_path, ['/flange_pose'], stamp_of)
+    refused(words, file, kind=DataError)
+
+
+@pytest.mark.parametrize('topic', ['/profile', '/flange_pose'])
+@pytest.mark.parametrize('wild', [1, START - 10**18, START + 20 * 10**9, 2_100_000_000 * 10**9])
+@pytest.mark.parametrize('places', [[0], [28, 29], [3, 4, 20]])
+def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, wild, places):
+    items = PROFILES if topic == '/profile' else POSES
+    stamps = {item.stamp: item.stamp for item in items}
+    stamps |= {items[i].stamp: wild + i for i in places}
+    recording = bag.read(restamped_bag(good_bag, tmp_path, [topic], stamps.__getitem__), CONFIG)
+    kept = recording.profiles if topic == '/profile' else recording.poses
+    inside = {p.stamp for p in kept} - {wild + i for i in places}
+    assert inside == {item.stamp for i, item in enumerate(items) if i not in places}
+    # what is wild at an end of the recording is in order, and far from all stations
+    inner = [i for i in places if 0 < i < len(items) - 2]
+    assert len(kept) <= len(items) - len(inner)
+    if inner:
+        warning, = recording.warnings
+        assert f'of {len(items)} messages on {topic} were left out: their stamps' in warning
+
+
+def test_missing_stamps_and_clocks_that_share_no_time(good_bag, tmp_path):
+    first = PROFILES[0].stamp
+    for number, (stamp_of, expected, warning) in enumerate([
+            (lambda _: 0, PROFILES, 'the messages on /profile have no stamps'),
+            (lambda t: 0 if t == first else t, PROFILES[1:],
+             '1 messages on /profile without a stamp were left out')]):
+        (tmp_path / str(number)).mkdir()
+        recording = bag.read(restamped_bag(
+            good_bag, tmp_path / str(number), ['/profile'], stamp_of), CONFIG)
+        assert_equal_recordings(recording, expected)
+        assert warning in recording.warnings[0]
+    file = restamped_bag(good_bag, tmp_path, ['/profile'],
+                         lambda t: t - START + PROFILES_PERIOD)
+    refused('share no time', file, kind=DataError)
+
+
+# -- topics
+
+
+@pytest.mark.parametrize(('config', 'words'), [
+    (Config(profile_topic='laser'), r'no topic /laser. It holds /profile \(sensor_msgs/msg/Point'
+     r'Cloud2\), /flange_pose \(geometry_msgs/msg/PoseStamped\).*--set profile_topic=/profile$'),
+    (Config(pose_topic='profile'), '/profile carries sensor_msgs/msg/PointCloud2, but only '
+     'geometry_msgs/msg/PoseStamped can be read there. .*--set pose_topic=/flange_pose'),
+    (Config(pose_source='tf'), 'has no topic /tf. .*record /tf, or set pose_source')])
+def test_a_wrong_topic_lists_what_is_there(good_bag, config, words):
+    refused(words, good_bag, config)
+
+
+@pytest.mark.parametrize('kind', [
+    'nav_msgs/msg/Odometry', 'geometry_msgs/msg/PoseWithCovarianceStamped'])
+def test_poses_of_other_types_and_encodings(good_bag, tmp_path, kind):
+    file = rewrite(good_bag, tmp_path / 'other.mcap', types={'/flange_pose': kind})
+    refused(rf'/flange_pose carries {kind}, but only.*none of them is a geometry_msgs', file)
+    file = rewrite(good_bag, tmp_path / 'old.mcap', encoding='ros1')
+    refused('/profile carries .*PointCloud2 in ros1', file)
+
+
+def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_path):
+    def cut(raw):
+        third = raw.topic == '/profile' and raw.log_time == PROFILES[3].stamp
+        return raw._replace(data=raw.data[:len(raw.data) // 2]) if third else raw
+
+    recording = bag.read(with_messages(good_bag, tmp_path, cut), CONFIG)
+    assert_equal_recordings(recording, PROFILES[:3] + PROFILES[4:])
+    assert recording.warnings[0].startswith(
+        f'1 of {len(PROFILES)} messages on /profile were left out; the first: ')
+    few = [replace(p, points=p.points * np.nan) if i < 5 else p for i, p in enumerate(PROFILES)]
+    zero = [replace(p, quaternion=np.zeros(4)) for p in POSES]
+    millimetres = Config(profile=ProfileConfig(unit='mm'))
+    for name, items, config, words in (
+            ('unit', {'profiles': few, 'config': millimetres}, CONFIG, 'only 5 of the 30 messages '
+             'on /profile can be used; .*: set profile.unit to mm'),
+            ('zero', {'poses': zero}, CONFIG, 'none of the 100 messages on /flange_pose can be '
+             'used; the first reason: .*of length 0'),
+            ('none', {'poses': []}, CONFIG, 'no messages on /flange_pose')):
+        refused(words, written(tmp_path, name=name, **items), config)
+
+
+def test_strays_of_another_frame_and_two_sensors(tmp_path):
+    stray = replace(PROFILES[3], frame_id='other')
+    found = bag.read(written(tmp_path, [*PROFILES[:3], stray, *PROFILES[4:]]), CONFIG)
+    assert {p.frame_id for p in found.profiles} == {'laser'}
+    assert found.warnings == ('left out 1 profiles of other frames than "laser"',)
+    two = PROFILES[:5] + profiles(9, frame_id='other')[5:]
+    refused('"laser" and "other"', written(tmp_path, two, name='two'))
+
+
+# -- transforms
+
+
+def transform(stamp, parent, child, translation, quaternion=(0.0, 0.0, 0.0, 1.0)):
+    def new(kind, *values):
+        return TYPES.types[kind](*values)
+    time = new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    return new('geometry_msgs/msg/TransformStamped', new('std_msgs/msg/Header', time, parent),
+               child, new('geometry_msgs/msg/Transform',
+                          new('geometry_msgs/msg/Vector3', *map(float, translation)),
+                          new('geometry_msgs/msg/Quaternion', *quaternion)))
+
+
+def tf_bag(folder, tmp_path, moving, static=()):
+    """Return a copy of the bag with lists of transforms on /tf and /tf_static, not poses."""
+    raws = [r for r in scan(folder)[1] if r.topic == '/profile']
+    for topic, messages in (('/tf', moving), ('/tf_static', static)):
+        for stamp, transforms in messages:
+            data = TYPES.serialize_cdr(TYPES.types[TF](transforms), TF)
+            raws.append(Raw(topic, stamp, bytes(data)))
+    return rewrite(folder, tmp_path / 'tf.mcap', raws, types={'/tf': TF, '/tf_static': TF})
+
+
+def test_poses_from_a_chain_of_transforms(good_bag, tmp_path):
+    half, stamps = np.sqrt(0.5), [START + i * POSES_PERIOD for i in range(100)]
+    moving = [(stamp, [transform(stamp, 'base', 'link', (0.01 * i, 0, 0)),
+                       transform(stamp, 'link', 'tool', (0, 0, 0.5), (0.0, 0.0, half, half))])
+              for i, stamp in enumerate(stamps)]
+    # sent after the motion, as by a node that starts late
+    static = [(START + 100 * POSES_PERIOD, [transform(0, 'tool', 'flange', (0.1, 0, 0))])]
+    found = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
+    assert [p.stamp for p in found] == stamps
+    np.testing.assert_allclose([p.translation for p in found],
+                               [[0.01 * i, 0.1, 0.5] for i in range(100)], atol=1e-12)
+    np.testing.assert_allclose([p.quaternion for p in found], [[0, 0, half, half]] * 100,
+                               atol=1e-12)
+
+
+def test_a_wild_stamp_in_the_transforms_is_dropped(good_bag, tmp_path):
+    stamps = [START + i * POSES_PERIOD for i in range(100)]
+    moving = [(stamp, [transform(1 if i == 50 else stamp, 'base', 'flange', (0.01 * i, 0, 0))])
+              for i, stamp in enumerate(stamps)]
+    recording = bag.read(tf_bag(good_bag, tmp_path, moving), Config(pose_source='tf'))
+    assert len(recording.poses) == 99
+    assert '1 of 100 messages on /tf (frame flange) were left out' in recording.warnings[0]
+
+
+@pytest.mark.parametrize(('config', 'words'), [
+    (Config(pose_source='tf'), 'no chain of transforms leads from "base" to "flange"; frames '
+                               'received: base, tool'),
+    (Config(), 'take the poses from /tf, as in --set pose_source=tf')])
+def test_transforms_that_give_no_poses(good_bag, tmp_path, config, words):
+    moving = [(START + i, [transform(START + i, 'base', 'tool', (0, 0, 0))]) for i in range(5)]
+    refused(words, tf_bag(good_bag, tmp_path, moving), config)
