@@ -53,9 +53,9 @@ from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.rules import limits_of
 from handeye_ros.guidance.score import extremes, learn_view, mapping, View
 from handeye_ros.results.truth_file import mapped_point_error
-from handeye_ros.sampling import station_features
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.stops import duplicate_pose, Outcome, require_inside
+from handeye_ros.sampling.features import of_profiles, require_inside
+from handeye_ros.sampling.session import duplicate_pose, Outcome
 from handeye_ros.simulate import (
     plate,
     Scenario,
@@ -145,8 +145,7 @@ class World:
         profiles = [Profile(k, 'laser', points) for k, points in enumerate(
             sensor.plane_points(self.scenario.sensor, measured))]
         self.seen = extremes(np.concatenate([self.seen, profiles[-1].points]))
-        used, features = station_features.of_station(profiles, targets.method_for(self.config),
-                                                     self.config)
+        used, features = of_profiles(profiles, self.config)
         require_inside(features, used)
         self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)

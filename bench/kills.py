@@ -33,7 +33,7 @@ from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
-from handeye_ros.sampling.stops import sample_of
+from handeye_ros.sampling.features import sample_of
 from mcap.reader import make_reader
 import numpy as np
 from rosbags.highlevel import AnyReader

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-TIME_OFFSET, ROTATION_LAG = 'time_offset', 'rotation_lag'  # keys of estimated values (s)
+# keys of estimated values: two times (s), and how much faster the clock of the profiles runs
+TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
 QUATERNION_TOLERANCE = 1e-3  # of its length
+MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,7 @@ class Profile:
     One laser profile, in the sensor's own plane.
 
     points: (n, 2) metres, along the laser line and range, ordered along the line in either
-    direction (a session sorts others); a row with NaN is a column without a return.
+    direction (read sorts others); a row with NaN is a column without a return.
     axes: the signed axes of frame_id that the two columns of points run along.
     beside: the third coordinate in frame_id, across the plane (metres); it is not used.
     intensity: (n,) of the points, None if not requested or not published.
@@ -47,8 +49,25 @@ class Profile:
                              'of floats: along the laser line, and range (m)')
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
-        """Return this profile itself; same interface as RawProfile.read."""
-        return self
+        """
+        Return this profile with its points in order along the laser line, as RawProfile.read does.
+
+        Points in the origin become NaN: drivers publish the origin for missing returns.
+        """
+        points, intensity = self.points, self.intensity
+        missing = (points == 0).all(axis=1)
+        if missing.any():
+            points = np.where(missing[:, None], np.nan, points)
+        placed = np.isfinite(points[:, 0]).nonzero()[0]
+        x = points[placed, 0]
+        steps = np.diff(x)
+        forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
+        if min(forth, back) > MOST_BACK * max(forth, back):
+            order = placed[np.argsort(x, kind='stable')]
+            points = points[order]
+            intensity = None if intensity is None else intensity[order]
+        return self if points is self.points else replace(self, points=points,
+                                                          intensity=intensity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +233,9 @@ class Sample:
 
     Or one profile of a moving robot. stamp: of the first profile used; T_base_flange: (4, 4).
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting.
-    motion: trajectory of a moving robot (streams.trajectory); offsets: from the stamp to the time
-    of its pose, and of the rotation behind the position (s). single: of a pass, the samples of its
-    profiles; the pass has the features of the middle one.
+    motion: trajectory of a moving robot (sampling.trajectory); offsets: from the stamp to the time
+    of its pose, of the rotation behind the position (s), and drift (sampling.sweep). single: of a
+    pass, the samples of its profiles; the pass has the features of the middle one.
     """
 
     stamp: int

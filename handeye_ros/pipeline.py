@@ -38,9 +38,8 @@ from handeye_ros.guidance import advice
 from handeye_ros.results.evidence import Evidence, evidence_of
 from handeye_ros.results.outcome import describe_calibration, NuisanceReport
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.passes import problem_of, single_samples
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.time_offset import synchronised
+from handeye_ros.sampling.sweep import problem_of, single_samples, synchronised
 import numpy as np
 
 Solver = Callable[[Sequence[Sample], Sequence[Reject], Config, str], Calibration]

@@ -19,9 +19,8 @@ import sys
 from typing import Any, NamedTuple
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.data import Array, MOST_BACK, Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.profile_buffer import MOST_BACK
 import numpy as np
 from numpy.typing import NDArray
 

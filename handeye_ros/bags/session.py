@@ -36,8 +36,8 @@ from handeye_ros.data import AnyProfile, Array, RawProfile, Reject
 from handeye_ros.errors import BagError, SessionError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name
 from handeye_ros.robot.model import Arm, Chain
-from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import judged, Outcome, Seen, Stop
+from handeye_ros.sampling.session import judged, Outcome, Session
+from handeye_ros.sampling.stops import Stop
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import numpy as np
@@ -55,7 +55,7 @@ STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 SUFFIX, METADATA, LOCK = '.mcap', 'metadata.yaml', '.lock'
 STAMP = '%Y-%m-%dT%H%M%SZ'  # names of folders
 CHUNK = 1 << 22  # bytes of a chunk: a reader decompresses one to read a message
-NOTHING = Seen((), ())
+NOTHING = Stop(0)
 SOURCE = "the node's parameters"
 
 
@@ -187,9 +187,10 @@ class SessionFiles:
         seen = outcome.stop.load(config)
         joints = [one for one in joints if seen.poses[0].stamp <= one[0] <= seen.poses[-1].stamp]
         file = self.append(event, seen, outcome, joints)
-        return replace(outcome, stop=Stop(outcome.stop.began, partial(load, file)))
+        return replace(outcome, stop=Stop(outcome.stop.began,
+                                          source=partial(load, file, outcome.stop.began)))
 
-    def append(self, event: Event, seen: Seen = NOTHING, outcome: Outcome | None = None,
+    def append(self, event: Event, seen: Stop = NOTHING, outcome: Outcome | None = None,
                joints: Sequence[tuple[int, bytes]] = ()) -> Path:
         """Write an event, with what was seen at its stop; raises UnwritableError."""
         path: object = self.path or 'the folder of the session'
@@ -263,7 +264,7 @@ def claimed(folder: Path) -> int:
     return lock
 
 
-def _messages(event: Event, seen: Seen, outcome: Outcome | None,
+def _messages(event: Event, seen: Stop, outcome: Outcome | None,
               joints: Sequence[tuple[int, bytes]]) -> tuple[list[Raw], dict[str, str]]:
     """Return the messages of an event, and their types by topic."""
     config = event.config
@@ -423,14 +424,14 @@ def read_session(path: Path) -> Stored:
         files.append(entry)
         config, numbers = event.config, max(numbers, event.number)
         if event.kind == STOP:
-            stops[event.number] = event, Stop(event.began, partial(load, file))
+            stops[event.number] = event, Stop(event.began, source=partial(load, file, event.began))
         elif event.kind == REMOVED:
             stops.pop(event.number, None)
     return Stored(path, config, stops, numbers, tuple(files), types)
 
 
-def load(file: Path, config: Config) -> Seen:
-    """Return poses and profiles of a stop from its file; raises BagError."""
+def load(file: Path, began: int, config: Config) -> Stop:
+    """Return a stop with its poses and profiles from its file; raises BagError."""
     _, types, messages = _read_file(file)
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
@@ -442,7 +443,7 @@ def load(file: Path, config: Config) -> Seen:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
-    return Seen(tuple(poses), tuple(profiles))
+    return Stop(began, tuple(poses), tuple(profiles))
 
 
 def _read_file(path: Path, topics: Sequence[str] = ()

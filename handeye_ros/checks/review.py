@@ -23,10 +23,9 @@ from handeye_ros.frames import in_mount, mounted
 from handeye_ros.results.evidence import StopSnapshot
 from handeye_ros.results.outcome import left_out, Measured, measured_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.passes import Pairing, single_samples
-from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import Outcome, Seen
-from handeye_ros.sampling.time_offset import synchronised
+from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.stops import Stop
+from handeye_ros.sampling.sweep import Pairing, single_samples, synchronised
 import numpy as np
 
 FEWEST = 3  # samples that can be compared
@@ -215,23 +214,23 @@ def stop_snapshots(session: Session, config: Config) -> tuple[StopSnapshot, ...]
 
 def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
     """Return what was seen at a stop."""
-    seen, sample = outcome.stop.load(config), outcome.sample
+    stop, sample = outcome.stop.load(config), outcome.sample
     stamp = outcome.result.stamp
-    T = sample.T_base_flange if sample else _middle(seen)
-    return StopSnapshot(outcome.number, stamp, in_mount(T, config), _points(seen, stamp, config),
+    T = sample.T_base_flange if sample else _middle(stop)
+    return StopSnapshot(outcome.number, stamp, in_mount(T, config), _points(stop, stamp, config),
                         sample.features if sample else (), getattr(outcome.result, 'reason', ''),
                         samples=tuple(s.stamp for s in sample.single) if sample else ())
 
 
-def _points(seen: Seen, stamp: int, config: Config) -> Array:
+def _points(stop: Stop, stamp: int, config: Config) -> Array:
     """Return the points of the profile nearest to a stamp, none if it is unusable."""
-    profile = min(seen.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
+    profile = min(stop.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
     if profile is not None:
         with suppress(UnusableMessageError):
             return profile.read(config.profile).points
     return np.empty((0, 2))
 
 
-def _middle(seen: Seen) -> Array:
-    pose = seen.poses[len(seen.poses) // 2]
+def _middle(stop: Stop) -> Array:
+    pose = stop.poses[len(stop.poses) // 2]
     return se3.from_quaternion(pose.translation, pose.quaternion)

@@ -25,12 +25,10 @@ from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample
 from handeye_ros.errors import DataError, FeatureError, NamedCauseError, UnusableMessageError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mounted
-from handeye_ros.sampling import station_features
-from handeye_ros.sampling.dwells import NS
 from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.features import of_profiles, result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.station_features import evenly
-from handeye_ros.sampling.stops import needed, result_of, Seen, Stop
+from handeye_ros.sampling.stops import evenly, NS, Stop
 from handeye_ros.sampling.stream import interpolate
 import numpy as np
 
@@ -135,9 +133,8 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
 
 def _thinned(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
-    seen = needed(stop, config).load(config)
-    few = Seen(seen.poses, tuple(evenly(seen.profiles, MOST_PROFILES)))
-    return Stop(stop.began, lambda config: few)
+    stop = stop.needed(config)
+    return replace(stop, profiles=tuple(evenly(stop.profiles, MOST_PROFILES)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +219,7 @@ def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: fl
 def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
     with suppress(FeatureError):
         if len(profiles) > 2:
-            method = targets.method_for(config)
-            used, features = station_features.of_station(profiles, method, config)
+            used, features = of_profiles(profiles, config)
             return Sample(used[0].stamp, pose, features, len(used))
     return None
 

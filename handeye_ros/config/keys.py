@@ -402,6 +402,10 @@ class Config(Section):
     rotation_lag_std: float = key(
         1e-3, 'By how much later than its position the robot may report its rotation (s, 1 '
         'sigma), where it is estimated (sampling.mode moving); 0: not at all.', 0.0, 0.1)
+    clock_drift_std: float = key(
+        1e-4, 'By how much faster the clock of the profiles may run than that of the poses (1 '
+        'sigma, seconds per second), where it is estimated (sampling.mode moving); 0: not at all.',
+        0.0, 0.01)
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = key('auto', 'The estimator; auto: the one of the target.')

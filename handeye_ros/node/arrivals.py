@@ -13,7 +13,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Feature, TimedPose
 from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.station_features import features_of
+from handeye_ros.sampling.features import features_of
 from handeye_ros.sampling.stream import interpolate
 
 KINDS = ('profile', 'pose')

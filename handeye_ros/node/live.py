@@ -54,8 +54,9 @@ from handeye_ros.node.pool import ENDED, Pool, PoolEndedError, trim_memory
 from handeye_ros.node.state import calibration_summary
 from handeye_ros.output import folder_name, write_whole
 from handeye_ros.results import calibration_file, exports
-from handeye_ros.sampling.session import Session, silent_poses
-from handeye_ros.sampling.stops import judged, needed, Outcome, result_of, sample_of, Stop
+from handeye_ros.sampling.features import result_of, sample_of
+from handeye_ros.sampling.session import judged, Outcome, Session, silent_poses
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.verification.session import VerificationSession
 from handeye_ros.verification.verification import sentence, Verification, yaml_text
 import numpy as np
@@ -363,7 +364,7 @@ class LiveSession:
 
     def _result(self, stop: Stop, config: Config | None = None) -> Sample | Reject:
         config = config or self.config
-        return self._evaluated(result_of, needed(stop, config), config)
+        return self._evaluated(result_of, stop.needed(config), config)
 
     def _evaluate(self, stop: Stop, over: bool) -> None:
         """Put the outcome of a stop into the session, replacing an earlier one."""
@@ -474,7 +475,7 @@ class LiveSession:
     def _take_at(self, stop: Stop) -> str:
         config = self.config
         try:
-            sample = self._evaluated(sample_of, needed(stop, config), config)
+            sample = self._evaluated(sample_of, stop.needed(config), config)
         except FeatureError:
             self._refused[stop.began] = stop.pose(config)
             raise

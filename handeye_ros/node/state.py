@@ -16,8 +16,7 @@ from handeye_ros.checks.review import Agreement, count_of, sample_summary
 from handeye_ros.data import Calibration
 from handeye_ros.output import folder_name
 from handeye_ros.results.table import transform_rows
-from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import Outcome
+from handeye_ros.sampling.session import Outcome, Session
 import numpy as np
 
 if TYPE_CHECKING:

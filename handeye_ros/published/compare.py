@@ -29,7 +29,7 @@ from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.outcome import measured_points
 from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.time_offset import synchronised
+from handeye_ros.sampling.sweep import synchronised
 from handeye_ros.tabulated import hand_eye
 from handeye_ros.tabulated.method import FileMethod, Input, plane_axes, require_trusted
 from handeye_ros.targets import line, plate

@@ -10,38 +10,76 @@ depend on the order of arrival.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import math
 
-from handeye_ros import targets
+from handeye_ros import se3, targets
 from handeye_ros.config import Config, UNNAMED_FRAME
 from handeye_ros.data import AnyProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
-from handeye_ros.sampling.dwells import Dwell, FOREVER, Motion, NS
-from handeye_ros.sampling.passes import finder_of, single_samples
-from handeye_ros.sampling.profile_buffer import ProfileBuffer
+from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import (
-    beside,
-    duplicate_pose,
+    decoded,
+    FOREVER,
     MOST_PROFILES,
-    needed,
-    Outcome,
-    result_of,
-    sample_of,
+    Motion,
+    NS,
+    ProfileBuffer,
     Stop,
-    stop_of,
+    StopFinder,
 )
-from handeye_ros.sampling.stream import LARGEST_STEP, Stream
+from handeye_ros.sampling.stream import Copied, LARGEST_STEP, Stream
+from handeye_ros.sampling.sweep import single_samples
+import numpy as np
 
 SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 LARGEST_POSITION = 50.0  # m: no flange is there, it is another unit
-# time after a dwell is long enough (s), and profiles needed for a sample at that time
-EARLY_CHECKS = ((0.0, MOST_PROFILES), (0.3, 1), (1.3, 0), (3.3, 0), (7.3, 0))
+PATIENCE = 2 * NS  # of a stop without any profile, before it is said that it gives no sample
+CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
 
 
-class Session:
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """
+    Result of a stop: a sample, or the reason why there is none.
+
+    number: from 1, never reused in a session; refused: why the stop gives no sample, whatever its
+    profiles show, '' if it may.
+    """
+
+    number: int
+    stop: Stop
+    result: Sample | Reject
+    refused: str = ''
+
+    @property
+    def sample(self) -> Sample | None:
+        """Return the sample, or None."""
+        return self.result if isinstance(self.result, Sample) else None
+
+
+def judged(outcome: Outcome, config: Config) -> Outcome:
+    """Return the outcome of the same stop with another configuration."""
+    result = (Reject(outcome.stop.load(config).start, outcome.refused) if outcome.refused
+              else result_of(outcome.stop, config))
+    return replace(outcome, result=result)
+
+
+def duplicate_pose(sample: Sample, others: Iterable[Outcome], config: Config) -> str:
+    """Return in words which of other stops has the pose of a sample, '' if none."""
+    limits = config.sampling
+    for other in others:
+        if other.sample:
+            T = se3.inverse(other.sample.T_base_flange) @ sample.T_base_flange
+            away, angle = math.hypot(*T[:3, 3]), float(se3.angle(T[:3, :3]))
+            if away < limits.new_translation and angle < limits.new_rotation:
+                return (f'{away * 1e3:.0f} mm and {np.degrees(angle):.1f} degrees from '
+                        f'sample {other.number}: it brings nothing new')
+    return ''
+
+
+class Session(Copied):
     """Receives poses and profiles and turns each stop into a sample or a reject, once."""
 
     def __init__(self, config: Config) -> None:
@@ -52,8 +90,8 @@ class Session:
 
     def clear(self) -> None:
         """Forget all samples and all messages."""
-        self._finder = finder_of(self._config.sampling)
-        self._waiting: list[Dwell] = []
+        self._finder = StopFinder(self._config.sampling)
+        self._waiting: list[Stop] = []
         self._profiles = ProfileBuffer()
         self._taken: set[int] = set()  # start stamps of the stops already returned
         self._passed_by = 0  # stops in manual mode
@@ -62,24 +100,14 @@ class Session:
         self._beside = 0.0
         self._pose_stream: Stream[TimedPose] = Stream('pose')
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
-        self._checks = 0  # checks by early() in this dwell; next one, and the first (ns)
-        self._early_at = self._early_from = 0
+        self._early: tuple[int, float] = -1, 0.0  # stop checked by early(), time of the next check
         self._outcomes: list[Outcome] = []
         self._numbers = 0  # assigned so far
-
-    def copied(self) -> Session:
-        """Return an independent copy."""
-        other = copy(self)
-        other._waiting, other._taken = list(self._waiting), set(self._taken)
-        other._outcomes, other._profiles = list(self._outcomes), self._profiles.copied()
-        other._finder, other._pose_stream, other._profile_stream = (
-            self._finder.copied(), self._pose_stream.copied(), self._profile_stream.copied())
-        return other
 
     def configure(self, config: Config) -> None:
         """Apply another configuration to all stops and passes that begin from now on."""
         if config.sampling.moving != self._config.sampling.moving:
-            self._finder = finder_of(config.sampling)
+            self._finder = StopFinder(config.sampling)
         self._config, self._finder.sampling = config, config.sampling
 
     @property
@@ -88,8 +116,9 @@ class Session:
         notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
         given_up = [f'gave up {self._unseen} stops, the oldest that waited for profiles'
                     ] if self._unseen else []
+        dropped = [self._profiles.warning] if self._profiles.warning else []
         return (*self._pose_stream.warnings, *self._profile_stream.warnings,
-                *self._profiles.warnings, *given_up, *notes)
+                *dropped, *given_up, *notes)
 
     @property
     def frame_id(self) -> str:
@@ -178,10 +207,10 @@ class Session:
         for pose in poses:
             reach = math.hypot(*pose.translation)
             self._largest_position = max(self._largest_position, reach)
-            station = self._finder.add(pose)
-            if station and self._by_itself:
-                self._waiting.append(station)
-            elif station:
+            stop = self._finder.add(pose)
+            if stop and self._by_itself:
+                self._waiting.append(stop)
+            elif stop:
                 self._passed_by += 1
 
     def add_profile(self, profile: AnyProfile) -> None:
@@ -228,7 +257,7 @@ class Session:
     def _restarted(self) -> list[Stop]:
         """Continue after a clock was set back; return the stops from before."""
         stops = self._rest()
-        self._finder = finder_of(self._config.sampling)
+        self._finder = StopFinder(self._config.sampling)
         if self._pose_stream.set_back:
             self._pose_stream.restart()
         if self._profile_stream.set_back:
@@ -249,8 +278,8 @@ class Session:
 
     def _rest(self) -> list[Stop]:
         current = self._finder.current() if self._by_itself else None
-        stations, self._waiting = [*self._waiting, *([current] if current else [])], []
-        return self._stops(stations)
+        stops, self._waiting = [*self._waiting, *([current] if current else [])], []
+        return self._stops(stops)
 
     def current_stop(self) -> Stop:
         """
@@ -263,8 +292,8 @@ class Session:
         if self._pose_stream.frame is None:
             raise self._no_poses()
         self._require_poses_now()
-        station = self._finder.current()
-        if station is None:
+        stop = self._finder.current()
+        if stop is None:
             needed, motion = self._config.sampling.still_time, self.motion
             if motion is None:
                 how = 'too few poses have come to measure its motion: wait'
@@ -276,43 +305,36 @@ class Session:
                 how = f'{motion.sentence}: stop it, wait'
             raise DataError(f'the robot has not stood still for {needed:g} s, {how}, and take the '
                             'sample again', reason='moving')
-        self._profiles.add(self._profile_stream.believed(station.start, station.end))
-        return self._stop(station)
+        self._profiles.add(self._profile_stream.believed(stop.start, stop.end))
+        return self._with_profiles(stop)
 
     def standing(self) -> Stop | None:
         """Return the current stop if it is sampled automatically."""
-        dwell = self._finder.current()
-        if dwell is None or not self._by_itself or dwell.began in self._taken:
+        stop = self._finder.current()
+        if stop is None or not self._by_itself or stop.began in self._taken:
             return None
-        return self._stop(dwell)
+        return self._with_profiles(stop)
 
     def early(self) -> Stop | None:
         """
         Return the current stop as soon as it has enough profiles for a sample.
 
-        It needs MOST_PROFILES at first, and fewer later (EARLY_CHECKS). A stop without a sample is
-        returned a few more times, as the cause may be gone. passed() returns it again when it is
-        over.
+        At first it needs MOST_PROFILES. A stop without a sample is returned a few more times,
+        later and later, as the cause may be gone. passed() returns it again when it is over.
         """
-        stood = self._finder.stood
-        if stood < self._early_at:
-            if stood < self._early_from:  # another dwell
-                self._checks, self._early_at = 0, self._early_from
+        sampling, stood = self._config.sampling, self._finder.stood
+        first = (sampling.still_time + 2 * sampling.settle_time) * NS
+        began, next_check = self._early
+        if began != self._finder.began:
+            began, next_check = self._early = self._finder.began, first
+        if sampling.moving or stood < next_check:
             return None
-        sampling = self._config.sampling
-        self._early_from = round((sampling.still_time + 2 * sampling.settle_time) * NS)
-        if sampling.moving or self._checks == len(EARLY_CHECKS):
-            return None
-        seconds, least = EARLY_CHECKS[self._checks]
-        self._early_at = self._early_from + round(seconds * NS)
-        if stood < self._early_at:
-            return None
-        self._checks += 1
+        self._early = began, CHECK_LATER * next_check
         stop = self.standing()
-        if stop is None or any(o.sample and o.stop.began == stop.began for o in self._outcomes):
+        if stop is None or any(o.sample and o.stop.began == began for o in self._outcomes):
             return None
-        profiles = needed(stop, self._config).load(self._config).profiles
-        return stop if len(profiles) >= least else None
+        enough = MOST_PROFILES if next_check == first else 1 if stood < PATIENCE else 0
+        return stop if len(stop.steady(self._config)) >= enough else None
 
     def require_stations(self) -> None:
         """
@@ -320,7 +342,7 @@ class Session:
 
         Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops.
         """
-        if self._taken:
+        if self._taken or self._numbers:
             return
         poses, sampling = self._pose_stream, self._config.sampling
         if not poses.count:
@@ -369,7 +391,7 @@ class Session:
         """Continue from the stops of an earlier run; numbers: how many were assigned."""
         self.clear()
         self._outcomes, self._numbers = list(outcomes), numbers
-        self._taken = {outcome.stop.began for outcome in outcomes} | ({-1} if numbers else set())
+        self._taken = {outcome.stop.began for outcome in outcomes}
         self._profile_stream.frame = frame_id or None
 
     def is_taken(self, stop: Stop) -> bool:
@@ -379,20 +401,6 @@ class Session:
     def leave(self, stop: Stop) -> None:
         """Mark a stop as taken, so that it is not returned again."""
         self._taken.add(stop.began)
-
-    def take_sample(self) -> Sample:
-        """
-        Return a sample of the current stop.
-
-        Raises what current_stop() and sample_of() raise, or DataError (reason nothing_new).
-        """
-        stop = self.current_stop()
-        outcome = self.outcome(stop, sample_of(stop, self._config))
-        if isinstance(outcome.result, Reject):
-            raise DataError(f'{outcome.result.reason}: move on, and turn the tool',
-                            reason='nothing_new')
-        self.put(outcome)
-        return outcome.result
 
     def last(self, judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Outcome:
         """
@@ -415,21 +423,16 @@ class Session:
         self._taken.add(outcome.stop.began)
         self._outcomes = [o for o in self._outcomes if o.number != outcome.number]
 
-    def remove_last(self) -> Outcome:
-        """Forget the last sample and return it; raises DataError when there is none."""
-        last = self.last()
-        self.remove(last)
-        return last
+    def _stops(self, stops: Sequence[Stop]) -> list[Stop]:
+        """Return stops with their profiles, without those that were sampled on request."""
+        new = [stop for stop in stops if stop.began not in self._taken]
+        self._taken |= {stop.began for stop in new}
+        return [self._with_profiles(stop) for stop in new]
 
-    def _stops(self, stations: Sequence[Dwell]) -> list[Stop]:
-        """Return the stops at dwells, without those that were sampled on request."""
-        new = [station for station in stations if station.began not in self._taken]
-        self._taken |= {station.began for station in new}
-        return [self._stop(station) for station in new]
-
-    def _stop(self, station: Dwell) -> Stop:
-        stop = stop_of(station, self._profiles.items, self._config)
-        self._beside = max(self._beside, beside(stop, self._config))
+    def _with_profiles(self, stop: Stop) -> Stop:
+        stop = stop.with_profiles(self._profiles.items, self._config)
+        for profile in decoded(stop.profiles[:1], self._config):
+            self._beside = max(self._beside, abs(profile.beside))
         return stop
 
     @property

@@ -1,255 +1,289 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A stop of the robot: the messages kept, and the sample made of them.
+Where the robot stopped, cut from the stream of poses, with the profiles of that time.
 
-The messages stay with the stop, so that another configuration needs no new stops.
+A moving robot makes passes instead, of two seconds of motion or of one rest each: a pass is a stop
+in everything else.
 """
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+import math
 
-from handeye_ros import se3, targets
-from handeye_ros.config import Config
-from handeye_ros.data import (
-    AnyProfile,
-    Array,
-    EdgePoint,
-    Feature,
-    Profile,
-    RawProfile,
-    Reject,
-    Sample,
-    TimedPose,
-)
-from handeye_ros.errors import FeatureError, UnusableMessageError
-from handeye_ros.sampling.dwells import Dwell, NS
-from handeye_ros.sampling.passes import no_profiles, pass_sample
-from handeye_ros.sampling.station_features import evenly, flipped_features, of_station
-from handeye_ros.sampling.stream import around, interpolate
+from handeye_ros import se3
+from handeye_ros.config import Config, SamplingConfig
+from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, TimedPose
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.sampling.stream import around, Copied
 import numpy as np
+
+NS = 1_000_000_000
+MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
+LONGEST = 10 * NS  # of a stop: more adds nothing but memory
+PASS = 2 * NS  # of motion
+MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
+FOREVER = 2**63
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
-# settings, and for the test of the clocks (50 ms apart, see diagnosis/settings.py) in 3.75 s.
+# settings, and for the test of the clocks (50 ms apart, see checks/settings.py) in 3.75 s.
 MOST_PROFILES = 32
-NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """Poses and profiles of the duration of a stop, each in the order of their stamps."""
-
-    poses: tuple[TimedPose, ...]
-    profiles: tuple[AnyProfile, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Stop:
     """
-    A time during which the robot stood still.
+    A time during which the robot stood still, or a pass of a moving robot, and what came then.
 
-    began: stamp of its first pose, which identifies the stop; load: returns its poses and profiles
-    for a configuration.
+    began: stamp of the first pose (ns), which identifies the stop, though a long one forgets it.
+    poses, profiles: in the order of their stamps. source: of a stop on the disk, which holds no
+    messages itself: reads them for a configuration.
     """
 
     began: int
-    load: Callable[[Config], Seen]
+    poses: tuple[TimedPose, ...] = ()
+    profiles: tuple[AnyProfile, ...] = ()
+    source: Callable[[Config], Stop] | None = None
+
+    def load(self, config: Config) -> Stop:
+        """Return the stop with its messages."""
+        return self.source(config) if self.source else self
+
+    @property
+    def start(self) -> int:
+        """Return the stamp of the first pose."""
+        return self.poses[0].stamp
+
+    @property
+    def end(self) -> int:
+        """Return the stamp of the last pose."""
+        return self.poses[-1].stamp
 
     def pose(self, config: Config) -> Array:
-        """Return T_base_flange (4, 4) of its last pose."""
+        """Return T_base_flange (4, 4) of the last pose."""
         last = self.load(config).poses[-1]
         return se3.from_quaternion(last.translation, last.quaternion)
 
+    def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
+        """Return the stop with the profiles surely taken during it, among candidates in order."""
+        begin = bisect_left(candidates, self.start, key=_stamp)
+        end = bisect_right(candidates, self.end, key=_stamp)
+        while begin < end and not self._has(candidates[begin]):
+            begin += 1
+        while begin < end and not self._has(candidates[end - 1]):
+            end -= 1
+        inside, (first, last) = candidates[begin:end], self._steady_span(config)
+        begin = bisect_left(inside, first, key=_stamp)
+        end = max(begin, bisect_right(inside, last, key=_stamp))
+        # few from times with vibration
+        return replace(self, profiles=(*_thinned(inside[:begin], 8),
+                                       *_thinned(inside[begin:end], 64),
+                                       *_thinned(inside[end:], 8)))
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """
-    Result of a stop: a sample, or the reason why there is none.
+    def steady(self, config: Config) -> list[AnyProfile]:
+        """Return MOST_PROFILES of the time without vibration at most, not yet decoded."""
+        first, last = self._steady_span(config)
+        return evenly([p for p in self.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
-    number: from 1, never reused in a session; refused: why the stop gives no sample, whatever its
-    profiles show, '' if it may.
-    """
+    def needed(self, config: Config) -> Stop:
+        """Return the stop reduced to the messages of its sample, to be evaluated elsewhere."""
+        loaded = self.load(config)
+        if config.sampling.moving:
+            return loaded
+        profiles = loaded.steady(config)
+        poses = around(loaded.poses, [profile.stamp for profile in profiles])
+        return replace(loaded, poses=tuple(poses), profiles=tuple(profiles))
 
-    number: int
-    stop: Stop
-    result: Sample | Reject
-    refused: str = ''
+    def _has(self, profile: AnyProfile) -> bool:
+        """Return whether a profile was surely taken during the stop, given its duration."""
+        before, after = profile.reach if isinstance(profile, RawProfile) else (0, 0)
+        return profile.stamp - before >= self.start and profile.stamp + after <= self.end
 
-    @property
-    def sample(self) -> Sample | None:
-        """Return the sample, or None."""
-        return self.result if isinstance(self.result, Sample) else None
-
-
-def stop_of(station: Dwell, profiles: Sequence[AnyProfile], config: Config) -> Stop:
-    """Return the stop of a dwell; profiles: all candidates, in order."""
-    inside = _inside(profiles, station)
-    first, last = steady_span(station.start, station.end, config)
-    begin, end = (bisect_left(inside, first, key=_stamp), bisect_right(inside, last, key=_stamp))
-    kept = (*_kept(inside[:begin], 8), *_kept(inside[begin:end], 64),
-            *_kept(inside[max(begin, end):], 8))  # few from times with vibration
-    seen = Seen(station.poses, kept)
-    return Stop(station.began, partial(_held, seen))
-
-
-def _held(seen: Seen, config: Config) -> Seen:
-    """Return messages that are in memory; a module function, so that a stop can be pickled."""
-    return seen
-
-
-def needed(stop: Stop, config: Config) -> Stop:
-    """Return a stop reduced to the messages of its sample, to be processed elsewhere."""
-    seen = stop.load(config)
-    if config.sampling.moving:
-        return Stop(stop.began, partial(_held, seen))
-    profiles = _unread(seen, config)
-    poses = around(seen.poses, [profile.stamp for profile in profiles])
-    return Stop(stop.began, partial(_held, Seen(tuple(poses), tuple(profiles))))
+    def _steady_span(self, config: Config) -> tuple[int, int]:
+        """Return the first and last stamp of the time without vibration."""
+        settle = round(config.sampling.settle_time * NS)
+        return self.start + settle, self.end - settle
 
 
-def _inside(profiles: Sequence[AnyProfile], station: Dwell) -> Sequence[AnyProfile]:
-    """Return the profiles surely taken during a dwell; thousands are tested."""
-    begin = bisect_left(profiles, station.start, key=_stamp)
-    end = bisect_right(profiles, station.end, key=_stamp)
-    while begin < end and not _surely_inside(profiles[begin], station):
-        begin += 1
-    while begin < end and not _surely_inside(profiles[end - 1], station):
-        end -= 1
-    return profiles[begin:end]
+def _stamp(message: AnyProfile) -> int:
+    return message.stamp
 
 
-def _surely_inside(profile: AnyProfile, station: Dwell) -> bool:
-    """Return whether a profile was surely taken during a dwell, given its duration."""
-    if not isinstance(profile, RawProfile):
-        return True
-    before, after = profile.reach
-    return profile.stamp - before >= station.start and profile.stamp + after <= station.end
-
-
-def steady_span(start: int, end: int, config: Config) -> tuple[int, int]:
-    """Return the first and last stamp of a stop without vibration."""
-    settle = round(config.sampling.settle_time * NS)
-    return start + settle, end - settle
-
-
-def _kept(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
+def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     """Return a part of the profiles of a stop: 40 per second, at most 150."""
     length = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0
     return evenly(profiles, min(150, max(least, 1 + round(40 * length))))
 
 
-def sample_of(stop: Stop, config: Config) -> Sample:
-    """Return the sample of a stop; raises FeatureError with the reason."""
-    seen = stop.load(config)
-    if config.sampling.moving:
-        return pass_sample(seen.poses, seen.profiles, config)
-    return _sample(seen, _still(seen, config), config)
+def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
+    """Return at most a number of the profiles, evenly spaced."""
+    if len(profiles) <= most:
+        return list(profiles)
+    return [profiles[i] for i in np.linspace(0, len(profiles) - 1, most).astype(int)]
 
 
-def _sample(seen: Seen, profiles: Sequence[Profile], config: Config) -> Sample:
-    """Return the sample of the messages of a stop; profiles: of its time without vibration."""
-    if not profiles:
-        raise no_profiles(seen.poses)
-    used, combined = of_station(profiles, targets.method_for(config), config)
-    require_inside(combined, used)
-    poses = interpolate(seen.poses, [p.stamp for p in used])
-    return Sample(used[0].stamp, se3.mean_pose(poses), combined, len(used),
-                  flipped_features(used[0], config))
-
-
-def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> None:
-    """
-    Reject a stop if all its edges may be cut off by the border of the view.
-
-    The view ends where the columns of a profile end. A driver that omits columns without a return
-    hides this; then nothing is refused.
-    profiles: those of the stop that show the features. Raises FeatureError.
-    """
-    edges = [feature for feature in features if isinstance(feature, EdgePoint)]
-    columns = {len(profile.points) for profile in profiles}
-    if not edges or len(columns) > 1 or not np.isnan(profiles[0].points).any():
-        return
-    distances = [_to_the_end(edge, profiles[0].points) for edge in edges]
-    if max(distances) < NEAREST:
-        raise FeatureError(
-            f'the edge lies {max(distances) * 1e3:.1f} mm from the end of the view, where it may '
-            f'be cut off: move it {NEAREST * 1e3:.0f} mm or more into the view')
-
-
-def _to_the_end(edge: EdgePoint, points: Array) -> float:
-    """Return the width (m) of the columns beside an edge, on the side with fewer."""
-    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
-    at = seen[int(np.argmin(np.abs(points[seen] - edge.point).sum(axis=1)))]
-    along = points[seen] @ edge.direction
-    spacing = float(np.median(np.abs(np.diff(along) / np.diff(seen))))
-    return float(min(at, len(points) - 1 - at) * spacing)
-
-
-def _still(seen: Seen, config: Config) -> list[Profile]:
-    """Return the profiles of the time without vibration; some may be unusable."""
-    read = []
-    for profile in _unread(seen, config):
+def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
+    """Return the profiles that can be used with a configuration, decoded."""
+    usable = []
+    for profile in profiles:
         with suppress(UnusableMessageError):
-            read.append(profile.read(config.profile))
-    return read
+            usable.append(profile.read(config.profile))
+    return usable
 
 
-def _unread(seen: Seen, config: Config) -> list[AnyProfile]:
-    """Return the profiles of the time without vibration, not yet decoded."""
-    first, last = steady_span(seen.poses[0].stamp, seen.poses[-1].stamp, config)
-    return evenly([p for p in seen.profiles if first <= p.stamp <= last], MOST_PROFILES)
+@dataclass(frozen=True)
+class Motion:
+    """Speed (m/s), angular speed (rad/s), and the time since the robot stopped (s)."""
+
+    speed: float
+    turning: float
+    still: float
+
+    @property
+    def sentence(self) -> str:
+        """Return the motion in words."""
+        if self.still > MOTION_TIME / NS:
+            return f'it has stood still for {self.still:.1f} s'
+        return (f'it moves by {self.speed * 1e3:.1f} mm/s and '
+                f'{np.degrees(self.turning):.1f} degrees/s')
 
 
-def beside(stop: Stop, config: Config) -> float:
-    """Return the distance (m) of the first profile's points from the plane of profile.axes."""
-    for profile in stop.load(config).profiles:
-        with suppress(UnusableMessageError):
-            return abs(profile.read(config.profile).beside)
-    return 0.0
+class StopFinder(Copied):
+    """
+    Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
+
+    began: stamp of the first pose of the current stop; longest: time that the robot stood still so
+    far (ns).
+    """
+
+    def __init__(self, sampling: SamplingConfig) -> None:
+        """Start with no poses."""
+        self.sampling = sampling
+        self._run: deque[TimedPose] = deque()  # poses since the robot stopped
+        self._recent: deque[TimedPose] = deque()  # poses of the last MOTION_TIME
+        self.began = self._latest = -1
+        self.longest = 0
+
+    def add(self, pose: TimedPose) -> Stop | None:
+        """Add the next pose; return the stop that it ends, or None."""
+        self._recent.append(pose)
+        while (pose.stamp - self._recent[0].stamp > MOTION_TIME
+               or len(self._recent) > MOST_POSES):
+            self._recent.popleft()
+        continues = bool(self._run) and self._continues(pose)
+        self._latest = pose.stamp
+        if continues:
+            self._extend(pose)
+            return None
+        ended = self.current()
+        if self._run:
+            self.longest = max(self.longest, self._run[-1].stamp - self._run[0].stamp)
+        self._run, self.began = deque([pose]), pose.stamp
+        return ended
+
+    def current(self) -> Stop | None:
+        """Return the current stop without profiles, None before sampling.still_time."""
+        run = self._run
+        still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
+        return Stop(self.began, tuple(run)) if still else None
+
+    @property
+    def stood(self) -> int:
+        """Return the duration of the current stop (ns)."""
+        return self._latest - self._run[0].stamp if self._run else 0
+
+    def motion(self) -> Motion | None:
+        """Return the current motion of the robot, None with fewer than two poses."""
+        if len(self._recent) < 2:
+            return None
+        first, last = self._recent[0], self._recent[-1]
+        seconds = (last.stamp - first.stamp) / NS
+        return Motion(float(np.linalg.norm(last.translation - first.translation)) / seconds,
+                      _turned(first, last) / seconds, (last.stamp - self._run[0].stamp) / NS)
+
+    def window(self) -> tuple[int, int]:
+        """Return the first and last stamp of profiles that the current stop can use."""
+        if not self._run:
+            return 0, FOREVER
+        limited = self.sampling.by_itself
+        return self._run[0].stamp, self._run[0].stamp + LONGEST if limited else FOREVER
+
+    def _continues(self, pose: TimedPose) -> bool:
+        first, limits = self._run[0], self.sampling
+        if pose.stamp - self._latest > limits.max_pose_gap * NS:
+            return False
+        if limits.moving and pose.stamp - first.stamp <= PASS:
+            return True
+        # a rest is one pass, too: a robot at rest shows nothing new
+        return (math.dist(pose.translation, first.translation) <= limits.still_translation
+                and _turned(first, pose) <= limits.still_rotation)
+
+    def _extend(self, pose: TimedPose) -> None:
+        """Add a pose to a stop; a long one keeps its first seconds, on request its last."""
+        if not self._is_full(pose):
+            self._run.append(pose)
+        elif not self.sampling.by_itself:
+            self._run.append(pose)
+            while self._is_full(pose):
+                self._run.popleft()
+
+    def _is_full(self, pose: TimedPose) -> bool:
+        return pose.stamp - self._run[0].stamp > LONGEST or len(self._run) > MOST_POSES
 
 
-def _stamp(profile: AnyProfile) -> int:
-    return profile.stamp
+def _turned(a: TimedPose, b: TimedPose) -> float:
+    """Return the angle between close orientations (rad): twice |q1 - q2|."""
+    apart = math.dist(a.quaternion, b.quaternion)  # of three numbers much quicker than numpy
+    return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
 
 
-def result_of(stop: Stop, config: Config) -> Sample | Reject:
-    """Return the sample of a stop, or the reject with the reason."""
-    seen = stop.load(config)
-    profiles = _still(seen, config)
-    try:
-        if config.sampling.moving:
-            return pass_sample(seen.poses, seen.profiles, config)
-        return _sample(seen, profiles, config)
-    except FeatureError as error:
-        return Reject(seen.poses[0].stamp, str(error))
+class ProfileBuffer(Copied):
+    """
+    The profiles that the current stop and those that wait for profiles can use, in order.
+
+    If it is full, the oldest are dropped and counted. items: the profiles; dropped: their number.
+    """
+
+    def __init__(self, most_bytes: int = 256_000_000) -> None:
+        """Start with none; by default 8 s of 2000 profiles a second of 1280 points fit in."""
+        self._most, self._bytes = most_bytes, 0
+        self.items: list[AnyProfile] = []
+        self.dropped = 0
+
+    @property
+    def warning(self) -> str:
+        """Return a sentence with the number of dropped profiles, '' without any."""
+        return (f'dropped {self.dropped} profiles, the oldest of their stops: a stop may take '
+                f'{self._most / 1e6:.0f} MB') if self.dropped else ''
+
+    def add(self, profiles: Iterable[AnyProfile]) -> None:
+        """Add the next profiles."""
+        for profile in profiles:
+            self.items.append(profile)
+            self._bytes += _held(profile)
+        if self._bytes > self._most:
+            # more than has to go: to shift what is left for every single one takes its time
+            excess, drop = self._bytes - 0.95 * self._most, 0
+            while excess > 0 and drop < len(self.items) - 1:
+                excess -= _held(self.items[drop])
+                drop += 1
+            self.dropped += drop
+            self._forget(slice(0, drop))
+
+    def keep(self, first: int, last: int) -> None:
+        """Forget all profiles outside two stamps."""
+        self._forget(slice(bisect_right(self.items, last, key=_stamp), len(self.items)))
+        self._forget(slice(0, bisect_left(self.items, first, key=_stamp)))
+
+    def _forget(self, part: slice) -> None:
+        self._bytes -= sum(map(_held, self.items[part]))
+        del self.items[part]
 
 
-def judged(outcome: Outcome, config: Config) -> Outcome:
-    """Return the outcome of the same stop with another configuration."""
-    if outcome.refused:
-        stamp = outcome.stop.load(config).poses[0].stamp
-        return replace(outcome, result=Reject(stamp, outcome.refused))
-    return replace(outcome, result=result_of(outcome.stop, config))
-
-
-def duplicate_pose(sample: Sample, others: Iterable[Outcome], config: Config) -> str:
-    """Return the stop whose pose a sample repeats, in words; empty if none."""
-    limits = config.sampling
-    for other in others:
-        if other.sample:
-            distance, angle = pose_distance(sample, other.sample)
-            if distance < limits.new_translation and angle < limits.new_rotation:
-                return (f'{distance * 1e3:.0f} mm and {np.degrees(angle):.1f} degrees from '
-                        f'sample {other.number}: it brings nothing new')
-    return ''
-
-
-def pose_distance(sample: Sample, other: Sample) -> tuple[float, float]:
-    """Return the distance between the flange poses of two samples (m, rad)."""
-    T = se3.inverse(other.T_base_flange) @ sample.T_base_flange
-    return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(se3.log_rotation(T[:3, :3])))
+def _held(profile: AnyProfile) -> int:
+    return profile.held if isinstance(profile, RawProfile) else 0

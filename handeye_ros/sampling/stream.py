@@ -11,11 +11,11 @@ time.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from copy import copy
 from itertools import accumulate
-from typing import Generic, TypeVar
+from typing import Generic, Self, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
@@ -33,7 +33,21 @@ UNMIXED = 3_000_000_000  # ns of messages of one frame, after which strays are o
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
 
-class Stream(Generic[Stamped]):
+class Copied:
+    """Something that messages change, of which an independent copy can be made."""
+
+    def copied(self) -> Self:
+        """Return an independent copy; messages, which never change, are shared."""
+        other = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Copied):
+                setattr(other, name, value.copied())
+            elif isinstance(value, list | set | dict | deque):
+                setattr(other, name, copy(value))
+        return other
+
+
+class Stream(Copied, Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 
@@ -60,12 +74,6 @@ class Stream(Generic[Stamped]):
         self._strays: Counter[str] = Counter()  # number of messages by other frame
         self._strays_in_a_row = 0
         self._strayed = -1  # latest, when the last stray came
-
-    def copied(self) -> Stream[Stamped]:
-        """Return an independent copy."""
-        other = copy(self)
-        other._dropped, other._strays = Counter(self._dropped), Counter(self._strays)
-        return other
 
     @property
     def conflict(self) -> InputError | None:

@@ -18,8 +18,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, FaceLine, Feature, Sample, TimeOffset
 from handeye_ros.estimation.least_squares import Rows, System
 from handeye_ros.frames import in_mount, mounted
-from handeye_ros.sampling.passes import Pairing, single_samples
-from handeye_ros.sampling.time_offset import evenly_chosen
+from handeye_ros.sampling.sweep import evenly_chosen, Pairing, single_samples
 from handeye_ros.verification.fixed_fit import points_in_base
 from handeye_ros.verification.routines import Routine
 from handeye_ros.verification.shapes import derivatives, StationSet

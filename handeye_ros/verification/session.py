@@ -16,7 +16,8 @@ from typing import Self
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError, UnusableMessageError
-from handeye_ros.sampling.stops import result_of, Stop
+from handeye_ros.sampling.features import result_of
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.verification.routines import Routine, routine_of, TEETH
 from handeye_ros.verification.shapes import StationSet

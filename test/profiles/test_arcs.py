@@ -11,7 +11,7 @@ from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.arcs import arc_features, NORMAL_POINTS, normal_points
 from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.sampling.station_features import combine
+from handeye_ros.sampling.features import combine
 from hypothesis import given
 import numpy as np
 from profiles import any_points, drawn, face, NOISE, roof, step_up_to

@@ -10,7 +10,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.sampling.station_features import combine
+from handeye_ros.sampling.features import combine
 from hypothesis import given
 import numpy as np
 from profiles import (

@@ -8,14 +8,14 @@ from dataclasses import replace
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, Reject, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.sampling.dwells import NS
+from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import result_of
+from handeye_ros.sampling.stops import NS
 from handeye_ros.sampling.stream import two_frames
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest
-from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops
+from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops, taken
 
 
 def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
@@ -42,14 +42,14 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     add(session, pose(40.0, x=0.5))
     assert session.late == ('poses',)
     with pytest.raises(DataError, match='older stamps'):
-        session.take_sample()  # of where the robot stood before its clock was set
+        taken(session)  # of where the robot stood before its clock was set
     for item in sorted([*stops((40, 42)), *profiles(40, 42)], key=lambda item: item.stamp):
         add(session, replace(item, translation=item.translation + [0.5, 0.0, 0.0])
             if isinstance(item, TimedPose) else item)
         session.collect()
     assert session.late == () and session.motion.still > 1.0
     if config is MANUAL:
-        session.take_sample()
+        taken(session)
     else:
         session.finish()
     assert [round(s.T_base_flange[0, 3], 3) for s in session.samples] == (
@@ -82,7 +82,7 @@ def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:
         add(session, item)
         found += [((item.stamp - START) / NS, stop) for stop in [session.early()] if stop]
     (seconds, stop), = found
-    assert seconds == 2.0 and isinstance(result_of(stop, CONFIG), Reject)
+    assert 2.0 <= seconds < 3.0 and isinstance(result_of(stop, CONFIG), Reject)
 
 
 @pytest.mark.parametrize(('frame', 'beside', 'name', 'words'), [
@@ -155,7 +155,7 @@ def test_values_that_are_not_finite_end_in_no_sample() -> None:
 def test_silent_poses_are_reported() -> None:
     session = played(stops((0, 1)), profiles(0, 1.32), MANUAL, finish=False)
     with pytest.raises(DataError, match=r'no pose has come for 0\.3 s'):
-        session.take_sample()
+        taken(session)
 
 
 @pytest.mark.parametrize(('cut', 'words'), [

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.data import Profile, Reject, Sample, TimedPose
-from handeye_ros.sampling.dwells import MAX_DWELL, NS
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import LONGEST, NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -64,8 +64,8 @@ def test_profiles_of_the_past_are_forgotten() -> None:
                        key=lambda item: item.stamp):
         add(session, item)
         session.collect()
-        most = max(most, len(session._profiles))
-    assert most < 1.2 * 20 * MAX_DWELL / NS
+        most = max(most, len(session._profiles.items))
+    assert most < 1.2 * 20 * LONGEST / NS
 
 
 @pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 30.0, 1e9])

@@ -7,11 +7,17 @@ from dataclasses import replace
 
 from handeye_ros.data import Profile
 from handeye_ros.errors import DataError, FeatureError
-from handeye_ros.sampling.dwells import MAX_DWELL, NS
-from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.stops import LONGEST, NS
 import numpy as np
 import pytest
-from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops
+from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops, taken
+
+
+def removed_last(session: Session) -> Outcome:
+    last = session.last()
+    session.remove(last)
+    return last
 
 
 def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
@@ -20,7 +26,7 @@ def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
         for t in np.arange(stop, stop + 1, 0.02):
             add(session, pose(t, x=0.01 * stop))
         add(session, profile(stop + 0.5))
-        sample = session.take_sample()
+        sample = taken(session)
         assert (sample.profiles, sample.stamp) == (1, START + round((stop + 0.5) * NS))
     assert len(session.samples) == 3 and not session.warnings
 
@@ -28,42 +34,42 @@ def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
 def test_a_sample_is_taken_of_the_station_that_the_robot_stands_in() -> None:
     session = played(stops((0, 1), (2, 3)), profiles(0, 3), MANUAL, finish=False)
     assert session.samples == ()
-    sample = session.take_sample()
+    sample = taken(session)
     assert session.samples == (sample,) and sample.T_base_flange[0, 3] == pytest.approx(0.1)
     assert session.finish() == [] and len(session.samples) == 1
 
 
 def test_taking_twice_at_one_stop_keeps_one_sample() -> None:
     session = played(stops((0, 1)), profiles(0, 1), MANUAL, finish=False)
-    first = session.take_sample()
+    first = taken(session)
     for p in [pose(1.02 + 0.02 * i) for i in range(20)]:
         session.add_pose(p)
     for p in profiles(1.0, 1.4):
         session.add_profile(p)
-    second = session.take_sample()
+    second = taken(session)
     assert session.samples == (second,) and second.profiles > first.profiles
 
 
 def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
     session = Session(MANUAL)
-    length = 3 * MAX_DWELL // NS
+    length = 3 * LONGEST // NS
     for item in sorted([*stops((0, length)), *profiles(0, length, rate=2.0)],
                        key=lambda item: item.stamp):
         add(session, item)
         if isinstance(item, Profile) and item.stamp > START + NS:
-            session.take_sample()
+            taken(session)
         assert len(session.samples) <= 1
 
 
 def test_a_sample_is_kept_when_taking_it_again_fails() -> None:
     session = played(stops((0, 1)), profiles(0, 1), MANUAL, finish=False)
-    sample = session.take_sample()
+    sample = taken(session)
     for p in [pose(1.02 + 0.02 * i) for i in range(200)]:
         session.add_pose(p)
     for p in profiles(1.0, 4.9, points=BAD):
         session.add_profile(p)
     with pytest.raises(FeatureError):
-        session.take_sample()
+        taken(session)
     assert session.samples == (sample,)
 
 
@@ -74,14 +80,14 @@ def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
             add(session, pose(t, x=0.01 * start))
         add(session, profile(start + 0.5))
         session.collect()
-    session.take_sample()
+    taken(session)
     session.finish()
     assert sorted(round(float(s.T_base_flange[0, 3]), 6) for s in session.samples) == [0.0, 0.2]
 
 
 def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)
-    session.take_sample()
+    taken(session)
     for item in sorted([*stops((0, 1), (2, 3))[52:], *profiles(1.02, 3)],
                        key=lambda item: item.stamp):
         add(session, item)
@@ -93,28 +99,28 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
 def test_why_no_sample_can_be_taken_is_reported() -> None:
     session = Session(MANUAL)
     with pytest.raises(DataError, match='no flange pose'):
-        session.take_sample()
+        taken(session)
     session = played([pose(t, x=t) for t in np.arange(0, 1, 0.02)], profiles(0, 1), MANUAL)
     with pytest.raises(DataError, match='0.5 s'):
-        session.take_sample()
+        taken(session)
     with pytest.raises(DataError, match='no profile has a stamp'):
-        played(stops((0, 1)), [], MANUAL).take_sample()
+        taken(played(stops((0, 1)), [], MANUAL))
     with pytest.raises(FeatureError, match='edge'):
-        played(stops((0, 1)), profiles(0, 1, points=BAD), MANUAL).take_sample()
+        taken(played(stops((0, 1)), profiles(0, 1, points=BAD), MANUAL))
 
 
 def test_the_last_sample_can_be_removed() -> None:
     session = played(stops((0, 1), (2, 3)), profiles(0, 3))
     first, second = session.samples
-    assert session.remove_last().result is second and session.samples == (first,)
-    assert session.remove_last().result is first
+    assert removed_last(session).result is second and session.samples == (first,)
+    assert removed_last(session).result is first
     with pytest.raises(DataError, match='no sample to remove'):
-        session.remove_last()
+        removed_last(session)
 
 
 def test_stops_whose_samples_were_removed_are_stops() -> None:
     session = played(stops((0, 1)), profiles(0, 1))
-    session.remove_last()
+    removed_last(session)
     session.require_stations()
 
 
@@ -143,4 +149,4 @@ def test_automatic_samples_can_be_switched_on_and_off() -> None:
 def test_a_moving_robot_is_reported_its_speed() -> None:
     creeping = [pose(t, x=4e-3 * t) for t in np.arange(0, 2, 0.02)]
     with pytest.raises(DataError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
-        played(creeping, profiles(0, 2), MANUAL, finish=False).take_sample()
+        taken(played(creeping, profiles(0, 2), MANUAL, finish=False))

@@ -11,8 +11,8 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.sampling.features import combine
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.station_features import combine
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 from profiles import (

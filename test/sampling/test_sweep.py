@@ -12,7 +12,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_file import errors_against
-from handeye_ros.sampling.passes import finder_of
+from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
@@ -70,7 +70,7 @@ def test_a_rest_during_a_sweep_is_one_pass() -> None:
     rest = [replace(pose, stamp=pose.stamp + round(later * NS)) for later in np.arange(1, 9, 0.01)
             for pose in poses(times[-1:])]
     again = [replace(pose, stamp=pose.stamp + 13 * NS) for pose in poses(times)]
-    finder = finder_of(with_values(Config(), {'sampling.mode': 'moving'}, 'a test').sampling)
+    finder = StopFinder(with_values(Config(), {'sampling.mode': 'moving'}, 'a test').sampling)
     ended = [finder.add(pose) for pose in [*poses(times), *rest, *again]]
     spans = [(dwell.start / NS, dwell.end / NS) for dwell in ended if dwell]
     assert [end - start > 3.0 for start, end in spans].count(True) == 1
@@ -120,7 +120,7 @@ def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model(
 def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
     scenario = sweep('sphere', 0.02, stamp_jitter=1e-3)
     made = simulate(scenario, np.random.default_rng(4))
-    config = config_of(scenario)
+    config = with_values(config_of(scenario), {'clock_drift_std': 0.0}, 'a test')
     found, isotropic = (pipeline.calibrate(made.profiles, made.poses, with_values(
         config, {'noise.stamps': std}, 'a test')) for std in (config.noise.stamps, 0.0))
     assert found.time_offset is not None and isotropic.time_offset is not None

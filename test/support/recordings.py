@@ -9,7 +9,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.bags.reader import Reader
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import Profile, TimedPose
-from handeye_ros.sampling.dwells import DwellFinder
+from handeye_ros.sampling.stops import StopFinder
 from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat
@@ -90,7 +90,7 @@ def halves(recording, count):
     """
     all_profiles, all_poses = (recording if isinstance(recording, tuple)
                                else (recording.profiles, recording.poses))
-    finder, stations = DwellFinder(SamplingConfig()), []
+    finder, stations = StopFinder(SamplingConfig()), []
     for pose in all_poses:
         stations.append(finder.add(pose))
     ends = [s for s in stations if s]

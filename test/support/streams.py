@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
-from handeye_ros.sampling.dwells import NS
+from handeye_ros.errors import DataError
+from handeye_ros.sampling.features import sample_of
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import NS
 import numpy as np
 from profiles import drawn, face, step_up_to, with_lost
 
@@ -60,6 +62,16 @@ def add(session: Session, item: TimedPose | Profile) -> None:
         session.add_pose(item)
     else:
         session.add_profile(item)
+
+
+def taken(session: Session, config: Config = CONFIG) -> Sample:
+    """Return the sample of the current stop, put into the session as on request."""
+    stop = session.current_stop()
+    outcome = session.outcome(stop, sample_of(stop, config))
+    if isinstance(outcome.result, Reject):
+        raise DataError(outcome.result.reason)
+    session.put(outcome)
+    return outcome.result
 
 
 def results(session: Session) -> list[Sample | Reject]:

@@ -13,7 +13,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.lines import corner_features
-from handeye_ros.sampling.station_features import combine
+from handeye_ros.sampling.features import combine
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import Box, Solid
 from handeye_ros.targets.wedge import WEDGE

@@ -1,9 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Features of a station, combined from all its profiles.
+The sample that a stop gives: its pose, and the features of all its profiles combined.
 
-The scatter between the profiles gives the uncertainty of what they share.
+The scatter between the profiles gives the uncertainty of what they share. A pass gives the samples
+of its single profiles, each with the pose of its time.
 """
 from __future__ import annotations
 
@@ -12,13 +13,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from handeye_ros import targets
+from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import AnyProfile, Arc, Array, EdgePoint, FaceLine, Feature, Profile
-from handeye_ros.errors import DataError, FeatureError, mm
-from handeye_ros.estimation.problem import Target
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
+from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.lines import combined_line, on_line
+from handeye_ros.sampling.stops import decoded, evenly, NS, Stop
+from handeye_ros.sampling.stream import interpolate
+from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,39 +30,55 @@ SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
 LEAST_AGREEING = 0.6  # smallest share of the profiles of a stop
 ALONG = 0.1  # weight of a distance along a surface against one across, to match lines
 MOST_TIMES = 4  # profiles of one stop count as at most this many for an edge
+MOST_SINGLE = 32  # profiles of a pass that are evaluated, twice as many if few show the target
+NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
 
 
-def _disagreeing(what: str, apart: float) -> FeatureError:
-    """Return the refusal of profiles that show the target at places so far apart (m)."""
-    return FeatureError(f'the profiles of this station do not agree on {what}: they are '
-                        f'{mm(apart)} apart; something moved, or some of them show another '
-                        'object; take the sample again', reason='disagreeing')
+def result_of(stop: Stop, config: Config) -> Sample | Reject:
+    """Return the sample of a stop, or the reject with the reason."""
+    stop = stop.load(config)
+    try:
+        return sample_of(stop, config)
+    except FeatureError as error:
+        return Reject(stop.start, str(error))
 
 
-def of_station(profiles: Sequence[Profile], method: Target, config: Config
-               ) -> tuple[list[Profile], tuple[Feature, ...]]:
-    """
-    Return the profiles of a station that show the target, and their combined features.
-
-    Raises FeatureError when most do not show it, or do not agree.
-    """
-    used, found, reasons = [], [], Counter[str]()
-    for profile, features in zip(profiles, features_of_each(profiles, method, config),
-                                 strict=True):
-        if isinstance(features, DataError):
-            reasons[str(features)] += 1
-        else:
-            found.append(features)
-            used.append(profile)
-    if not found or 2 * len(found) < len(profiles):
-        raise FeatureError(reasons.most_common(1)[0][0])
-    return used, combine(found, 1 if method.essential else len(method.kinds))
+def sample_of(stop: Stop, config: Config) -> Sample:
+    """Return the sample of a stop; raises FeatureError with the reason."""
+    stop = stop.load(config)
+    if config.sampling.moving:
+        return _sample_of_pass(stop, config)
+    profiles = decoded(stop.steady(config), config)
+    if not profiles:
+        raise _no_profiles(stop)
+    used, features = of_profiles(profiles, config)
+    require_inside(features, used)
+    poses = interpolate(stop.poses, [profile.stamp for profile in used])
+    return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
+                  _flipped(used[0], config))
 
 
-def features_of_each(profiles: Sequence[Profile], method: Target, config: Config
-                     ) -> Sequence[tuple[Feature, ...] | DataError]:
-    """Return for each profile its features or the error."""
-    return method.extract_each([profile.points for profile in profiles], config)
+def _sample_of_pass(stop: Stop, config: Config) -> Sample:
+    """Return the sample of a pass, with those of its profiles; raises FeatureError."""
+    found, reasons = _found(decoded(evenly(stop.profiles, MOST_SINGLE), config), config)
+    if 2 * len(found) < MOST_SINGLE < len(stop.profiles):
+        found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_SINGLE), config), config)
+    if not found:
+        raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop)
+    T = interpolate(stop.poses, [profile.stamp for profile, _ in found])
+    single = tuple(
+        Sample(profile.stamp, pose, features,
+               flipped=() if k % 8 else _flipped(profile, config))  # some suffice
+        for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
+    return replace(single[len(single) // 2], profiles=len(single), single=single,
+                   motion=trajectory_of(stop.poses, config.sampling.max_pose_gap))
+
+
+def _no_profiles(stop: Stop) -> FeatureError:
+    """Return the refusal of a stop without a profile of the time of its poses."""
+    return FeatureError(f'no profile has a stamp of the {(stop.end - stop.start) / NS:.1f} s '
+                        'during which the robot stood still here: either the sensor sent none, '
+                        'or its clock is not that of the robot', reason='no_profiles')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
@@ -67,22 +86,70 @@ def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
     return targets.method_for(config).extract(profile.points, config)
 
 
-def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
-    """Return at most a number of the profiles, evenly spaced."""
-    if len(profiles) <= most:
-        return list(profiles)
-    return [profiles[i] for i in np.linspace(0, len(profiles) - 1, most).astype(int)]
-
-
-def flipped_features(profile: Profile, config: Config) -> tuple[Feature, ...]:
-    """Return the features with the opposite profile.range_sign."""
-    method = targets.method_for(config)
-    if not method.essential:
+def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
+    """Return the features of a target with edges, with the opposite profile.range_sign."""
+    if not targets.method_for(config).essential:
         return ()
     try:
-        return method.extract(profile.points, flipped_range(config))
+        return features_of(profile, flipped_range(config))
     except FeatureError:
         return ()
+
+
+def _found(profiles: Sequence[Profile], config: Config
+           ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
+    """Return the profiles that show the target, with their features, and why others do not."""
+    found, reasons = [], []
+    for profile in profiles:
+        try:
+            found.append((profile, features_of(profile, config)))
+        except FeatureError as error:
+            reasons.append(str(error))
+    return found, reasons
+
+
+def of_profiles(profiles: Sequence[Profile], config: Config
+                ) -> tuple[list[Profile], tuple[Feature, ...]]:
+    """
+    Return the profiles of a stop that show the target, and their combined features.
+
+    Raises FeatureError when most do not show it, or do not agree.
+    """
+    found, reasons = _found(profiles, config)
+    if not found or 2 * len(found) < len(profiles):
+        raise FeatureError(Counter(reasons).most_common(1)[0][0])
+    method = targets.method_for(config)
+    return ([profile for profile, _ in found],
+            combine([features for _, features in found],
+                    1 if method.essential else len(method.kinds)))
+
+
+def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> None:
+    """
+    Reject a stop if all its edges may be cut off by the border of the view.
+
+    The view ends where the columns of a profile end. A driver that omits columns without a return
+    hides this; then nothing is refused.
+    profiles: those of the stop that show the features. Raises FeatureError.
+    """
+    edges = [feature for feature in features if isinstance(feature, EdgePoint)]
+    columns = {len(profile.points) for profile in profiles}
+    if not edges or len(columns) > 1 or not np.isnan(profiles[0].points).any():
+        return
+    farthest = max(_to_the_end(edge, profiles[0].points) for edge in edges)
+    if farthest < NEAREST:
+        raise FeatureError(
+            f'the edge lies {farthest * 1e3:.1f} mm from the end of the view, where it may '
+            f'be cut off: move it {NEAREST * 1e3:.0f} mm or more into the view')
+
+
+def _to_the_end(edge: EdgePoint, points: Array) -> float:
+    """Return the width (m) of the columns beside an edge, on the side with fewer."""
+    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+    at = seen[int(np.argmin(np.abs(points[seen] - edge.point).sum(axis=1)))]
+    along = points[seen] @ edge.direction
+    spacing = float(np.median(np.abs(np.diff(along) / np.diff(seen))))
+    return float(min(at, len(points) - 1 - at) * spacing)
 
 
 def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:
@@ -227,3 +294,10 @@ def _scatter(arc: Arc, centre: Array, radius: float) -> float:
     """Return the RMS distance of the points of an arc from its circle."""
     off = np.linalg.norm(arc.raw - centre, axis=1) - radius
     return float(np.sqrt((off ** 2).mean()))
+
+
+def _disagreeing(what: str, apart: float) -> FeatureError:
+    """Return the refusal of profiles that show the target at places so far apart (m)."""
+    return FeatureError(f'the profiles of this station do not agree on {what}: they are '
+                        f'{mm(apart)} apart; something moved, or some of them show another '
+                        'object; take the sample again', reason='disagreeing')

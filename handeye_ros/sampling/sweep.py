@@ -1,0 +1,261 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+The samples of a moving robot: poses at times that are known up to an offset of the clocks.
+
+A profile with stamp t has the pose T(t + offset + drift (t - middle)): the clock of the profiles
+is late, and runs faster. A robot may also report its rotation later than its position: then its
+rotation is that of the time + lag. The derivative of a condition by one of the three is its
+derivative by the flange pose times the twist: one more column each. No start value is needed: fits
+start from several offsets, on some of the samples, until one is good.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import islice
+
+from handeye_ros import targets
+from handeye_ros.config import Config
+from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
+from handeye_ros.estimation.basis import process_in_time
+from handeye_ros.estimation.blocks import Blocks, ParameterBlock
+from handeye_ros.estimation.least_squares import believed, graduated, Rows, System
+from handeye_ros.estimation.noise import Noise, TURN_LENGTH, Whitening, whitening
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
+from handeye_ros.estimation.search import relabelled
+from handeye_ros.frames import mounted
+from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
+import numpy as np
+from numpy.typing import NDArray
+
+NAMES = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
+NO_POSES = 'there are no poses of that time'
+MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a start
+CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good start
+
+
+def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
+    """Return one sample per profile of passes, with their common trajectory; others unchanged."""
+    passes = [sample for sample in samples if sample.single]
+    if not passes:
+        return tuple(samples)
+    motion = joined([s.motion for s in passes if isinstance(s.motion, Trajectory)])
+    return tuple(replace(one, motion=motion) if sample.single else one
+                 for sample in samples for one in sample.single or (sample,))
+
+
+def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most a number of n samples, evenly spaced."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """
+    Poses of n samples as a function of the clocks; those of stops are constant.
+
+    T_base_flange: (n, 4, 4) with the stamps as they are; moving: (n,) whether the robot moved.
+    """
+
+    T_base_flange: Array
+    stamps: NDArray[np.int64]
+    moving: NDArray[np.bool_]
+    motion: Trajectory
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample]) -> Pairing:
+        """Return the pairing of samples, at least one of them of a moving robot."""
+        return cls(np.array([sample.T_base_flange for sample in samples]),
+                   np.array([sample.stamp for sample in samples]),
+                   np.array([sample.motion is not None for sample in samples]),
+                   next(s.motion for s in samples if isinstance(s.motion, Trajectory)))
+
+    @property
+    def since_middle(self) -> Array:
+        """Return the time (n,) of each sample since the middle of the recording (s)."""
+        first, last = int(self.motion.stamps[0]), int(self.motion.stamps[-1])
+        return np.asarray((self.stamps - (first + (last - first) // 2)) * 1e-9)
+
+    def at(self, offset: float, lag: float = 0.0, drift: float = 0.0) -> Instants:
+        """Return the flange at each sample; offset, lag (s), drift: as in the module's text."""
+        shift = np.rint((offset + drift * self.since_middle) * 1e9).astype(np.int64)
+        found = self.motion.at((self.stamps + shift)[self.moving], lag)
+        n = len(self.stamps)
+        T, twists, inside = self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool)
+        T[self.moving], twists[self.moving] = found.T_base_flange, found.twists
+        inside[self.moving] = found.inside
+        return Instants(T, twists, inside)
+
+
+def _poses_and_twists(pairing: Pairing, known: tuple[bool, ...], values: Array
+                      ) -> tuple[Array, Array]:
+    """Return poses (n, 4, 4) and twists (n, 6, k) for those of the three values not known."""
+    return _evaluated(pairing, known, tuple(values.tolist()))
+
+
+@lru_cache(maxsize=8)  # poses, then twists, are requested for the same values
+def _evaluated(pairing: Pairing, known: tuple[bool, ...], values: tuple[float, ...]
+               ) -> tuple[Array, Array]:
+    poses = pairing.at(*_all_values(known, values))
+    twists = np.stack([poses.twists] * len(NAMES), axis=2)
+    twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
+    twists[:, :, 2] *= pairing.since_middle[:, None]
+    return poses.T_base_flange, twists[:, :, ~np.array(known)]
+
+
+def _all_values(known: Sequence[bool], values: Sequence[float]) -> tuple[float, ...]:
+    """Return offset, lag and drift from those that are not known; a known one is 0."""
+    unknown = iter(values)
+    return tuple(0.0 if is_known else float(next(unknown)) for is_known in known)
+
+
+def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
+    """Return the problem of samples; for a moving robot with the clocks among the unknowns."""
+    method = targets.method_for(config)
+    problem = Problem(method, mounted(samples, config), method.observe(samples), config)
+    if not any(sample.motion for sample in samples):
+        return problem
+    pairing = Pairing.of(samples)
+    stds, known = _stds(config), _known(config)
+    model = PoseModel(
+        partial(_poses_and_twists, pairing, known),
+        tuple(name for name, one in zip(NAMES, known, strict=True) if not one),
+        (1,) * len(stds), tuple(stds.tolist()), least=1.0,
+        blocks=partial(errors_in_motion, pairing.stamps),
+        white=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
+    found = next(s.offsets for s in samples if s.motion)
+    values = np.array([*found, 0.0, 0.0])[:3][~np.array(known)]
+    return replace(problem, pose_model=model, pose_values=values)
+
+
+def _known(config: Config) -> tuple[bool, ...]:
+    """Return which of offset, lag and drift are known to be 0."""
+    return False, not config.rotation_lag_std, not config.clock_drift_std
+
+
+def _stds(config: Config) -> Array:
+    """Return 1 sigma of the priors (k,) of those of offset, lag and drift that are unknown."""
+    stds = np.array([config.time_offset_std, config.rotation_lag_std, config.clock_drift_std])
+    return np.asarray(stds[~np.array(_known(config))])
+
+
+def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
+    """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
+    size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
+    assert model is not None
+    own = stamps if model.stations is None else stamps[model.stations]
+    functions = process_in_time((own - stamps[0]) * 1e-9)
+    for name, axes, std in (('tracking_position', slice(0, 3), size),
+                            ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
+        twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
+        twists = twists.reshape(len(functions), 6, -1)
+        yield ParameterBlock(name, linear.by_twists(twists) * std, std, twists=twists,
+                             report=f'{name}_error')
+    exposure = linear.problem.config.profile.exposure
+    if exposure:
+        # a profile averages over the exposure, and shows a face only while the face is seen: an
+        # end shifts by up to half the exposure times the velocity across it, always inwards
+        inwards = np.sign(linear.problem.method.feature_errors(linear))
+        moved = linear.by_twists(model.at(linear.problem.pose_values)[1][:, :, :1])
+        std = exposure / 2
+        yield ParameterBlock('exposure', inwards * np.abs(moved) * std, std)
+
+
+@dataclass(frozen=True, eq=False)
+class Synchronised:
+    """
+    Samples with the poses at the most likely times, and an estimate near their solution.
+
+    rejects: samples without poses at their time.
+    """
+
+    samples: list[Sample]
+    rejects: list[Reject]
+    estimate: Estimate | None = None
+
+
+def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
+    """
+    Return samples of a moving robot with the poses at the most likely times.
+
+    At most MOST_SAMPLES are used. Raises DataError where no estimate can be started.
+    """
+    if not any(sample.motion for sample in samples):
+        return Synchronised(list(samples), [])
+    samples = [samples[i] for i in evenly_chosen(len(samples), MOST_SAMPLES)]
+    problem = problem_of(samples, config)
+    some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
+    start = _searched(some, np.random.default_rng(0))
+    found = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
+    values = _all_values(_known(config), found.problem.pose_values.tolist())
+    at, paired, rejects = Pairing.of(samples).at(*values), [], []
+    for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True):
+        if inside:
+            paired.append(replace(sample, T_base_flange=T, offsets=values))
+        else:
+            rejects.append(Reject(sample.stamp, NO_POSES))
+    return Synchronised(paired, rejects, found.estimate)
+
+
+def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
+    """Return the best fit over several offsets, or the first convincing one."""
+    best: tuple[float, Linear] | None = None
+    for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas
+        values = np.zeros(len(problem.pose_values))
+        values[0] = offset * problem.config.time_offset_std
+        shifted = problem.with_pose_values(values)
+        for start in islice(shifted.guesses(rng), 3):
+            found = _refined(shifted, start)
+            loss = float(np.log1p(_squares(found)).mean())
+            best = (loss, found) if best is None or loss < best[0] else best
+        if best and believed(_squares(best[1])) < CONVINCING:
+            break
+    assert best is not None
+    return best[1]
+
+
+def _refined(problem: Problem, start: Estimate) -> Linear:
+    """Return the fit with the clocks among the unknowns that a start leads to."""
+    def refit(at: Linear, weights: Array) -> Linear:
+        at = _system(at.problem).reweighted(at, np.append(weights, 1.0))
+        whole = replace(at.problem, observations=problem.observations)
+        return linearise(relabelled(whole, at.estimate, at.problem), at.estimate)
+    return graduated(linearise(relabelled(problem, start), start), _squares, refit)
+
+
+def _system(problem: Problem) -> System[Linear]:
+    """Return the least-squares system of a labelled problem; priors of the clocks come last."""
+    stds, n = _stds(problem.config), len(problem.poses)
+    k = len(stds)
+
+    def rows(at: Linear) -> Rows:
+        def jacobian() -> Array:
+            model = at.problem.pose_model
+            assert model is not None
+            by_clocks = at.by_twists(model.at(at.problem.pose_values)[1])
+            J = np.hstack([at.jacobian[:, at.problem.columns], by_clocks])
+            return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
+
+        def white(values: Array) -> Array:
+            return np.concatenate([_white(at)(values[:-k]), values[-k:]])
+        return Rows(np.append(at.residuals, at.problem.pose_values / stds), jacobian,
+                    lambda: white)
+
+    def retracted(at: Linear, step: Array) -> Linear:
+        moved = at.problem.with_pose_values(at.problem.pose_values + step[-k:])
+        return linearise(moved, moved.retracted(at.estimate, step[:-k]))
+    return System(rows, retracted, np.append(problem.observations.station, np.full(k, n)))
+
+
+@lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
+def _white(linear: Linear) -> Whitening:
+    return whitening(linear, Noise())
+
+
+def _squares(linear: Linear) -> Array:
+    """Return the mean squared whitened residual (n,) of each sample."""
+    station, n = linear.problem.observations.station, len(linear.problem.poses)
+    squares = np.bincount(station, _white(linear)(linear.residuals) ** 2, minlength=n)
+    return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
