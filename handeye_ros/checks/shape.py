@@ -16,7 +16,7 @@ from handeye_ros.checks.alternatives import Fit, LARGEST_DROPPED_SHARE, RARE, VE
 from handeye_ros.checks.change_point import moved_slightly
 from handeye_ros.checks.errors import LostEdgesError, ScaleError, TooFewEdgesError
 from handeye_ros.config import Config
-from handeye_ros.data import Array, ROTATION_LAG, TIME_OFFSET, TimeOffset
+from handeye_ros.data import Array, CLOCK_DRIFT, ROTATION_LAG, TIME_OFFSET, TimeOffset
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock
 from handeye_ros.estimation.noise import whitening
@@ -27,6 +27,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 FREED_SIZE = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
 FREED_FROM = 2.5  # sigmas: an estimated length is used; it costs little where the stated is right
 SMALLEST_BEND = 3e-5  # m, told
@@ -218,6 +219,11 @@ def offset_notes(solution: Solution) -> list[str]:
     if lag and abs(lag.value) > max(CONTRADICTION * lag.std, 3e-4):
         notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
                      'position: a scan with this calibration allows for it')
+    drift = _estimate_of(solution, CLOCK_DRIFT)
+    if drift and abs(drift.value) > max(CONTRADICTION * drift.std, LARGE_DRIFT):
+        notes.append(f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.1f} ms '
+                     'a minute, which was allowed for; the time offset is that of the middle of '
+                     'this recording: synchronise the clocks')
     return notes
 
 

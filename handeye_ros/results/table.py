@@ -155,6 +155,8 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         elif key == 'rotation_lag':
             late = f'{value * 1e3:.3f} ms later than the position' + _sigma(std, 1e3, 3)
             yield 'robot, rotation', late
+        elif key == 'clock_drift':
+            yield 'clocks', f'{value * 60e3:.2f} ms a minute apart' + _sigma(std, 60e3, 2)
         elif key == 'scale':
             yield 'lengths', f'of the robot {value:.5f} times those of the sensor' + _sigma(
                 std, 1, 5)

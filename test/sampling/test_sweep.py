@@ -105,6 +105,19 @@ def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kin
     assert abs(off) < 2e-4 and abs(off) < 4 * found.time_offset.std < 1e-3
 
 
+def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
+    scenario, drift = sweep('plate', 0.02), 5e-3 / 30
+    made = simulate(scenario, np.random.default_rng(0))
+    first = made.profiles[0].stamp
+    late = [replace(p, stamp=p.stamp + round(drift * (p.stamp - first))) for p in made.profiles]
+    found = pipeline.calibrate(late, made.poses, config_of(scenario))
+    delta = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
+    assert delta @ np.linalg.solve(found.covariance, delta) < 15
+    assert abs(found.target['clock_drift'] + drift) < 4 * found.target['clock_drift_std'] < 1e-4
+    assert 'drift apart by -' in found.target['note']
+    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+
+
 def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model() -> None:
     scenario = sweep('plate', 0.02, rotation_lag=0.01, exposure=2e-3)
     made = simulate(scenario, np.random.default_rng(4))
