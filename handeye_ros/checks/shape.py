@@ -221,8 +221,8 @@ def offset_notes(solution: Solution) -> list[str]:
                      'position: a scan with this calibration allows for it')
     drift = _estimate_of(solution, CLOCK_DRIFT)
     if drift and abs(drift.value) > max(CONTRADICTION * drift.std, LARGE_DRIFT):
-        notes.append(f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.1f} ms '
-                     'a minute, which was allowed for; the time offset is that of the middle of '
+        notes.append('the clocks of profiles and poses drift apart by '
+                     f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time offset is that of the middle of '
                      'this recording: synchronise the clocks')
     return notes
 
