@@ -222,8 +222,8 @@ def offset_notes(solution: Solution) -> list[str]:
     drift = _estimate_of(solution, CLOCK_DRIFT)
     if drift and abs(drift.value) > max(CONTRADICTION * drift.std, LARGE_DRIFT):
         notes.append('the clocks of profiles and poses drift apart by '
-                     f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time offset is that of the middle of '
-                     'this recording: synchronise the clocks')
+                     f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '
+                     'offset is that of the middle of this recording: synchronise the clocks')
     return notes
 
 
