@@ -22,8 +22,7 @@ from typing import Any, TypeAlias
 
 from handeye_ros import __version__, trend
 from handeye_ros.errors import DataError, HandeyeError, InputError
-from handeye_ros.output import csv_text, write_whole
-from jinja2 import Environment, PackageLoader
+from handeye_ros.output import csv_text, page, write_whole
 import yaml
 
 Row: TypeAlias = dict[str, Any]
@@ -377,16 +376,15 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
     for row in worst_first(rows):
         if row.get('cause'):  # the same sentence with other numbers is the same cause
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
-    pages = Environment(loader=PackageLoader('handeye_ros.results', 'assets'), autoescape=True,
-                        trim_blocks=True, lstrip_blocks=True)
-    write_whole(out / 'report.html', pages.get_template('batch.html').render(
-        rows=worst_first(rows), answers=worst_answers(rows), cells=cells_of(rows, out),
+    write_whole(out / 'report.html', page(
+        'batch.html', rows=worst_first(rows), answers=worst_answers(rows),
+        cells=cells_of(rows, out),
         figures=[figure for figure in FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],
         result=result_of, most=WORST,
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(result_of, rows)).most_common(),
-        page=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
+        target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
                                if (out / row['label'] / name).exists()), '')))
 
 

@@ -1,16 +1,19 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written: names of folders, whole files, pictures."""
+"""Files that are written: names of folders, whole files, pictures, pages."""
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 import csv
+from datetime import datetime, UTC
 import io
 import os
 from pathlib import Path
 from typing import Any
 
+from handeye_ros import __version__
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, NoMatplotlibError, UnwritableError
 
@@ -82,11 +85,23 @@ def style() -> AbstractContextManager[None]:
         'legend.frameon': False})
 
 
-def svg(drawing: Any) -> str:
-    """Return a figure as an <svg> element."""
-    text = io.StringIO()
-    drawing.savefig(text, format='svg', metadata={'Date': None, 'Creator': None})
-    return text.getvalue()[text.getvalue().index('<svg'):]
+def image(drawing: Any) -> str:
+    """Return a figure as an image for src=, isolated from the page: its ids cannot clash."""
+    picture = io.BytesIO()
+    drawing.savefig(picture, format='svg', metadata={'Date': None, 'Creator': None})
+    return 'data:image/svg+xml;base64,' + base64.b64encode(picture.getvalue()).decode()
+
+
+def page(template: str, **values: Any) -> str:
+    """Return a page by its template in results/assets."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+    pages = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
+                        autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                        lstrip_blocks=True)
+    pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
+    return pages.get_template(template).render(
+        version=__version__, now=datetime.now(UTC).isoformat(timespec='seconds'), **values)
 
 
 def save(drawing: Any, path: Path) -> None:

@@ -84,8 +84,8 @@ def verify(
     if stations:
         write_whole(stations, verification.stations_csv(result))
     if protocol:
-        from handeye_ros.results import pages
-        write_whole(protocol, pages.protocol(verification.values(result)))
+        from handeye_ros.results.protocol import protocol as protocol_of
+        write_whole(protocol, protocol_of(verification.values(result)))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':

@@ -264,22 +264,22 @@ def report(
     """Show a calibration or verification in one HTML file."""
     from handeye_ros.evidence import evidence
     from handeye_ros.output import html_file, write_whole
-    from handeye_ros.results import exports, pages
+    from handeye_ros.results import exports, verification_file
     from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.verification_file import content_of as verification_in
-    from handeye_ros.results.verification_file import read
+    from handeye_ros.results.protocol import protocol
+    from handeye_ros.results.report import write
     if out:
         html_file(out)
-    if path.is_file() and (values := verification_in(path)):
+    if path.is_file() and verification_file.is_verification(path):
         html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, pages.protocol(values))
+        write_whole(html, protocol(verification_file.read(path)))
         typer.echo(f'wrote {html}')
         return
-    file, verified = file_of(path), [read(one) for one in verification]
+    file = file_of(path)
+    verified = [verification_file.verified(verification_file.read(one)) for one in verification]
     calibration = read_calibration(file)
     with doing('finding the stops'):
         shown = evidence(calibration, bag, file.parent)
     with doing('writing the report'):
-        written = pages.write(
-            calibration, shown, out or file.parent / exports.REPORT, verified)
+        written = write(calibration, shown, out or file.parent / exports.REPORT, verified)
     typer.echo(f'wrote {written}')

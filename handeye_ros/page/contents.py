@@ -169,8 +169,8 @@ def _file(live: Live, name: str) -> tuple[str, str]:
 def _report(calibration: Calibration, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
     from handeye_ros.evidence import evidence
-    from handeye_ros.results import pages  # matplotlib
-    return pages.html(calibration, evidence(calibration, Path(session) if session else None))
+    from handeye_ros.results.report import html  # matplotlib
+    return html(calibration, evidence(calibration, Path(session) if session else None))
 
 
 def contents(state: State, live: Live) -> dict[str, Any]:

@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
-from handeye_ros.errors import InputError
 from handeye_ros.output import write_whole
+from handeye_ros.results.reading import content_of, require_format, Section
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
 
 FORMAT = 'handeye_ros/calibration/'
-NEWEST = 1
 NAME = 'calibration.yaml'
 
 HEADER = """\
@@ -32,51 +30,6 @@ HEADER = """\
 
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
-
-
-def unusable(path: Path, reason: str) -> InputError:
-    """Return the error for a file that cannot be used."""
-    return InputError(f'{path} cannot be used: {reason}')
-
-
-class Section:
-    """A mapping in a file; each value is checked on access."""
-
-    def __init__(self, path: Path, prefix: str, values: Any) -> None:
-        if not isinstance(values, dict):
-            section_name = prefix.rstrip('.') or 'the file'
-            raise unusable(path, f'{section_name} is no mapping')
-        self.path, self._prefix, self._values = path, prefix, values
-
-    def get(self, key: str, kind: type, default: Any = None) -> Any:
-        """Return a value of a type, or the default if it is missing."""
-        value = self._values.get(key, default)
-        if value is None:
-            raise self.error(key, 'is missing')
-        if kind is float and type(value) is int:
-            value = float(value)
-        if type(value) is not kind:
-            raise self.error(key, f'is {value!r}, expected {kind.__name__}')
-        return value
-
-    def number(self, key: str) -> float:
-        """Return a finite number."""
-        value = float(self.get(key, float))
-        if not math.isfinite(value):
-            raise self.error(key, f'is {value}')
-        return value
-
-    def has(self, key: str) -> bool:
-        """Return whether there is a value."""
-        return self._values.get(key) is not None
-
-    def section(self, key: str) -> Section:
-        """Return a nested mapping."""
-        return Section(self.path, f'{self._prefix}{key}.', self.get(key, dict))
-
-    def error(self, key: str, problem: str) -> InputError:
-        """Return the error for a key."""
-        return unusable(self.path, f'{self._prefix}{key} {problem}')
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -104,8 +57,9 @@ def text(calibration: Calibration) -> str:
 
 def _content(calibration: Calibration) -> dict[str, Any]:
     T, offset = calibration.T_flange_sensor, calibration.time_offset
+    provenance = _plain(calibration.provenance)
     return {
-        'format': f'{FORMAT}{NEWEST}',
+        'format': f'{FORMAT}1',
         'name': calibration.name, 'method': calibration.method,
         'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
         'transform': transform_values(T), 'rpy': _plain(se3.rpy(T)),
@@ -115,7 +69,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         'quality': _plain(asdict(calibration.quality)),
         'samples': [{key: _plain(value) for key, value in asdict(report).items()
                      if value is not None and value != ''} for report in calibration.samples],
-        'provenance': _provenance(calibration.provenance),
+        'provenance': {**{k: v for k, v in provenance.items() if k != 'config'},
+                       'config': provenance.get('config', {})},  # long: after all others
     }
 
 
@@ -130,12 +85,6 @@ def input_values(file: Path) -> dict[str, str]:
     with file.open('rb') as stream:
         digest = hashlib.file_digest(stream, 'sha256')
     return {'path': str(file.absolute()), 'sha256': digest.hexdigest()}
-
-
-def _provenance(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    merged: dict[str, Any] = _plain(provenance)
-    merged['config'] = merged.pop('config', {})  # long: after all others
-    return merged
 
 
 def _plain(value: Any) -> Any:
@@ -156,16 +105,12 @@ def file_of(path: Path) -> Path:
 
 def read_calibration(path: Path) -> Calibration:
     """Return the calibration in a file; raises InputError."""
-    try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise unusable(path, error.strerror or str(error)) from error
-    except (UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
-        raise unusable(path, 'it is not valid YAML') from error
-    file = Section(path, '', content)
-    _check_format(path, file.get('format', str))
+    file = Section(path, '', content_of(path))
+    require_format(path, file.get('format', str), FORMAT)
     T = _transform(file.section('transform'))
     _check_rpy(file, T)
+    offset = file.section('time_offset') if file.has('time_offset') else None
+    quality = file.section('quality')
     return Calibration(
         name=file.get('name', str),
         method=file.get('method', str),
@@ -174,29 +119,19 @@ def read_calibration(path: Path) -> Calibration:
         T_flange_sensor=T,
         covariance=_covariance(file),
         target=file.get('target', dict),
-        quality=_quality(file.section('quality')),
+        quality=Quality(
+            quality.get('samples_used', int), quality.get('samples_rejected', int),
+            quality.number('residual_rms'), quality.number('holdout_rms'),
+            quality.get('weakest_direction', str), quality.number('weakest_std')),
         samples=tuple(_sample(Section(path, f'samples[{i}].', item))
                       for i, item in enumerate(file.get('samples', list))),
-        provenance=file.get('provenance', dict), time_offset=_time_offset(file))
-
-
-def _time_offset(file: Section) -> TimeOffset | None:
-    section = file.section('time_offset') if file.has('time_offset') else None
-    return TimeOffset(section.number('value'), section.number('std')) if section else None
+        provenance=file.get('provenance', dict),
+        time_offset=TimeOffset(offset.number('value'), offset.number('std')) if offset else None)
 
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
     """Return the transform (4, 4) of plain values, which a file holds under a key."""
     return _transform(Section(path, f'{key}.', values))
-
-
-def _check_format(path: Path, text: str) -> None:
-    number = text.removeprefix(FORMAT)
-    if number == text or not number.isdecimal():
-        raise unusable(path, f'its format is "{text}", expected {FORMAT}{NEWEST}')
-    if int(number) > NEWEST:
-        raise unusable(path, f'its format {text} is newer than this version of '
-                                   f'handeye_ros ({__version__}) can read; update the package')
 
 
 def _transform(section: Section) -> Array:
@@ -228,12 +163,6 @@ def _covariance(file: Section) -> Array:
     if len(values) != 36 or len(numbers) != 36:
         raise file.error('covariance', 'does not hold 36 numbers')
     return np.array(numbers, dtype=float).reshape(6, 6)
-
-
-def _quality(section: Section) -> Quality:
-    return Quality(section.get('samples_used', int), section.get('samples_rejected', int),
-                   section.number('residual_rms'), section.number('holdout_rms'),
-                   section.get('weakest_direction', str), section.number('weakest_std'))
 
 
 def _sample(section: Section) -> SampleReport:

@@ -1,36 +1,259 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The file formats of a calibration, and the folder for its files."""
+"""
+Writes a calibration in every format, and keeps the files of the previous one.
+
+A 4x4 matrix and JSON; the tool frame as it is typed at the pendant of a robot, or put into its
+program; for ROS a joint of a URDF, static_transform_publisher and the file of easy_handeye2.
+
+The loader of easy_handeye2 opens ~/.ros2/easy_handeye2/calibrations/<name>.calib and puts every
+key into a message easy_handeye2_msgs/HandeyeCalibration: an unknown key fails, a missing one keeps
+its default. So the keys are those that its own tools set and all its versions know (easy_handeye2,
+handeye_calibration.py).
+"""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
+from functools import partial
+import json
+import math
 from pathlib import Path
+import shlex
 import shutil
+from xml.sax.saxutils import quoteattr
 
-from handeye_ros.data import Calibration
+from handeye_ros import __version__, orientations, se3
+from handeye_ros.config import BASE_FRAME, Config
+from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
 from handeye_ros.output import write_whole
-from handeye_ros.results import calibration_file, export_formats
-from handeye_ros.results.export_formats import Format
+from handeye_ros.results import calibration_file
+from handeye_ros.results.calibration_file import transform_values
+import numpy as np
+from scipy.spatial.transform import Rotation
+import yaml
 
 YAML = 'yaml'
 REPORT = 'report.html'
 HISTORY = 'history'  # the folder of previous results, each in a folder named after its time
+SI = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes x, '
+      'y, z, as in URDF.')
+DIGITS = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
+URDF = """\
+<?xml version="1.0"?>
+<!--
+{comment}
+Include it in the description of the robot, which has the link {parent} already.
+-->
+<robot name={robot} xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <link name={child}/>
+  {joint}
+</robot>
+"""
+
+JOINT = """\
+<joint name={name} type="fixed">
+    <parent link={parent}/>
+    <child link={child}/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+  </joint>"""
+
+LAUNCH = '''\
+"""Publishes the pose of the sensor on /tf_static: ros2 launch {file}."""
+{comment}from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        Node(package='tf2_ros', executable='static_transform_publisher', name={name!r},
+             arguments=[{arguments}]),
+    ])
+'''
+LAUNCH_FILE = 'static_transform.launch.py'
+TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
+# By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
+PENDANTS = {
+    'kuka': ('tool_kuka.dat', '; ', 'DECL FRAME SENSOR={{X {x},Y {y},Z {z},A {a},B {b},C {c}}}'),
+    'fanuc': ('tool_fanuc.txt', '! ', 'X: {x} Y: {y} Z: {z} W: {w} P: {p} R: {r}'),
+    'abb': ('tool_abb.mod', '! ', 'CONST pose sensor:=[[{xyz}],[{angles}]];'),
+    'ur': ('tool_ur.script', '# ', 'set_tcp(p[{xyz},{angles}])'),
+    'staubli': ('tool_staubli.txt', '// ', '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
+    'yaskawa': ('tool_yaskawa.txt', '; ', '{xyz},{angles}'),
+}
+
+
+@dataclass(frozen=True)
+class Format:
+    """
+    A file format of a calibration.
+
+    file_name: of the file in the folder of the result; text: the content of the file. Both take
+    the calibration; text raises nothing.
+    """
+
+    file_name: Callable[[Calibration], str]
+    text: Callable[[Calibration], str]
+
+
+def preamble(calibration: Calibration, units: str = SI) -> tuple[str, ...]:
+    """Return lines that explain the numbers: direction, frames, units, uncertainty."""
+    parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
+    std = np.sqrt(np.diag(calibration.covariance))
+    position = ', '.join(f'{axis} {s * 1e3:.3f}' for axis, s in zip('xyz', std[:3], strict=True))
+    turns = ', '.join(f'{axis} {math.degrees(s):.4f}'
+                      for axis, s in zip('xyz', std[3:], strict=True))
+    return (
+        f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
+        f'written by handeye_ros {__version__}.',
+        f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
+        f'{child} into {parent}.',
+        f'Parent frame {parent}, child frame {child}. {units}',
+        f'1 sigma of the position: {position} mm; of the rotation about the axes of {parent}: '
+        f'{turns} degrees.')
+
+
+def one_line(text: str) -> str:
+    """Return a text without line ends, safe inside a comment."""
+    return ' '.join(text.split())
+
+
+def commented(calibration: Calibration, mark: str = '# ', units: str = SI) -> str:
+    """Return the preamble as comment lines."""
+    return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
+
+
+def numbers(values: Array) -> str:
+    """Return numbers separated by blanks, with all digits."""
+    return ' '.join(repr(float(value)) for value in values)
+
+
+def matrix(calibration: Calibration) -> str:
+    """Return T row by row, as numpy.loadtxt reads it."""
+    rows = [numbers(row) + '\n' for row in calibration.T_flange_sensor]
+    return commented(calibration) + '# The matrix T (4x4), row by row.\n' + ''.join(rows)
+
+
+def as_json(calibration: Calibration) -> str:
+    """Return the calibration as JSON, with the preamble under "comment"."""
+    T = calibration.T_flange_sensor
+    values = {
+        'comment': preamble(calibration),
+        'name': calibration.name,
+        'parent_frame': calibration.parent_frame,
+        'child_frame': calibration.child_frame,
+        'transform': transform_values(T),
+        'rpy': se3.rpy(T).tolist(),
+        'matrix': T.tolist(),
+        'covariance': calibration.covariance.tolist(),
+    }
+    return json.dumps(values, indent=2) + '\n'
+
+
+def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:
+    """
+    Return the sensor's pose as named numbers, and as a line of a robot program.
+
+    mark: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
+    """
+    notation = orientations.of(vendor)
+    unit = 1e3 if notation.length == 'mm' else 1.0
+    T = calibration.T_flange_sensor
+    lengths = [f'{v:.{DIGITS[notation.length]}f}' for v in T[:3, 3] * unit]
+    R = Rotation.from_matrix(T[:3, :3])
+    angles = [f'{v + 0.0:.{DIGITS[notation.angle]}f}' for v in np.ravel(notation.numbers(R))]
+    named = dict(zip(('x', 'y', 'z', *notation.labels), [*lengths, *angles], strict=True))
+    units = [notation.length] * 3 + [notation.angle] * len(angles)
+    rows = [f'{mark}{name.upper():3} {value} {unit}'.rstrip()
+            for (name, value), unit in zip(named.items(), units, strict=True)]
+    fields = {**named, 'xyz': ','.join(lengths), 'angles': ','.join(angles)}
+    return commented(calibration, mark, f'{notation.title}.') + '\n'.join(
+        [*rows, line.format(**fields)]) + '\n'
+
+
+def joint(calibration: Calibration) -> str:
+    """Return the <joint> of a URDF that holds the calibration."""
+    parent, child = calibration.parent_frame, calibration.child_frame
+    return JOINT.format(name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
+                        child=quoteattr(child), xyz=numbers(calibration.T_flange_sensor[:3, 3]),
+                        rpy=numbers(se3.rpy(calibration.T_flange_sensor)))
+
+
+def urdf(calibration: Calibration) -> str:
+    """Return a URDF with the sensor's link and its joint, which xacro can include."""
+    # two dashes would end an XML comment
+    comment = '\n'.join(preamble(calibration)).replace('--', '- -')
+    return URDF.format(comment=comment, parent=calibration.parent_frame.replace('--', '- -'),
+                       robot=quoteattr(calibration.name), joint=joint(calibration),
+                       child=quoteattr(calibration.child_frame))
+
+
+def arguments(calibration: Calibration) -> list[str]:
+    """Return the arguments of static_transform_publisher by name."""
+    T = calibration.T_flange_sensor
+    values = dict(zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'), (*T[:3, 3], *se3.quaternion(T)),
+                      strict=True))
+    return [word for name, value in values.items() for word in (f'--{name}', repr(float(value)))
+            ] + ['--frame-id', calibration.parent_frame,
+                 '--child-frame-id', calibration.child_frame]
+
+
+def command(calibration: Calibration) -> str:
+    """Return the shell line that publishes the calibration on /tf_static."""
+    return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(arguments(calibration))
+
+
+def launch(calibration: Calibration) -> str:
+    """Return a launch file that publishes the calibration on /tf_static."""
+    words = arguments(calibration)
+    # ROS takes letters, digits and underscores in the name of a node
+    node = ''.join(c if c.isascii() and c.isalnum() else '_' for c in calibration.child_frame)
+    lines = ',\n                        '.join(
+        f'{name!r}, {value!r}' for name, value in zip(words[::2], words[1::2], strict=True))
+    return LAUNCH.format(file=LAUNCH_FILE, comment=commented(calibration), arguments=lines,
+                         name=f'publish_{node}')
+
+
+def easy_handeye2_file(calibration: Calibration) -> str:
+    """Return the file name that easy_handeye2 expects."""
+    return f'{one_line(calibration.name).replace("/", "_")}.calib'
+
+
+def easy_handeye2(calibration: Calibration) -> str:
+    """Return the content of the file for easy_handeye2."""
+    config, file = calibration.provenance.get('config', {}), easy_handeye2_file(calibration)
+    on_base = config.get('calibration_type') == 'eye_on_base'
+    robot = {'robot_base_frame': config.get('robot_base_frame') or BASE_FRAME,
+             'robot_effector_frame': config.get('robot_effector_frame',
+                                                Config.robot_effector_frame)}
+    robot['robot_base_frame' if on_base else 'robot_effector_frame'] = calibration.parent_frame
+    values = {
+        'parameters': {
+            'name': file.removesuffix('.calib'),
+            'calibration_type': 'eye_on_base' if on_base else 'eye_in_hand',
+            **robot,
+            'tracking_base_frame': calibration.child_frame,
+            'tracking_marker_frame': TARGET_FRAME,
+            'freehand_robot_movement': True,
+        },
+        'transform': transform_values(calibration.T_flange_sensor)}
+    folder = '~/.ros2/easy_handeye2/calibrations'
+    return (f'{commented(calibration)}# For easy_handeye2: its place is {folder}/{file}\n' + str(
+        yaml.safe_dump(values, sort_keys=False, allow_unicode=True)))
+
 
 FORMATS = {
-    YAML: Format('calibration.yaml: the complete answer; handeye reads it',
-                 lambda _: calibration_file.NAME, calibration_file.text),
-    'urdf': Format('a <joint> with <origin xyz rpy>, for a URDF or a xacro file',
-                   lambda _: 'sensor.urdf.xacro', export_formats.urdf),
-    'launch': Format('a launch file that starts static_transform_publisher',
-                     lambda _: export_formats.LAUNCH_FILE, export_formats.launch),
-    'easy_handeye2': Format('the .calib file of easy_handeye2', export_formats.easy_handeye2_file,
-                            export_formats.easy_handeye2),
-    'matrix': Format('the 4x4 matrix as text', lambda _: 'matrix.txt', export_formats.matrix),
-    'json': Format('JSON', lambda _: 'calibration.json', export_formats.as_json),
-    **export_formats.ROBOTS,
+    YAML: Format(lambda _: calibration_file.NAME, calibration_file.text),
+    'urdf': Format(lambda _: 'sensor.urdf.xacro', urdf),
+    'launch': Format(lambda _: LAUNCH_FILE, launch),
+    'easy_handeye2': Format(easy_handeye2_file, easy_handeye2),
+    'matrix': Format(lambda _: 'matrix.txt', matrix),
+    'json': Format(lambda _: 'calibration.json', as_json),
+    **{vendor: Format(lambda _, name=name: name,  # type: ignore[misc]
+                      partial(tool_frame, vendor=vendor, mark=mark, line=line))
+       for vendor, (name, mark, line) in PENDANTS.items()},
 }
 
 
@@ -96,7 +319,13 @@ def set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | 
     if not files:
         return None
     try:
-        history = _new_folder(folder / HISTORY, max(file.stat().st_mtime for file in files))
+        newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
+        history = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
+        number = 1
+        while history.exists():  # another of the same second
+            number += 1
+            history = history.with_name(f'{history.name.split("Z")[0]}Z-{number}')
+        history.mkdir(parents=True)
         for file in files:
             shutil.copy2(file, history / file.name)
         for file in files:
@@ -105,17 +334,3 @@ def set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | 
     except OSError as error:
         raise UnwritableError(folder / HISTORY, error.strerror or str(error)) from error
     return history
-
-
-def _new_folder(history: Path, time: float) -> Path:
-    """Return a new folder named after a time (s since 1970), in UTC."""
-    stamp = datetime.fromtimestamp(time, UTC).strftime('%Y-%m-%dT%H%M%SZ')
-    count = 1
-    while True:
-        folder = history / (stamp if count == 1 else f'{stamp}-{count}')
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            count += 1
-        else:
-            return folder

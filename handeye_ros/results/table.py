@@ -11,7 +11,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD
-from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.data import Array, Calibration, Quality
 from handeye_ros.results.truth_file import Errors
 import numpy as np
 from rich import box
@@ -43,18 +43,14 @@ def table(calibration: Calibration) -> RenderableType:
     parent, child = calibration.parent_frame, calibration.child_frame
     title = Text(f'{calibration.name}: {child} in {parent}. T maps points of {child} into '
                  f'{parent}: p_{parent} = T @ p_{child}')
-    return Group(title, _transform_table(calibration), _facts_table(calibration))
-
-
-def _transform_table(calibration: Calibration) -> Table:
-    columns = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns.add_column('')
-    for name in ('value', '1 sigma'):
-        columns.add_column(name, justify='right')
-    columns.add_column('')
+    numbers = Table('', 'value', '1 sigma', '', box=box.SIMPLE_HEAD, pad_edge=False)
+    numbers.columns[1].justify = numbers.columns[2].justify = 'right'
     for row in transform_rows(calibration):
-        columns.add_row(*row)
-    return columns
+        numbers.add_row(*row)
+    others = Table(box=None, show_header=False, pad_edge=False)
+    for name, fact in (*facts(calibration), *details(calibration.target)):
+        others.add_row(name, Text(fact))
+    return Group(title, numbers, others)
 
 
 def transform_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
@@ -86,13 +82,6 @@ def rpy_std(T: Array, covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.diag(to_rpy @ covariance @ to_rpy.T)))
 
 
-def _facts_table(calibration: Calibration) -> Table:
-    columns = Table(box=None, show_header=False, pad_edge=False)
-    for name, fact in (*facts(calibration), *details(calibration.target)):
-        columns.add_row(name, Text(fact))
-    return columns
-
-
 def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
     """Yield the other facts of a calibration, each with its name."""
     quality = calibration.quality
@@ -104,26 +93,17 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(quality)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    for reason, count in _reasons(calibration.samples).items():
+    reasons = Counter(s.reason or 'no reason given' for s in calibration.samples if not s.used)
+    if len(reasons) > MOST_REASONS:
+        reasons = Counter(reason.split(':')[0] for reason in reasons.elements())
+    for reason, count in reasons.items():
         yield '', f'{count} rejected: {reason}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
-    yield from records(calibration)
-
-
-def records(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of record.* of a calibration."""
     for key, text in (calibration.provenance.get('config') or {}).items():
         if key.startswith(RECORD):
             yield key.removeprefix(RECORD).replace('_', ' '), str(text)
-
-
-def _reasons(samples: tuple[SampleReport, ...]) -> Counter[str]:
-    reasons = Counter(s.reason or 'no reason given' for s in samples if not s.used)
-    if len(reasons) <= MOST_REASONS:
-        return reasons
-    return Counter((s.reason or 'no reason given').split(':')[0] for s in samples if not s.used)
 
 
 def weakest(quality: Quality) -> str:

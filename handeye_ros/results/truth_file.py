@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import transform_from, unusable
+from handeye_ros.results.calibration_file import transform_from
+from handeye_ros.results.reading import content_of, unusable
 import numpy as np
 import yaml
 
@@ -35,12 +35,11 @@ def true_transform(bag: Path) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / NAME
     if not path.is_file():
         return None
-    try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
-        values = content['T_flange_sensor']
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise unusable(path, 'it holds no T_flange_sensor') from error
-    return transform_from(path, 'T_flange_sensor', values)
+    content = content_of(path)
+    if not isinstance(content, dict) or 'T_flange_sensor' not in content:
+        raise unusable(path, 'it holds no T_flange_sensor')
+    return transform_from(path, 'T_flange_sensor', content['T_flange_sensor'])
+
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.config import yaml_content
-from handeye_ros.errors import InputError
-import yaml
+from handeye_ros.results.reading import content_of, require_format, unusable
 
-FORMAT = 'handeye_ros/verification/1'
+KIND = 'handeye_ros/verification/'
+FORMAT = f'{KIND}1'
 COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
 SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
            ('its maximum', 'maximum'), ('its RMS', 'rms'),
@@ -21,10 +20,6 @@ SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 's
 LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
           ('tolerance of angles', 'angle_tolerance', 'rad'),
           ('smallest error of the calibration that would show', 'smallest_error', 'm'))
-
-
-def _no_result(path: Path, reason: str) -> InputError:
-    return InputError(f'{path} is no result of "handeye verify --out": {reason}')
 
 
 @dataclass(frozen=True)
@@ -68,28 +63,28 @@ def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]
         yield name, (formatted(content[key], unit), '', '', '', '')
 
 
-def read(path: Path) -> Verified:
-    """Return the verification of a file; raises InputError."""
+def read(path: Path) -> dict[str, Any]:
+    """Return the content of a file of "handeye verify --out"; raises InputError."""
+    content = content_of(path)
+    if not isinstance(content, dict):
+        raise unusable(path, 'it is no result of "handeye verify --out"')
+    require_format(path, str(content.get('format')), KIND)
     try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
-        if content['format'] != FORMAT:
-            raise _no_result(path, f'its format is {content["format"]}, not {FORMAT}')
-        return Verified(title_of(content), look_of(content['verdict']),
-                        tuple(map(str, content['reasons'])), tuple(rows_of(content)))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise _no_result(path, str(error).splitlines()[0]) from error
+        if 'record' not in content:
+            raise unusable(path, 'it is of an earlier version: verify again')
+        verified(content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise _no_result(path, 'it is not the result of a verification') from error
-
-
-def content_of(path: Path) -> dict[str, Any] | None:
-    """Return the content of a verification's file, None for others; raises InputError."""
-    try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
-        return None
-    if not isinstance(content, dict) or content.get('format') != FORMAT:
-        return None
-    if 'record' not in content:
-        raise _no_result(path, 'it is of an earlier version: verify again')
+        raise unusable(path, 'it is not the whole result of a verification') from error
     return content
+
+
+def is_verification(path: Path) -> bool:
+    """Return whether a file calls itself the result of a verification; raises InputError."""
+    content = content_of(path)
+    return isinstance(content, dict) and str(content.get('format')).startswith(KIND)
+
+
+def verified(content: Mapping[str, Any]) -> Verified:
+    """Return the verification that a file holds, formatted."""
+    return Verified(title_of(content), look_of(content['verdict']),
+                    tuple(map(str, content['reasons'])), tuple(rows_of(content)))

@@ -14,7 +14,7 @@ from typing import Any
 from browser import chromium, complaints
 from command import PATIENCE
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.results import pages, table
+from handeye_ros.results import report, table
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.results.evidence import Evidence
 from handeye_ros.results.truth_file import true_transform
@@ -93,7 +93,7 @@ def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
                                       '.map(r => [...r.cells].map(c => c.textContent))')
         # the page, the report and the command line say the same, figure by figure
         assert rows[:6] == [list(row) for row in table.transform_rows(found)]
-        text = pages.html(found, Evidence(()))
+        text = report.html(found, Evidence(()))
         assert all(figure in text for row in rows[:6] for figure in row[1:3])
         quality = found.quality
         assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],

@@ -14,7 +14,7 @@ from command import assert_refused, handeye, ROOT
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
 from handeye_ros.evidence import evidence
-from handeye_ros.results import calibration_file, pages
+from handeye_ros.results import calibration_file, report
 from handeye_ros.results.evidence import Evidence, mapped_std, verdict
 import numpy as np
 import pytest
@@ -198,7 +198,7 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, fo
                   for stop in found.stops)
     samples = tuple(replace(s, used=False, reason=reason) if i == 2 else s
                     for i, s in enumerate(calibration.samples))
-    text = pages.html(replace(calibration, samples=samples), replace(found, stops=stops))
+    text = report.html(replace(calibration, samples=samples), replace(found, stops=stops))
     assert text.count('no edge &lt;was&gt; seen') == 3  # counted, below the profile, in the list
     assert 'Stop 3:\nnot used: no edge' in text
 
@@ -213,7 +213,7 @@ def test_another_answer_is_reported(calibration: Calibration, found: Evidence) -
 
 def test_a_recording_that_is_refused_is_reported(calibration: Calibration) -> None:
     found = evidence(calibration, ROOT / 'bags' / 'one_orientation')
-    text = pages.html(calibration, found)
+    text = report.html(calibration, found)
     assert 'Do not rely on this calibration: the recording is refused now: all poses share' in text
 
 
@@ -268,7 +268,7 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
     files = replace(calibration, provenance={**calibration.provenance, 'config': result})
     found = evidence(files, None)
     assert 'solved from files' in found.missing
-    assert 'id="scene"' in pages.html(files, found)
+    assert 'id="scene"' in report.html(files, found)
 
 
 @pytest.mark.thorough
@@ -280,5 +280,5 @@ def test_wrong_input_is_refused(tmp_path: Path) -> None:
 def test_a_calibration_that_says_little_of_itself_has_a_report_too(calibration: Calibration
                                                                    ) -> None:
     bare = replace(calibration, provenance={}, samples=(), target={})
-    text = pages.html(bare, Evidence())
+    text = report.html(bare, Evidence())
     assert 'no inputs are told' in text and 'at an unknown time' in text

@@ -12,7 +12,7 @@ from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import sensor_axes
-from handeye_ros.results import pages
+from handeye_ros.results.protocol import protocol
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
@@ -121,19 +121,20 @@ def test_the_protocol_says_what_an_inspector_asks_for():
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
     report = verification.values(result('ball_bar', made, found, config, certificate=2e-6))
-    page = pages.protocol(yaml.safe_load(yaml.safe_dump(report)))
+    page = protocol(yaml.safe_load(yaml.safe_dump(report)))
     for words in ('A. &lt;Nother&gt;', 'KB-17', 'ISO 14253-1', '0.0020 mm', 'PF', 'PS', 'SD'):
         assert words in page
     for q in (q for q in report['quantities'] if q['characteristic'] == 'PS'):
         assert f'{2e3 * (q["value"] - 0.02):.4f} mm' in page  # of the diameter
-    assert page.count('<rect') == report['stations'] and 'http' not in page
+    assert page.count('left out: ') + report['stations'] == len(report['per_station'])
+    assert 'data:image/svg' in page and 'http' not in page
 
 
 def test_a_protocol_has_a_number_a_date_and_the_file_that_was_verified():
     made, found = measured('ball_bar')
     report = replace(result('ball_bar', made, found), created='2026-11-24T13:00:00+00:00',
                      calibration_file=(('path', '/cell/calibration.yaml'), ('sha256', 'ab12')))
-    page, again, other = (pages.protocol(yaml.safe_load(verification.yaml_text(given))) for given
+    page, again, other = (protocol(yaml.safe_load(verification.yaml_text(given))) for given
                           in (report, report, replace(report, verdict='insensitive')))
     numbers = [re.search(r'Protocol <b>(\w+)</b>', text)[1] for text in (page, again, other)]
     assert numbers[0] == numbers[1] != numbers[2]

@@ -85,7 +85,7 @@ def test_on_bags(tmp_path: Path, name: str) -> None:
 
 def test_the_report_shows_verifications(tmp_path: Path) -> None:
     *_, result = verdicts('sphere', 2, tmp_path)
-    found = verification_file.read(tmp_path / 'told.yaml')
+    found = verification_file.verified(verification_file.read(tmp_path / 'told.yaml'))
     assert found.title == f'sphere: {result["verdict"].upper()}, {result["stations"]} stations'
     assert found.look == 'bad' and found.sentences == tuple(result['reasons'])
     run = CliRunner().invoke(command(), [
@@ -97,10 +97,12 @@ def test_the_report_shows_verifications(tmp_path: Path) -> None:
     run = CliRunner().invoke(command(), ['report', str(tmp_path / 'told.yaml')])
     assert run.exit_code == 0, (run.output, run.exception)
     assert 'ISO 14253-1' in (tmp_path / 'told.html').read_text()
-    for text in ('format: handeye_ros/calibration/1', f'format: {verification_file.FORMAT}',
-                 '[1]', '{'):
+    for text, words in (('format: handeye_ros/calibration/1', 'expected handeye_ros/verif'),
+                        (f'format: {verification_file.FORMAT}', 'earlier version'),
+                        ('format: handeye_ros/verification/2', 'newer than this'),
+                        ('[1]', 'no result of'), ('{', 'not valid YAML')):
         (tmp_path / 'told.yaml').write_text(text)
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=words):
             verification_file.read(tmp_path / 'told.yaml')
 
 

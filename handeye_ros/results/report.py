@@ -1,28 +1,23 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The HTML files: the report of a calibration, and the protocol of a verification.
+The report of a calibration: verdict, scene, residuals, profiles and use of an answer.
 
-Each file is complete: it opens without a network. The report shows verdict, scene, residuals,
-profiles and use of an answer.
+The file is complete: it opens without a network.
 """
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, UTC
-import hashlib
-import json
 import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import __version__, se3
 from handeye_ros import config as configuration
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
-from handeye_ros.output import style, svg, write_whole
-from handeye_ros.results import export_formats, table
+from handeye_ros.output import image, page, style, write_whole
+from handeye_ros.results import exports, table
 from handeye_ros.results.evidence import (
     config_of,
     Evidence,
@@ -32,16 +27,7 @@ from handeye_ros.results.evidence import (
     verdict,
 )
 from handeye_ros.results.scene import in_sensor, legend, scene
-from handeye_ros.results.verification_file import (
-    COLUMNS,
-    formatted,
-    look_of,
-    rows_of,
-    title_of,
-    Verified,
-)
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from handeye_ros.results.verification_file import COLUMNS, Verified
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 import numpy as np
@@ -52,15 +38,6 @@ BINS = 31
 AUTOMATIC: Mapping[str, float] = {}  # margins; matplotlib then draws twice
 PROFILE_MARGINS = {'left': 0.19, 'right': 0.97, 'bottom': 0.2, 'top': 0.96}  # many plots: fast
 
-# Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
-# (PS is of the diameter). E is the length measurement error of ISO 10360.
-CHARACTERISTICS = {
-    'PF': ('probing error, form: span of the radial distances', 1.0),
-    'PS': ('probing error, size: error of the diameter', 2.0),
-    'SD': ('sphere spacing error', 1.0),
-    'F': ('flatness measurement error: span of the distances from the plane', 1.0),
-    'E': ('length measurement error', 1.0)}
-WIDTH, HEIGHT, LEFT, BOTTOM = 760.0, 190.0, 60.0, 24.0  # of the picture and its margins
 
 
 def write(calibration: Calibration, evidence: Evidence, path: Path,
@@ -74,42 +51,24 @@ def write(calibration: Calibration, evidence: Evidence, path: Path,
 def html(calibration: Calibration, evidence: Evidence, verified: Sequence[Verified] = ()) -> str:
     """Return the text of the report; verified: verifications to include."""
     config = config_of(calibration)
-    return templates().get_template('report.html').render(
-        _values(calibration, evidence, config) | {'verified': verified, 'columns': COLUMNS})
-
-
-def templates() -> Environment:
-    """Return the environment of the templates in assets/."""
-    pages = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
-                        autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-                        lstrip_blocks=True)
-    pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
-    return pages
-
-
-def _values(calibration: Calibration, evidence: Evidence, config: Config) -> dict[str, Any]:
     used = [stop for stop in evidence.stops if stop.used and stop.features]
     points = in_sensor(in_plane(tuple(f for stop in used for f in stop.features)), config)
     drawn = scene(calibration, evidence.stops, config)
     with style():
-        plots = {name: _image(picture) for name, picture in _plots(calibration, evidence, config)}
+        plots = dict(_plots(calibration, evidence, config))
         profiles = [_profile(stop) for stop in evidence.stops]
-    return {
-        'c': calibration, 'verdict': verdict(calibration, evidence, points),
-        'version': __version__, 'now': datetime.now(UTC).isoformat(timespec='seconds'),
-        'transform': list(table.transform_rows(calibration)),
-        'facts': list(table.facts(calibration)), 'weakest': table.weakest(calibration.quality),
-        'details': list(table.details(calibration.target)),
-        'matrix': export_formats.matrix(calibration),
-        'scene': Markup(json.dumps(drawn).replace('<', '\\u003c')), 'drawn': drawn,
-        'legend': legend(drawn['parts']), 'plots': plots, 'profiles': profiles,
-        'refused': [report for report in calibration.samples if not report.used],
-        'settings': configuration.flatten(config).items(),
-        'inputs': [', '.join(f'{key} {value}' for key, value in item.items())
-                   for item in calibration.provenance.get('inputs', ())],
-        'uses': [('URDF or xacro', export_formats.joint(calibration)),
-                 ('ROS 2, shell', export_formats.command(calibration))],
-    }
+    return page(
+        'report.html', c=calibration, verdict=verdict(calibration, evidence, points),
+        transform=list(table.transform_rows(calibration)),
+        facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
+        details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
+        scene=drawn, legend=legend(drawn['parts']), plots=plots, profiles=profiles,
+        refused=[report for report in calibration.samples if not report.used],
+        settings=configuration.flatten(config).items(), verified=verified, columns=COLUMNS,
+        inputs=[', '.join(f'{key} {value}' for key, value in item.items())
+                for item in calibration.provenance.get('inputs', ())],
+        uses=[('URDF or xacro', exports.joint(calibration)),
+              ('ROS 2, shell', exports.command(calibration))])
 
 
 def _plots(calibration: Calibration, evidence: Evidence, config: Config
@@ -135,12 +94,7 @@ def _profile(stop: StopSnapshot) -> dict[str, Any]:
     rms = float(np.sqrt((stop.residuals ** 2).mean())) if len(stop.residuals) else None
     return {'number': stop.number, 'used': stop.used, 'reason': stop.reason,
             'residual': None if rms is None else f'{rms * 1e3:.3f} mm',
-            'image': _image(_profile_plot(stop)) if len(stop.points) else ''}
-
-
-def _image(picture: str) -> str:
-    """Return an image for src=, isolated from the page: its ids cannot clash."""
-    return 'data:image/svg+xml;base64,' + base64.b64encode(picture.encode()).decode()
+            'image': _profile_plot(stop) if len(stop.points) else ''}
 
 
 def _figure(width: float, height: float, columns: int = 1,
@@ -166,7 +120,7 @@ def _residuals_plot(stops: Sequence[StopSnapshot]) -> str:
     ax.set_xlabel('stop')
     ax.set_ylabel('RMS residual (mm)')
     ax.legend(loc='upper right', ncols=2)
-    return svg(figure)
+    return image(figure)
 
 
 def _sweep_plot(samples: Array) -> str:
@@ -176,7 +130,7 @@ def _sweep_plot(samples: Array) -> str:
     for ax, x, label in ((by_time, time, 'time (s)'), (by_speed, 1e3 * speed, 'speed (mm/s)')):
         ax.plot(x, 1e3 * rms, '.', color=BLUE, ms=4)
         ax.set(xlabel=label, ylabel='RMS residual (mm)', ylim=(0, None))
-    return svg(figure)
+    return image(figure)
 
 
 def _histogram_plot(stops: Sequence[StopSnapshot], stated: float) -> str:
@@ -194,7 +148,7 @@ def _histogram_plot(stops: Sequence[StopSnapshot], stated: float) -> str:
     ax.set_xlabel('residual (mm)')
     ax.set_ylabel('share per mm')
     ax.legend(loc='upper right')
-    return svg(figure)
+    return image(figure)
 
 
 def _coverage_plot(stops: Sequence[StopSnapshot]) -> str:
@@ -213,7 +167,7 @@ def _coverage_plot(stops: Sequence[StopSnapshot]) -> str:
     rotation_axes.set(xlabel='turn about x (degrees)', ylabel='turn about y (degrees)',
                       aspect='equal', adjustable='datalim', title='Rotations from their mean')
     figure.colorbar(dots, ax=rotation_axes, label='turn about z (degrees)')
-    return svg(figure)
+    return image(figure)
 
 
 def _profile_plot(stop: StopSnapshot) -> str:
@@ -226,7 +180,7 @@ def _profile_plot(stop: StopSnapshot) -> str:
         _draw(ax, feature)
     ax.set(xlabel='along the line (mm)', ylabel='range (mm)')
     ax.invert_yaxis()
-    return svg(figure)
+    return image(figure)
 
 
 def _draw(ax: Any, feature: Feature) -> None:
@@ -238,60 +192,3 @@ def _draw(ax: Any, feature: Feature) -> None:
         ax.plot(*(1e3 * feature.point), 'o', mfc='none', color=ORANGE, ms=7, mew=1.6)
     elif isinstance(feature, Arc):
         ax.plot(*(1e3 * feature.points).T, color=BLUE, lw=1.6)
-
-
-def protocol(content: Mapping[str, Any]) -> str:
-    """
-    Return the protocol of a verification, printable as PDF for an inspector.
-
-    content: what the YAML of a verification holds (see formats/verification_file.py).
-    """
-    # the same result gives the same number, another result another one
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
-    return templates().get_template('protocol.html').render(
-        t=content, number=digest.hexdigest()[:12], look=look_of(content['verdict']),
-        title=title_of(content), columns=COLUMNS, rows=list(rows_of(content)),
-        characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
-        picture=_picture(content['per_station'], content['tolerance'], content['k']),
-        now=datetime.now(UTC).isoformat(timespec='seconds'), formatted=formatted)
-
-
-def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yield symbol, meaning, object, value and U of each characteristic."""
-    for q in content['quantities']:
-        meaning, factor = CHARACTERISTICS.get(q['characteristic'], ('', 0.0))
-        if meaning and (q['nominal'] is not None or q['characteristic'] in ('PF', 'F')):
-            value = factor * (q['value'] - (q['nominal'] or 0.0))
-            yield (q['characteristic'], meaning, q['name'], formatted(value, q['unit']),
-                   formatted(factor * content['k'] * q['std'], q['unit']))
-
-
-def _conformity(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, |deviation| + U, tolerance and the decision of ISO 14253-1 of each quantity."""
-    for q in content['quantities']:
-        if q['nominal'] is None:
-            continue
-        deviation, U = abs(q['value'] - q['nominal']), content['k'] * q['std']
-        tolerance = content['tolerance'] if q['unit'] == 'm' else content['angle_tolerance']
-        decision = ('conforms' if deviation + U <= tolerance else
-                    'does not conform' if deviation - U > tolerance else 'not decided')
-        yield (q['name'], f'{formatted(deviation, q["unit"])} ± {formatted(U, q["unit"])}',
-               formatted(tolerance, q['unit']), decision)
-
-
-def _picture(stations: Sequence[Mapping[str, Any]], tolerance: float, k: float
-             ) -> dict[str, Any]:
-    """Return the bar chart of the stops: their largest distances from the fit, with U."""
-    reach = max((float(s['distance'] + k * s['std']) for s in stations if s['used']), default=0.0)
-    top = 1.1 * (max(reach, tolerance) if tolerance < 3 * reach else reach)
-    step = (WIDTH - LEFT) / max(len(stations), 1)
-
-    def height(value: float) -> float:
-        return round((HEIGHT - BOTTOM) * (1 - max(value, 0.0) / (top or 1.0)), 1)
-
-    bars = [{'x': round(LEFT + (i + 0.15) * step, 1), 'width': round(0.7 * step, 1),
-             'y': height(s['distance']), 'low': height(s['distance'] - k * s['std']),
-             'high': height(s['distance'] + k * s['std']), 'station': s}
-            for i, s in enumerate(stations)]
-    return {'bars': bars, 'top': top, 'tolerance': height(tolerance),
-            'width': WIDTH, 'height': HEIGHT, 'left': LEFT, 'floor': HEIGHT - BOTTOM}
