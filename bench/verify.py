@@ -31,11 +31,12 @@ from handeye_ros.simulate import gauges
 from handeye_ros.simulate.measuring import Pass, rendered
 from handeye_ros.simulate.scenario import RobotModel, Scenario, SensorModel
 from handeye_ros.simulate.stations import Stops
-from handeye_ros.verification.routines import Routine, ROUTINES, TEETH
+from handeye_ros.verification.decision import Verification
+from handeye_ros.verification.routines import Routine, ROUTINES, settings_for, TEETH
 from handeye_ros.verification.shapes import StationSet
+from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.tooth_gauge import stations_of_pass
-from handeye_ros.verification.verification import Verification
-from handeye_ros.verification.verify import settings_for, stations_of, verify
+from handeye_ros.verification.verify import verify
 import numpy as np
 from scipy.stats import chi2
 

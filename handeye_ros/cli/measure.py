@@ -63,9 +63,8 @@ def verify(
     """
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results.calibration_file import input_values
-    from handeye_ros.verification import verification
-    from handeye_ros.verification.routines import routine_of
-    from handeye_ros.verification.verify import settings_for
+    from handeye_ros.verification import decision
+    from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.verify import verify as verified
     if protocol:
         html_file(protocol)
@@ -76,16 +75,16 @@ def verify(
                             strict=True)
     result = replace(
         verified(routine, measured, answer, settings, next(filter(None, reasons), '')),
-        inputs=tuple(map(str, bags)), calibration_file=tuple(input_values(calibration).items()),
+        inputs=tuple(map(str, bags)), calibration_file=input_values(calibration),
         created=datetime.now(UTC).isoformat(timespec='seconds'))
-    show(verification.table(result))
+    show(decision.table(result))
     if out:
-        write_whole(out, verification.yaml_text(result))
+        write_whole(out, decision.yaml_text(result))
     if stations:
-        write_whole(stations, verification.stations_csv(result))
+        write_whole(stations, decision.stations_csv(result))
     if protocol:
         from handeye_ros.results.protocol import protocol as protocol_of
-        write_whole(protocol, protocol_of(verification.values(result)))
+        write_whole(protocol, protocol_of(decision.values(result)))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':
@@ -100,7 +99,7 @@ def _stations(routine: 'Routine', bag: Path, calibration: 'Calibration', config:
         from handeye_ros.verification.tooth_gauge import stations_of_pass
         with flowing(bag, config, 'reading the recording') as (source, track, _):
             return stations_of_pass(list(source.profiles()), track, config), ''
-    from handeye_ros.verification.verify import stations_of
+    from handeye_ros.verification.stations import stations_of
     session = gathered(bag, config)
     used = {report.stamp for report in calibration.samples if report.used}
     if any(sample.stamp in used for sample in session.samples):

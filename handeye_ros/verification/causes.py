@@ -13,7 +13,6 @@ alarm is at most 1 / EVIDENCE (Wald 1945).
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,11 +20,11 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.problem import Conditions, Target, UNUSED
+from handeye_ros.estimation.problem import Conditions, Target
 from handeye_ros.frames import in_mount
 from handeye_ros.targets.common import edges_of
 from handeye_ros.verification import fixed_fit
-from handeye_ros.verification.fixed_fit import by_calibration, points_in_base
+from handeye_ros.verification.fixed_fit import by_calibration
 from handeye_ros.verification.shapes import StationSet
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,6 @@ SMOOTHNESS = (1.0, 2.0)  # times as far; bench/check.py: one joint's error reach
 RANK = 1e-9
 OUTLIER = 0.01  # probability that any good stop is left out
 MOST_OUTLIERS = 0.15  # of the stops
-CAUSES = ('target', 'sensor', 'robot')
 STILL = np.zeros(6)  # no move
 
 
@@ -63,19 +61,11 @@ class Comparison:
     @cached_property
     def points(self) -> Array:
         """Return the positions (m, 3) of the observed points in the base."""
-        return points_in_base(self.stations, self.X)
+        return self.stations.points(self.X)
 
     def conditions(self, p: Array) -> Conditions:
         """Return residuals and derivatives of points p (m, 3) in the base."""
-        return self.method.conditions(p, self.stations.observations.kind, self.state,
-                                               self.config)
-
-    def labelled(self) -> Comparison:
-        """Return it with observations assigned to the parts of the target, others removed."""
-        obs = self.method.relabel(self.stations.observations, self.points, self.state,
-                                           self.config)
-        return replace(self, stations=replace(
-            self.stations, observations=obs.select(obs.kind != UNUSED)))
+        return self.method.conditions(p, self.stations.observations.kind, self.state, self.config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,21 +100,25 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """Log likelihood, most likely move (6,), its covariance and largest displacement (m)."""
+    """Log likelihood, most likely move (6,) and its largest displacement of a point (m)."""
 
     name: str
     likelihood: float
     move: Array
-    covariance: Array
     displacement: float
     displacement_std: float
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Return shift (m) and turn (rad) of the move."""
+        return float(np.linalg.norm(self.move[:3])), float(np.linalg.norm(self.move[3:]))
 
 
 def rows_at(comparison: Comparison, cause: str = '', move: Array = STILL) -> Rows:
     """Return the residuals for a move of the target or the sensor."""
     X = se3.perturb(comparison.X, move) if cause == 'sensor' else comparison.X
     stations, obs = comparison.stations, comparison.stations.observations
-    points = p = points_in_base(stations, X)
+    points = p = stations.points(X)
     centre, noise = comparison.points.mean(axis=0), comparison.config.noise
     back = se3.exp_rotation(-move[3:])
     if cause == 'target':
@@ -223,7 +217,8 @@ def _move_cause(comparison: Comparison, name: str) -> Cause:
     displacements = np.linalg.norm(by_move @ move, axis=1)
     worst = int(np.argmax(displacements))
     std = np.sqrt(np.trace(by_move[worst] @ C @ by_move[worst].T))
-    return Cause(name, _mean(likelihood), move, C, float(displacements[worst]), float(std))
+    return Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), move,
+                 float(displacements[worst]), float(std))
 
 
 def _robot_cause(comparison: Comparison, rows: Rows) -> Cause:
@@ -238,11 +233,8 @@ def _robot_cause(comparison: Comparison, rows: Rows) -> Cause:
                (rows.robot, rows.station[:, None] == rows.station))
     likelihood = [rows.likelihood((D * _prior(s)) @ D.T * kernel) for s in SCALES
                   for D, kernel in kernels]
-    return Cause('robot', _mean(likelihood), np.zeros(6), np.zeros((6, 6)), 0.0, 0.0)
-
-
-def _mean(logarithms: Sequence[float]) -> float:
-    return float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
+    return Cause('robot', float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood))), STILL,
+                 0.0, 0.0)
 
 
 def smallest_moves(comparison: Comparison, name: str) -> tuple[Array, Array]:

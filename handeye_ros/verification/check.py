@@ -4,37 +4,33 @@
 Whether a calibration still holds, by a short recording of its target.
 
 The recording is compared with what the calibration predicts for it (see causes). The sentence
-names the cause. If the stops do not distinguish several causes, it names these, their odds, and
-two further stops that would distinguish them. If nothing changed, it states the smallest change
+names the cause. If the stops do not distinguish several causes, it names these and their odds.
+If nothing changed, it states the smallest change
 that the check would have detected.
 """
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import product
 import math
 from typing import Any
 
-from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
-from handeye_ros.estimation.problem import Target
+from handeye_ros.estimation.problem import Target, UNUSED
 from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.targets import METHODS
 from handeye_ros.verification.causes import (
     agreeing,
     Cause,
-    CAUSES,
     causes,
     Comparison,
     EVIDENCE,
     smallest_moves,
 )
-from handeye_ros.verification.fixed_fit import by_calibration
-from handeye_ros.verification.samples import compared
 from handeye_ros.verification.shapes import StationSet
+from handeye_ros.verification.stations import compared
 from handeye_ros.verification.verify import too_few
 import numpy as np
 
@@ -43,8 +39,8 @@ LEAST_STATIONS = 4
 SURE = 0.95  # probability with which one cause, or some together, are named
 KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
-TURNS = np.deg2rad([[0, 0, 90], [0, 0, 180], [0, 0, -90], [25, 0, 0], [-25, 0, 0], [0, 25, 0],
-                    [0, -25, 0]])  # of a stop that may decide, about the sensor's axes
+MORE = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 degrees '
+        'about x and y: an error of the robot differs there, a move does not')
 
 
 @dataclass(frozen=True)
@@ -118,8 +114,10 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Tar
     except (KeyError, TypeError, ValueError) as error:
         raise _no_target(calibration) from error
     stations = StationSet(mounted(samples, config), method.observe(samples))
-    return Comparison(method, stations, calibration.T_flange_sensor @ sensor_axes(config), state,
-                      covariance, config, scale).labelled()
+    X = calibration.T_flange_sensor @ sensor_axes(config)
+    obs = method.relabel(stations.observations, stations.points(X), state, config)
+    stations = replace(stations, observations=obs.select(obs.kind != UNUSED))
+    return Comparison(method, stations, X, state, covariance, config, scale)
 
 
 def _no_target(calibration: Calibration) -> InputError:
@@ -144,19 +142,18 @@ def _result(comparison: Comparison, unchanged: float, explanations: Sequence[Cau
         verdict, sentence = 'unchanged', _unchanged(axes, detectable)
     else:
         verdict = ' or '.join(cause.name for cause in named)
-        sentence = '; or '.join(_cause_sentence(comparison, cause) for cause in named)
+        sentence = '; or '.join(map(_cause_sentence, named))
         if len(named) > 1:
-            text = ', '.join(f'{CAUSES[k]} {odds[k]:.0%}' for k in likeliest)
-            sentence = (f'these stops cannot decide ({text}): {sentence}. '
-                        f'{_deciding(comparison, named)}')
+            text = ', '.join(f'{explanations[k].name} {odds[k]:.0%}' for k in likeliest)
+            sentence = f'these stops cannot decide ({text}): {sentence}. {MORE}'
     if left_out:
         sentence += f'. Left out, as they contradict the others: stops {left_out}'
     g = comparison.conditions(comparison.points).g
     count = len(np.unique(comparison.stations.observations.station))
     return Check(stamp, verdict, sentence, count, float(np.sqrt((g ** 2).mean())),
                  math.exp(min(evidence, 700.0)),
-                 dict(zip(CAUSES, map(float, odds), strict=True)), *_size(target), *_size(sensor),
-                 sensor.displacement, sensor.displacement_std,
+                 {cause.name: float(p) for cause, p in zip(explanations, odds, strict=True)},
+                 *target.size, *sensor.size, sensor.displacement, sensor.displacement_std,
                  _finite(detectable[0]), axes[0].tolist(), _finite(detectable[1]),
                  axes[1].tolist(), left_out)
 
@@ -165,12 +162,8 @@ def _finite(detectable: Array) -> list[float]:
     return [float(v) if v < UNSEEN else math.nan for v in detectable]
 
 
-def _size(cause: Cause) -> tuple[float, float]:
-    return float(np.linalg.norm(cause.move[:3])), float(np.linalg.norm(cause.move[3:]))
-
-
-def _cause_sentence(comparison: Comparison, cause: Cause) -> str:
-    shift, rotation = _size(cause)
+def _cause_sentence(cause: Cause) -> str:
+    shift, rotation = cause.size
     off = f'{mm(cause.displacement)} ± {mm(2 * cause.displacement_std)}'
     if cause.name == 'target':
         return (f'the target, or the base of the robot, moved by up to {off} where it was seen, '
@@ -201,34 +194,6 @@ def _axis(axis: Array) -> str:
     if np.abs(axis).max() > 0.995:
         return 'xyz'[int(np.argmax(np.abs(axis)))]
     return '(' + ' '.join(f'{v:.2f}' for v in axis) + ')'
-
-
-def _deciding(comparison: Comparison, named: Sequence[Cause]) -> str:
-    """Return in words two further stops that best distinguish two causes."""
-    moves = {cause.name: cause.move for cause in named}
-    if not {'target', 'sensor'} <= moves.keys():
-        return ('Repeat the recording with the sensor turned by 90 degrees about its z at two of '
-                'the stops: an error of the robot differs there, a move does not')
-    stations, obs = comparison.stations, comparison.stations.observations
-    rows = [int(np.flatnonzero(obs.station == s)[0]) for s in np.unique(obs.station)]
-    p = comparison.points
-    by_p = comparison.conditions(p).dg_dp
-    lever = by_calibration(stations, comparison.X)
-    best: dict[int, tuple[float, Array]] = {}
-    for row, turn in product(rows, TURNS):
-        R = stations.poses[obs.station[row], :3, :3] @ comparison.X[:3, :3]
-        rotation = R @ se3.exp_rotation(turn) @ R.T  # about the point that is seen
-        by_sensor = -(rotation @ lever[row]) @ moves['sensor']
-        by_target = moves['target'][:3] + np.cross(moves['target'][3:],
-                                                   p[row] - p.mean(axis=0))
-        separation = abs(float(by_p[row] @ (by_sensor + by_target)))
-        if separation > best.get(row, (0.0, turn))[0]:
-            best[row] = (separation, turn)
-    stops = sorted(best, key=lambda row: -best[row][0])[:2]
-    return 'Two more stops would decide it: ' + ' and '.join(
-        f'stop {int(obs.station[row]) + 1} again with the sensor turned by '
-        f'{np.degrees(np.abs(best[row][1]).max()):.0f} degrees about its '
-        f'{"xyz"[int(np.argmax(np.abs(best[row][1])))]}' for row in stops)
 
 
 def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:

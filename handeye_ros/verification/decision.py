@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The decision rule of a verification: pass, fail or undecided.
+The result of a verification, and its decision rule: pass, fail, undecided or insensitive.
 
 ISO 14253-1 with the expanded uncertainty U = k u of the measurement here (sensor, robot, nominal
 value): pass where |deviation| + U <= tolerance, fail where |deviation| - U > tolerance. The
@@ -10,25 +10,141 @@ covariance that the calibration claims is what is verified, and takes no part in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, astuple, dataclass, field, fields
+from datetime import datetime, UTC
 import math
+from typing import Any
 
+from handeye_ros import __version__, output
 from handeye_ros.config import VerifyConfig
-from handeye_ros.data import Array
 from handeye_ros.errors import mm
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.results.verification_file import formatted
-from handeye_ros.verification.fixed_fit import FixedFit
-from handeye_ros.verification.verification import K, Quantity, StationResult
+from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
+from handeye_ros.verification.fixed_fit import FixedFit, K
 import numpy as np
+from rich.table import Table
 import scipy.linalg
+import yaml
 
+EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # level of the tests of a calibration error
 INCONSISTENT = 1e-3  # level of the test that the points agree
 FOREIGN = 1e-6  # below this p no error of the calibration explains the points
 LARGE = 0.01  # m: a larger tolerance gets a note
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """
+    A measured value with its nominal value; metres, or radians where unit is rad.
+
+    std: 1 sigma of the deviation by sensor, robot and nominal value; claimed: 1 sigma by the
+    calibration's covariance. nominal: None where there is none.
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/pages.py).
+    """
+
+    name: str
+    value: float
+    std: float
+    claimed: float
+    nominal: float | None = None
+    unit: str = 'm'
+    characteristic: str = ''
+
+    @property
+    def error(self) -> float | None:
+        """Return value less nominal."""
+        return None if self.nominal is None else self.value - self.nominal
+
+    @property
+    def expanded(self) -> float:
+        """Return the expanded uncertainty of the measurement, k times std."""
+        return K * self.std
+
+
+@dataclass(frozen=True)
+class StationResult:
+    """
+    Result of one stop: the largest distance from the fit, and its 1 sigma (m).
+
+    bag, number: of recording and stop, from 1; stamp: ns; p: probability that a good stop is as
+    far off, whatever the error of the calibration; reason: why it is not used.
+    """
+
+    bag: int
+    number: int
+    stamp: int
+    distance: float
+    std: float
+    p: float
+    used: bool = True
+    reason: str = ''
+
+    @property
+    def name(self) -> str:
+        """Return the name of the stop."""
+        return f'stop {self.number} of recording {self.bag}'
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """
+    Distances of the measured points from the fitted shape (m).
+
+    expected: 95 % quantile of the RMS if the uncertainties are as stated (nan for very many
+    points); p: probability that the points then disagree at least as much.
+    """
+
+    points: int
+    mean: float
+    std: float
+    rms: float
+    maximum: float
+    expected: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Verification:
+    """
+    Result of a routine.
+
+    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or
+    insensitive (an error of the calibration as large as the tolerance would not have shown).
+    reasons: sentences. smallest_error: the smallest detectable error of the calibration, in the
+    least sensitive direction (m). region: squared distance of the values from their nominals, in
+    units of both covariances; freedom: number of values with a nominal; claim_p: probability of a
+    larger region if the calibration's covariance is true. surface: the choice between several in
+    sight. says: what the routine measures; recorded: when (ISO 8601; empty: unknown); certificate:
+    U of the nominal values (m); record: record.* of the configuration. calibration_file: path and
+    sha256 of the file that was verified; created: when it was evaluated (ISO 8601).
+    """
+
+    routine: str
+    calibration: str
+    verdict: str
+    reasons: tuple[str, ...]
+    tolerance: float
+    angle_tolerance: float
+    stations: int
+    quantities: tuple[Quantity, ...]
+    scatter: Scatter
+    smallest_error: float
+    weakest_direction: str
+    region: float
+    freedom: int
+    claim_p: float
+    per_station: tuple[StationResult, ...] = ()
+    surface: str = ''
+    inputs: tuple[str, ...] = ()
+    says: str = ''
+    recorded: str = ''
+    certificate: float = 0.0
+    record: dict[str, str] = field(default_factory=dict)
+    calibration_file: dict[str, str] = field(default_factory=dict)
+    created: str = ''
 
 
 @dataclass(frozen=True)
@@ -55,27 +171,33 @@ def sensitivity(fit: FixedFit) -> Sensitivity:
     shift = fit.shift + 1e-12 * np.trace(fit.shift) * np.eye(6)
     power, directions = scipy.linalg.eigh(fit.information, shift)
     worst = directions[:, 0]  # displaces the points by 1 m RMS
-    shift_size = np.linalg.norm(worst[:3])
-    rotation_size = np.sqrt(max(worst[3:] @ fit.shift[3:, 3:] @ worst[3:], 0.0))
-    motion, axis = (('position along', worst[:3]) if shift_size >= rotation_size else
+    by_rotation = np.sqrt(max(worst[3:] @ fit.shift[3:, 3:] @ worst[3:], 0.0))
+    motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
+    *others, last = [name for size, name in zip(np.abs(axis), 'xyz', strict=True)
+                     if size > 0.5 * np.abs(axis).max()]
+    axes = f'{", ".join(others)} and {last}' if others else last
     return Sensitivity(float(SENSITIVE / np.sqrt(max(power[0], 1e-12))),
-                       abs(float(worst @ shift @ fit.error)),
-                       f'{motion} {_axis(axis)} of the flange')
+                       abs(float(worst @ shift @ fit.error)), f'{motion} {axes} of the flange')
 
 
-def _axis(direction: Array) -> str:
-    names = [name for size, name in zip(np.abs(direction), 'xyz', strict=True)
-             if size > 0.5 * np.abs(direction).max()]
-    return ' and '.join([', '.join(names[:-1]), names[-1]] if names[1:] else names)
+def claim_p(fit: FixedFit) -> float:
+    """Return the p-value of the deviations under the calibration's stated covariance."""
+    return float(chi2_sf(fit.region, fit.freedom)) if fit.freedom else 1.0
 
 
 def decide(fit: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity],
            stations: Sequence[StationResult], limits: VerifyConfig
            ) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
-    notes = _notes(fit, stations, limits)
-    failed = [*_failed(quantities, stations, limits), *_implied(fit, limits)]
+    other_size = fit.p_error < FOREIGN < fit.p  # the shape fits, but not in its size
+    notes = _notes(fit, other_size, stations, limits)
+    failed = _failed(quantities, stations, limits)
+    if fit.p_no_error <= SIGNIFICANT and not other_size and (
+            fit.implied - ONE_SIDED_95 * fit.implied_std > limits.tolerance):
+        failed.append(
+            f'the pattern of the distances matches a calibration error of {mm(fit.implied)} ± '
+            f'{mm(K * fit.implied_std)} (k = {K:g}) at the points')
     if failed:
         return 'fail', (*failed, *notes)
     used = sum(station.used for station in stations)
@@ -85,24 +207,21 @@ def decide(fit: FixedFit, weakest: Sensitivity, quantities: Sequence[Quantity],
             f'an error of the calibration would show only from {mm(weakest.size)} on '
             f'({weakest.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
             'more between the stops' + _or_measure(more, used, ', or'), *notes)
-    undecided = _unsure(quantities, limits, used) + _suggested(fit, weakest, limits)
-    return ('undecided', (*undecided, *notes)) if undecided else ('pass', notes)
-
-
-def _suggested(fit: FixedFit, weakest: Sensitivity, limits: VerifyConfig) -> list[str]:
-    """Return a sentence if the points indicate an error that may exceed the tolerance."""
+    undecided = _unsure(quantities, limits, used)
     for size, std, is_seen in (
             (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANT),
             (weakest.estimate, weakest.std, weakest.estimate > NORMAL_95 * weakest.std)):
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance:
-            return [f'the points suggest an error of the calibration of {mm(size)} ± '
-                    f'{mm(K * std)} (k = {K:g}), which may exceed the tolerance: measure at more '
-                    'stops']
-    return []
+            undecided.append(
+                f'the points suggest an error of the calibration of {mm(size)} ± {mm(K * std)} '
+                f'(k = {K:g}), which may exceed the tolerance: measure at more stops')
+            break
+    return ('undecided', (*undecided, *notes)) if undecided else ('pass', notes)
 
 
 def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
             limits: VerifyConfig) -> list[str]:
+    """Return a sentence for each value, and for the points, beyond the tolerance for certain."""
     failed = [f'{q.name} is off by {formatted(q.error, q.unit)} ± {formatted(q.expanded, q.unit)} '
               f'(k = {K:g})' for q in quantities
               if q.error is not None and abs(q.error) - q.expanded > _tolerance(q, limits)]
@@ -115,33 +234,25 @@ def _failed(quantities: Sequence[Quantity], stations: Sequence[StationResult],
     return failed
 
 
-def _implied(fit: FixedFit, limits: VerifyConfig) -> list[str]:
-    """Return a sentence if the points indicate a larger error of the calibration."""
-    if fit.p_no_error > SIGNIFICANT or _other_size(fit) or (
-            fit.implied - ONE_SIDED_95 * fit.implied_std <= limits.tolerance):
-        return []
-    return [f'the pattern of the distances matches a calibration error of {mm(fit.implied)} ± '
-            f'{mm(K * fit.implied_std)} (k = {K:g}) at the points']
-
-
-def _other_size(fit: FixedFit) -> bool:
-    """Return whether the shape fits, and no error of the calibration explains its size."""
-    return fit.p_error < FOREIGN < fit.p
-
-
 def _unsure(quantities: Sequence[Quantity], limits: VerifyConfig, used: int) -> list[str]:
+    """Return a sentence for each value that with its uncertainty exceeds the tolerance."""
     sentences = []
     for q in quantities:
-        margin = None if q.error is None else _tolerance(q, limits) - abs(q.error)
-        if margin is None or q.expanded <= margin:
+        tolerance = _tolerance(q, limits)
+        if q.error is None or abs(q.error) + q.expanded <= tolerance:
             continue
-        more = math.ceil(used * (q.expanded / margin) ** 2) if margin > 0 else 0
+        margin = tolerance - abs(q.error)
+        helps = margin > 0 and math.isfinite(q.std)
+        more = math.ceil(used * (q.expanded / margin) ** 2) if helps else 0
         sentences.append(
             f'{q.name} is off by {formatted(q.error, q.unit)}, its uncertainty is '
             f'{formatted(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
-            f'of {formatted(_tolerance(q, limits), q.unit)}'
-            + _or_measure(more, used, ':'))
+            f'of {formatted(tolerance, q.unit)}' + _or_measure(more, used, ':'))
     return sentences
+
+
+def _tolerance(q: Quantity, limits: VerifyConfig) -> float:
+    return limits.tolerance if q.unit == 'm' else limits.angle_tolerance
 
 
 def _or_measure(stops: int, used: int, conjunction: str) -> str:
@@ -151,14 +262,14 @@ def _or_measure(stops: int, used: int, conjunction: str) -> str:
     return f'{conjunction} measure at about {stops} stops like these'
 
 
-def _notes(fit: FixedFit, stations: Sequence[StationResult], limits: VerifyConfig
-           ) -> tuple[str, ...]:
+def _notes(fit: FixedFit, other_size: bool, stations: Sequence[StationResult],
+           limits: VerifyConfig) -> tuple[str, ...]:
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
     if fit.p < INCONSISTENT:
         notes.append(f'the points disagree by more than calibration, noise.sensor and '
                      f'noise.robot_* explain (p = {fit.p:.1g}): the calibration is worse than '
                      'it claims, the artefact moved, or the noise is set too small')
-    if _other_size(fit):
+    if other_size:
         notes.append('the points fit the shape, and no error of the calibration explains these '
                      'deviations: check the nominal values (verify.radius, verify.lengths)')
     claim = claim_p(fit)
@@ -170,10 +281,49 @@ def _notes(fit: FixedFit, stations: Sequence[StationResult], limits: VerifyConfi
     return tuple(notes)
 
 
-def claim_p(fit: FixedFit) -> float:
-    """Return the p-value of the deviations under the calibration's stated covariance."""
-    return float(chi2_sf(fit.region, fit.freedom)) if fit.freedom else 1.0
+def time_of(stamp: int) -> str:
+    """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
+    if stamp < EARLIEST:
+        return ''
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
-def _tolerance(q: Quantity, limits: VerifyConfig) -> float:
-    return limits.tolerance if q.unit == 'm' else limits.angle_tolerance
+def values(verification: Verification) -> dict[str, Any]:
+    """Return a verification as plain values, for YAML and for the protocol."""
+    return {'format': FORMAT, 'version': __version__, 'k': K, **asdict(verification)}
+
+
+def yaml_text(verification: Verification) -> str:
+    """Return a verification as YAML."""
+    return yaml.safe_dump(values(verification), sort_keys=False, width=100,
+                          default_flow_style=None)
+
+
+def stations_csv(verification: Verification) -> str:
+    """Return the results of the stops as CSV, in metres."""
+    return output.csv_text((field.name for field in fields(StationResult)),
+                           map(astuple, verification.per_station))
+
+
+def sentence(verification: Verification) -> str:
+    """Return a verification as one sentence: verdict, reasons, figures with units."""
+    content = values(verification)
+    figures = []
+    for name, (measured, nominal, deviation, U, claimed) in rows_of(content):
+        figures.append(f'{name} {measured}')
+        figures[-1] += f' ± {U} (k = {K:g})' if U else ''
+        figures[-1] += f', nominal {nominal}, off by {deviation}' if nominal else ''
+        figures[-1] += f', and the calibration claims {claimed} (1 sigma)' if claimed else ''
+    surface = [verification.surface] if verification.surface else []
+    return '; '.join((title_of(content), *verification.reasons, *surface, *figures))
+
+
+def table(verification: Verification) -> Table:
+    """Return the table of a verification."""
+    content = values(verification)
+    result = Table(title=title_of(content), title_justify='left')
+    for column in ('', *COLUMNS):
+        result.add_column(column, justify='left' if not column else 'right')
+    for name, texts in rows_of(content):
+        result.add_row(name, *texts)
+    return result

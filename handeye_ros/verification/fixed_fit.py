@@ -11,7 +11,8 @@ G: its claimed covariance C is never part of the measurement's own uncertainty.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
 
@@ -19,27 +20,19 @@ from handeye_ros import se3
 from handeye_ros.config import NoiseConfig, VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
-from handeye_ros.estimation.least_squares import chi2_sf, White
-from handeye_ros.verification.shapes import (
-    by_point,
-    derivatives,
-    groups_of,
-    Shape,
-    StationSet,
-    system_of,
-)
-from handeye_ros.verification.verification import K
+from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf, Rows, System, White
+from handeye_ros.verification.shapes import derivatives, Kinds, Shape, StationSet
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
 
+K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 REFITS = 5  # iterations for the calibration's error
 FARTHEST = 0.1  # m: no calibration error is larger
 LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
-DRAWS = 4000  # for the distribution of an RMS
-MOST_DISTANCES = 1500  # largest number whose distribution is simulated
-NOTHING_KNOWN = VerifyConfig()
+MOST_DISTANCES = 1500  # of which each group is tested against the others
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
+UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
 
 Blocks: TypeAlias = list[tuple[NDArray[np.intp], Array]]
@@ -51,16 +44,17 @@ class FixedFit:
     """
     Result of a fit.
 
-    values (v,): fitted; covariance, claimed (v, v): due to sensor and robot, and due to the
-    calibration. distances (m,): residuals; distance_std (m,): 1 sigma due to sensor and robot;
-    rms_expected: 95 % quantile of their RMS; p: p-value of the distances with the calibration's
-    covariance. information (6, 6): of the distances and of the values with a nominal, about an
-    error of the calibration; shift (6, 6): quadratic form that gives the mean square displacement
-    of the points. region: (v - nominal)' cov^-1 (v - nominal), cov the sum of both covariances,
-    of `freedom` values. error (6,): estimated error of the calibration; p_error, p_no_error:
-    p-values of the distances with and without it; implied, implied_std: its largest displacement
-    of a point (m). left_out (g, 3): for each group of poses its number, the squared leave-one-out
-    residual that no calibration error explains, and the number of its distances.
+    values (v,): fitted; covariance, claimed (v, v): due to sensor and robot, infinite for a value
+    that the points leave open, and due to the calibration. distances (m,): residuals;
+    distance_std (m,): 1 sigma due to sensor and robot; rms_expected: 95 % quantile of their RMS;
+    p: p-value of the distances with the calibration's covariance. information (6, 6): of the
+    distances and of the values with a nominal, about an error of the calibration; shift (6, 6):
+    quadratic form that gives the mean square displacement of the points. region:
+    (v - nominal)' cov^-1 (v - nominal), cov the sum of both covariances, of `freedom` values.
+    error (6,): estimated error of the calibration; p_error, p_no_error: p-values of the distances
+    with and without it; implied, implied_std: its largest displacement of a point (m). left_out
+    (g, 3): for each group of poses its number, the squared leave-one-out residual that no
+    calibration error explains, and the number of its distances.
     """
 
     values: Array
@@ -82,102 +76,110 @@ class FixedFit:
     left_out: Array
 
 
-def points_in_base(stations: StationSet, X: Array) -> Array:
-    """Return the observed points (m, 3) in the base; X: (4, 4)."""
-    obs = stations.observations
-    T = stations.poses[obs.station]
-    in_mount = obs.points @ X[:3, [0, 2]].T + X[:3, 3]
-    return np.asarray(np.einsum('mij,mj->mi', T[:, :3, :3], in_mount) + T[:, :3, 3])
-
-
 def fit(stations: StationSet, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
-        nominal: VerifyConfig = NOTHING_KNOWN) -> FixedFit:
+        nominal: VerifyConfig) -> FixedFit:
     """
-    Return the fit of a shape.
+    Return the fit of a shape; raises InputError for an impossible covariance.
 
     X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; nominal: the artefact, with the
     uncertainty of its nominal values and of the aim of the laser at it.
     """
-    obs, kind = stations.observations, stations.observations.kind
-    p = points_in_base(stations, X)
+    kind, p = stations.observations.kind, stations.points(X)
 
-    def whitener(q: Array) -> White:
-        by_p = by_point(shape, p, kind, q)
-        return partial(white, noise_factors(stations, X, by_p, noise, nominal.aim))
+    def noise_at(q: Array) -> Blocks:
+        return noise_factors(stations, X, shape.by_point(p, kind, q), noise, nominal.aim)
 
-    system = system_of(shape, p, kind, whitener)
-    q = system.least_squares(shape.start)
-    by_p = by_point(shape, p, kind, q)
-    blocks = noise_factors(stations, X, by_p, noise, nominal.aim)
-    by_X = by_calibration(stations, X)
-    G = np.einsum('mi,mij->mj', by_p, by_X)
-    groups = groups_of(stations)[obs.station]
-    solution = system.rows(q)
-    return _result(shape, q, solution.residuals, solution.jacobian(), G, C, blocks, by_X, groups,
-                   nominal.certificate / K)
+    q = least_squares(shape, p, kind, shape.start, lambda q: partial(white, noise_at(q)))
+    blocks, by_X = noise_at(q), by_calibration(stations, X)
+    distances = shape.distance(p, kind, q)
+    r, J = white(blocks, distances), white(blocks, shape.by_unknowns(p, kind, q))
+    G = white(blocks, np.einsum('mi,mij->mj', shape.by_point(p, kind, q), by_X))
+    gain = np.asarray(np.linalg.pinv(J), dtype=float)
+    A, remainder = G - J @ (gain @ G), r - J @ (gain @ r)  # what the shape does not take up
+
+    # do the distances agree with the noise and with what the calibration claims
+    root = root_of(C)
+    explained = root.T @ A.T @ remainder
+    statistic = remainder @ remainder - explained @ np.linalg.solve(
+        np.eye(6) + root.T @ A.T @ A @ root, explained)
+    freedom = max(len(r) - len(q), 1)
+    p_distances = float(chi2_sf(statistic, freedom))
+    expected = _expected_rms(J, gain, A @ root, blocks)
+
+    # the measured values, and those of them that have a nominal one
+    values, F = shape.values(q), derivatives(shape.values, q)
+    by_error = F @ gain @ G
+    covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
+    open_values = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > UNSEEN
+    known = np.array([k for k, n in enumerate(shape.nominals)
+                      if n is not None and not open_values[k]], dtype=int)
+    covariance[known, known] += (nominal.certificate / K) ** 2
+    region = 0.0
+    if len(known):
+        deviation = values[known] - [shape.nominals[k] for k in known]
+        block = np.ix_(known, known)
+        region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+        factor = np.linalg.cholesky(covariance[block])
+        A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
+        remainder = np.append(remainder, np.linalg.solve(factor, deviation))
+
+    covariance[open_values, open_values] = np.inf
+
+    # the most likely error of the calibration
+    inverse = np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0))
+    error = np.asarray(inverse @ A.T @ remainder, dtype=float)
+    left = float(((remainder - A @ error) ** 2).sum())
+    freedom_left = max(freedom + len(known) - 6, 1)
+    scale = max(left / freedom_left, 1.0)
+    displacements = np.linalg.norm(by_X @ error, axis=1)
+    worst = int(np.argmax(displacements))
+    return FixedFit(
+        values, covariance, claimed, distances,
+        np.concatenate([np.linalg.norm(factor, axis=1) for _, factor in blocks]), expected,
+        p_distances, A.T @ A, np.einsum('mik,mil->kl', by_X, by_X) / len(r), region, len(known),
+        error, float(chi2_sf(left, freedom_left)),
+        float(chi2_sf((remainder @ remainder - left) / scale, 6)), float(displacements[worst]),
+        float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))),
+        _leave_one_out(np.hstack([J, G]), r, stations.row_groups))
 
 
 def refit(stations: StationSet, X: Array, C: Array, noise: NoiseConfig, shape: Shape,
-          nominal: VerifyConfig = NOTHING_KNOWN) -> tuple[FixedFit, Array]:
-    """Return the fit with the calibration error estimated as well, and this error (6,)."""
-    corrected = X
+          nominal: VerifyConfig) -> FixedFit:
+    """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFITS):
-        result = fit(stations, corrected, C, noise, shape, nominal)
+        result = fit(stations, X, C, noise, shape, nominal)
         if not result.implied < FARTHEST:
             break
-        corrected = se3.perturb(corrected, -result.error)
-    return result, se3.difference(X, corrected)
+        X = se3.perturb(X, -result.error)
+    return result
 
 
-def _result(shape: Shape, q: Array, distances: Array, J: Array, G: Array, C: Array,
-            blocks: Blocks, by_X: Array, groups: NDArray[np.intp], nominal_std: float
-            ) -> FixedFit:
-    white_J, white_G = white(blocks, J), white(blocks, G)
-    white_r = white(blocks, distances)
-    gain = np.asarray(np.linalg.pinv(white_J), dtype=float)
-    A = white_G - white_J @ (gain @ white_G)
-    remainder = white_r - white_J @ (gain @ white_r)
-    inner, root = A.T @ A, root_of(C)
-    explained = root.T @ A.T @ remainder
-    statistic = remainder @ remainder - explained @ np.linalg.solve(
-        np.eye(6) + root.T @ inner @ root, explained)
-    freedom = max(len(remainder) - len(q), 1)
-    F = derivatives(shape.values, q)
-    by_error = F @ gain @ white_G
-    noise, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
-    with_nominal = np.array([k for k, n in enumerate(shape.nominals) if n is not None], dtype=int)
-    noise[with_nominal, with_nominal] += nominal_std ** 2
-    region = 0.0
-    if len(with_nominal):
-        deviation = shape.values(q)[with_nominal] - [shape.nominals[k] for k in with_nominal]
-        block = np.ix_(with_nominal, with_nominal)
-        region = float(deviation @ np.linalg.solve((noise + claimed)[block], deviation))
-        factor = np.linalg.cholesky(noise[block])
-        A = np.vstack([A, -np.linalg.solve(factor, by_error[with_nominal])])
-        remainder = np.append(remainder, np.linalg.solve(factor, deviation))
-    std = np.concatenate([np.linalg.norm(factor, axis=1) for _, factor in blocks])
-    return FixedFit(shape.values(q), noise, claimed, distances, std,
-                    _expected_rms(J, gain, A[:len(J)], root, blocks),
-                    float(chi2_sf(statistic, freedom)), A.T @ A,
-                    np.einsum('mik,mil->kl', by_X, by_X) / len(J), region, len(with_nominal),
-                    *_implied(A, remainder, by_X, freedom + len(with_nominal)),
-                    _leave_one_out(np.hstack([white_J, white_G]), white_r, groups))
+def least_squares(shape: Shape, p: Array, kind: Kinds, start: Array,
+                  whitener: Callable[[Array], White] | None = None, iterations: int = 50) -> Array:
+    """Return the unknowns (k,) of a shape that fit points p (m, 3) best, whitened if given."""
+    def rows(q: Array) -> Rows:
+        found = Rows(shape.distance(p, kind, q), partial(shape.by_unknowns, p, kind, q))
+        return replace(found, white=lambda: whitener(q)) if whitener else found
+
+    return System[Array](rows, np.add, np.zeros(len(p), dtype=np.intp)).least_squares(
+        start, iterations=iterations)
 
 
-def _implied(A: Array, remainder: Array, by_X: Array, freedom: int
-             ) -> tuple[Array, float, float, float, float]:
-    """Return the most likely error (6,), p with and without it, its largest effect and std."""
-    inverse = np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0))
-    error = np.asarray(inverse @ A.T @ remainder, dtype=float)
-    residuals, freedom_left = remainder - A @ error, max(freedom - 6, 1)
-    scale = max(float(residuals @ residuals) / freedom_left, 1.0)
-    displacements = np.linalg.norm(by_X @ error, axis=1)
-    by_noise = np.einsum('mik,kl,mil->m', by_X, inverse, by_X, optimize=True)
-    worst = int(np.argmax(displacements))
-    explained = float(remainder @ remainder - residuals @ residuals) / scale
-    return (error, float(chi2_sf(residuals @ residuals, freedom_left)),
-            float(chi2_sf(explained, 6)), float(displacements[worst]),
-            float(np.sqrt(scale * by_noise[worst])))
+def _expected_rms(J: Array, gain: Array, by_calibration: Array, blocks: Blocks) -> float:
+    """
+    Return the 95 % quantile of the RMS distance if the uncertainties are as stated.
+
+    The sum of squares is taken as a multiple of chi-squared with the same mean and variance
+    (Satterthwaite 1946). nan for very many points.
+    """
+    if len(J) > MOST_DISTANCES:
+        return float('nan')
+    spread = np.hstack([np.eye(len(J)) - J @ gain, by_calibration])
+    for rows, factor in blocks:
+        spread[rows] = factor @ spread[rows]
+    S = spread @ spread.T
+    freedom = float(np.trace(S) ** 2 / (S ** 2).sum())
+    return float(np.sqrt(np.trace(S) / len(J) * chi2_isf(0.05, freedom) / freedom))
 
 
 def _leave_one_out(columns: Array, r: Array, groups: NDArray[np.intp]) -> Array:
@@ -191,8 +193,7 @@ def _leave_one_out(columns: Array, r: Array, groups: NDArray[np.intp]) -> Array:
     results = []
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
-        S = np.eye(len(rows)) - U[rows] @ U[rows].T
-        value, vectors = np.linalg.eigh(S)
+        value, vectors = np.linalg.eigh(np.eye(len(rows)) - U[rows] @ U[rows].T)
         free = value > RANK
         projected = (vectors.T @ remainder[rows])[free]
         results.append((group, projected @ (projected / value[free]), free.sum()))
@@ -208,20 +209,6 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def _expected_rms(J: Array, gain: Array, A: Array, root: Array, blocks: Blocks) -> float:
-    """Return the 95 % quantile of the RMS distance; nan for very many points."""
-    if len(J) > MOST_DISTANCES:
-        return float('nan')
-    rng = np.random.default_rng(0)
-    n = rng.normal(size=(len(J), DRAWS))
-    white_J = white(blocks, J)
-    drawn = n - white_J @ (gain @ n) + A @ (root @ rng.normal(size=(6, DRAWS)))
-    plain = np.empty_like(drawn)
-    for rows, factor in blocks:
-        plain[rows] = factor @ drawn[rows]
-    return float(np.quantile(np.sqrt((plain ** 2).mean(axis=0)), 0.95))
-
-
 def noise_factors(stations: StationSet, X: Array, by_p: Array, noise: NoiseConfig, aim: float = 0.0
                   ) -> Blocks:
     """Return rows and Cholesky factor of the covariance of the distances of each group."""
@@ -233,13 +220,11 @@ def noise_factors(stations: StationSet, X: Array, by_p: Array, noise: NoiseConfi
     by_pose = np.hstack([by_p, np.cross(from_flange, by_p)])
     sigma = np.repeat([np.hypot(noise.robot_translation, aim), noise.robot_rotation], 3)
     blocks = []
-    group = groups_of(stations)[obs.station]
-    for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(group)) + 1):
+    for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(stations.row_groups)) + 1):
         shared = obs.source[rows, None] == obs.source[rows]
-        S = (by_feature[rows] @ by_feature[rows].T) * shared
         pose = by_pose[rows] * sigma
-        S = S + pose @ pose.T + LEAST_NOISE ** 2 * np.eye(len(rows))
-        blocks.append((rows, np.linalg.cholesky(S)))
+        S = (by_feature[rows] @ by_feature[rows].T) * shared + pose @ pose.T
+        blocks.append((rows, np.linalg.cholesky(S + LEAST_NOISE ** 2 * np.eye(len(rows)))))
     return blocks
 
 

@@ -9,20 +9,21 @@ from functools import partial
 import math
 
 from handeye_ros import se3
-from handeye_ros.config import VerifyConfig
+from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array, EdgePoint, Sample
-from handeye_ros.errors import UnknownNameError
+from handeye_ros.errors import InputError, UnknownNameError
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.profiles.circles import fit_circle
 from handeye_ros.targets import METHODS
 from handeye_ros.targets.common import edge_noise, ObservationRows
 from handeye_ros.verification import shapes, tooth_gauge
-from handeye_ros.verification.fixed_fit import FixedFit, points_in_base
+from handeye_ros.verification.decision import Quantity
+from handeye_ros.verification.fixed_fit import FixedFit
 from handeye_ros.verification.shapes import BAGS, Kinds, Shape, StationSet
-from handeye_ros.verification.verification import Quantity
 import numpy as np
 
 TEETH = 'teeth'  # the target of a routine that takes points while the robot moves
+LENGTHS = 'lengths (verify.lengths)'
 TRIALS = 300  # random pairs of edge points in the search for a common edge
 
 
@@ -72,13 +73,13 @@ def edge_points(samples: Sequence[Sample], poses: Array, X: Array, line: bool) -
     rows = ObservationRows()
     if edges:
         station = np.array([s for s, _ in edges])
-        points = np.array([f.point for _, f in edges])
-        in_mount = points @ X[:3, [0, 2]].T + X[:3, 3]
+        in_mount = np.array([f.point for _, f in edges]) @ X[:3, [0, 2]].T + X[:3, 3]
         p = np.array([se3.apply(poses[s], m[None])[0]
                       for s, m in zip(station, in_mount, strict=True)])
         for k in _common(p, station, line):
+            s, edge = edges[k]
             for direction in range(2 if line else 3):
-                rows.add(int(station[k]), points[k], direction, edge_noise(edges[k][1]), 0)
+                rows.add(s, edge.point, direction, edge_noise(edge), 0)
     return rows.observations()
 
 
@@ -115,7 +116,7 @@ def fit_all(shape: Callable[[Array, Kinds, VerifyConfig], Shape]
 
 def _point_scatter(stations: StationSet, X: Array, fit: FixedFit) -> tuple[Quantity, ...]:
     """Return 3 sigma of the points along x, y and z of the base."""
-    p, kind = points_in_base(stations, X), stations.observations.kind % BAGS
+    p, kind = stations.points(X), stations.observations.kind % BAGS
     return tuple(_spread(f'3 sigma of the points along {axis}', 3 * float(
         p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1) for k, axis in enumerate('xyz'))
 
@@ -222,3 +223,36 @@ def routine_of(name: str) -> Routine:
     if name not in ROUTINES:
         raise UnknownNameError('routine', name, list(ROUTINES))
     return ROUTINES[name]
+
+
+def settings_for(routine: Routine, config: Config, bags: int) -> Config:
+    """
+    Return the settings that extract the features of a routine; raises InputError.
+
+    bags: how many there are.
+    """
+    fewest, most = routine.bags
+    if not fewest <= bags <= most:
+        raise _wrong_count(routine, 'bags', bags, range(fewest, most + 1))
+    lengths, count = routine.lengths(bags), len(config.verify.lengths)
+    if count not in lengths:
+        raise _wrong_count(routine, LENGTHS, count, lengths)
+    if routine.target == TEETH:
+        return config
+    return with_values(config, {'target.type': routine.target, 'method': 'auto',
+                                'target.radius': config.verify.radius}, routine.name)
+
+
+def parts_of(routine: Routine, lengths: int) -> tuple[int, int]:
+    """Return the least and largest number of bags for the lengths; raises InputError."""
+    fewest, most = routine.bags
+    fit = [n for n in range(fewest, most + 1) if lengths in routine.lengths(n)]
+    if not fit:
+        raise _wrong_count(routine, LENGTHS, lengths, routine.lengths(fewest))
+    return fit[0], fit[-1]
+
+
+def _wrong_count(routine: Routine, items: str, count: int, valid: Sequence[int]) -> InputError:
+    needed = (f'{valid[0]} to {valid[-1]}' if len(valid) > 3 else
+              ' or '.join(map(str, sorted(valid))))
+    return InputError(f'{routine.name} needs {needed} {items}, and got {count}')

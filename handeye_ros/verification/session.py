@@ -19,11 +19,18 @@ from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import track_of
-from handeye_ros.verification.routines import Routine, routine_of, TEETH
+from handeye_ros.verification.decision import Verification
+from handeye_ros.verification.routines import (
+    parts_of,
+    Routine,
+    routine_of,
+    settings_for,
+    TEETH,
+)
 from handeye_ros.verification.shapes import StationSet
+from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.tooth_gauge import stations_of_pass
-from handeye_ros.verification.verification import Verification
-from handeye_ros.verification.verify import parts_of, settings_for, stations_of, verify
+from handeye_ros.verification.verify import verify
 
 MOST_PROFILES = 500  # of a pass that are kept, evenly spread
 MOST_POSES = 200_000  # of a pass

@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, fields, replace
 
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import Rows, System, White
 from handeye_ros.estimation.problem import Observations
 import numpy as np
 from numpy.typing import NDArray
 
 BAGS = 10  # the kind of a condition is BAGS * the number of its bag + its kind in the bag
-
 STEP = 1e-7  # of numeric derivatives (m, rad)
 
 Kinds = NDArray[np.intp]
@@ -24,32 +21,64 @@ Kinds = NDArray[np.intp]
 @dataclass(frozen=True, eq=False)
 class StationSet:
     """
-    Observations of the stations of one bag.
+    Observations of the stations of one bag, or of several.
 
     poses: (n, 4, 4) of the mount of the sensor in that of the target; observations: points of the
-    sensor plane with their noise and kind. groups: (n,) ascending; poses of one group share their
-    error, None: each pose has its own. stamps, bags: (n,) of the poses; surface: the choice
+    sensor plane with their noise and kind. Of the poses (n,): groups, ascending: poses of one
+    group share their error, by default each has its own; stamps; bags. surface: the choice
     between several surfaces in sight, in words.
     """
 
     poses: Array
     observations: Observations
-    groups: NDArray[np.intp] | None = None
+    groups: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     bags: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     surface: str = ''
 
     def __post_init__(self) -> None:
-        """Complete poses without stamps or bags as those of one bag."""
-        for name in ('stamps', 'bags'):
-            if len(getattr(self, name)) < len(self.poses):
-                object.__setattr__(self, name, np.zeros(len(self.poses), dtype=np.int64))
+        """Complete what is not given: each pose a group of its own, all of one bag."""
+        n = len(self.poses)
+        for name, default in (('groups', np.arange(n)), ('stamps', np.zeros(n, dtype=np.int64)),
+                              ('bags', np.zeros(n, dtype=np.intp))):
+            if len(getattr(self, name)) < n:
+                object.__setattr__(self, name, default)
+
+    @property
+    def row_groups(self) -> NDArray[np.intp]:
+        """Return the group (m,) of each observation."""
+        return self.groups[self.observations.station]
+
+    def points(self, X: Array) -> Array:
+        """Return the observed points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
+        return self.observations.in_base(self.poses, X)
 
     def without(self, groups: Collection[int]) -> StationSet:
         """Return the observations of the other groups of poses."""
-        obs = self.observations
-        others = np.isin(groups_of(self)[obs.station], list(groups), invert=True)
-        return replace(self, observations=obs.select(others)) if len(groups) else self
+        if not groups:
+            return self
+        others = np.isin(self.row_groups, list(groups), invert=True)
+        return replace(self, observations=self.observations.select(others))
+
+
+def stacked(bags: Sequence[StationSet]) -> StationSet:
+    """Return several bags as one; the kind contains the number of the bag."""
+    stations = groups = 0
+    parts = []
+    for k, bag in enumerate(bags):
+        obs = bag.observations
+        parts.append(replace(
+            bag, groups=bag.groups + groups, bags=np.full(len(bag.poses), k),
+            observations=replace(obs, station=obs.station + stations, kind=obs.kind + BAGS * k)))
+        stations, groups = stations + len(bag.poses), groups + 1 + bag.groups.max(initial=-1)
+    poses, group, stamps, bag_numbers = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ('poses', 'groups', 'stamps', 'bags'))
+    observations = Observations(*(
+        np.concatenate([getattr(part.observations, f.name) for part in parts])
+        for f in fields(Observations)))
+    return StationSet(poses, observations, group, stamps, bag_numbers, '; '.join(
+        f'recording {k}: {bag.surface}' for k, bag in enumerate(bags, 1) if bag.surface))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,53 +91,23 @@ class Shape:
     """
 
     start: Array
-    distance: Callable[[Array, NDArray[np.intp], Array], Array]
+    distance: Callable[[Array, Kinds, Array], Array]
     values: Callable[[Array], Array]
     nominals: tuple[float | None, ...]
+
+    def by_unknowns(self, p: Array, kind: Kinds, q: Array) -> Array:
+        """Return the derivatives (m, k) of the distances by the unknowns q (k,)."""
+        return derivatives(lambda unknowns: self.distance(p, kind, unknowns), q)
+
+    def by_point(self, p: Array, kind: Kinds, q: Array) -> Array:
+        """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
+        return derivatives(lambda shift: self.distance(p + shift, kind, q), np.zeros(3))
 
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
     """Return the central differences (m, k) of a function at q (k,)."""
     return np.stack([(function(q + d) - function(q - d)) / (2 * STEP)
                      for d in STEP * np.eye(len(q))], axis=1)
-
-
-def by_point(shape: Shape, p: Array, kind: Kinds, q: Array) -> Array:
-    """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
-    return np.stack([(shape.distance(p + d, kind, q) - shape.distance(p - d, kind, q))
-                     / (2 * STEP) for d in STEP * np.eye(3)], axis=1)
-
-
-def system_of(shape: Shape, p: Array, kind: Kinds,
-              white: Callable[[Array], White] | None = None) -> System[Array]:
-    """Return the least-squares system of the distances of points p (m, 3) from a shape."""
-    def rows(q: Array) -> Rows:
-        residual_rows = Rows(shape.distance(p, kind, q),
-                             lambda: derivatives(lambda point: shape.distance(p, kind, point), q))
-        return replace(residual_rows, white=lambda: white(q)) if white else residual_rows
-
-    return System(rows, np.add, np.zeros(len(p), dtype=np.intp))
-
-
-def groups_of(stations: StationSet) -> NDArray[np.intp]:
-    """Return for each pose (n,) the group with a common error."""
-    return np.arange(len(stations.poses)) if stations.groups is None else stations.groups
-
-
-def stacked(bags: Sequence[StationSet]) -> StationSet:
-    """Return several bags as one; the kind contains the number of the bag."""
-    first = np.cumsum([0, *(len(s.poses) for s in bags)])
-    groups = np.cumsum([0, *(1 + groups_of(s).max(initial=-1) for s in bags)])
-    obs = [s.observations for s in bags]
-    return StationSet(np.concatenate([s.poses for s in bags]), Observations(
-        np.concatenate([o.station + n for o, n in zip(obs, first[:-1], strict=True)]),
-        np.concatenate([o.points for o in obs]),
-        np.concatenate([o.kind + BAGS * k for k, o in enumerate(obs)]),
-        np.concatenate([o.noise for o in obs]), np.concatenate([o.source for o in obs])),
-        np.concatenate([groups_of(s) + n for s, n in zip(bags, groups[:-1], strict=True)]),
-        np.concatenate([s.stamps for s in bags]),
-        np.repeat(np.arange(len(bags)), [len(s.poses) for s in bags]),
-        '; '.join(f'recording {k}: {s.surface}' for k, s in enumerate(bags, 1) if s.surface))
 
 
 def line(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
@@ -124,18 +123,48 @@ def line(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     return Shape(np.zeros(4), distance, lambda q: np.empty(0), ())
 
 
-class Planes(NamedTuple):
-    """Start and distances of a Shape; normals (b, 3) and heights along them (b,) from unknowns."""
+def point(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
+    """Return one point; kinds 0 to 2 are its distances along x, y and z."""
+    middle = p.mean(axis=0)
 
-    start: Array
-    distance: Callable[[Array, Kinds, Array], Array]
-    normals: Callable[[Array], Array]
-    heights: Callable[[Array], Array]
+    def distance(p: Array, kind: Kinds, q: Array) -> Array:
+        return np.asarray(np.take_along_axis(p - middle - q, (kind % BAGS)[:, None], 1)[:, 0])
+
+    nominals = tuple(nominal.reference) or (None, None, None)
+    return Shape(np.zeros(3), distance, lambda q: np.asarray(middle + q), nominals)
 
 
-def planes(p: Array, kind: Kinds, plane_set: Kinds) -> Planes:
+def free_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
+    """Return independent planes; of two, the angle between them is measured."""
+    count = int((kind // BAGS).max()) + 1
+    start, distance, placed = _planes(p, kind, np.arange(count))
+
+    def values(q: Array) -> Array:
+        n, _ = placed(q)
+        return np.array([np.arctan2(np.linalg.norm(np.cross(n[0], n[1])), np.abs(n[0] @ n[1]))]
+                        if count == 2 else [])
+
+    return Shape(start, distance, values, (np.pi / 2,) * (count == 2))
+
+
+def parallel_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
+    """Return blocks of parallel planes: heights over the first of each block."""
+    bags = int((kind // BAGS).max()) + 1
+    block = np.arange(bags) // (bags // (bags - len(nominal.lengths)))
+    start, distance, placed = _planes(p, kind, block)
+    first = np.searchsorted(block, block)
+
+    def values(q: Array) -> Array:
+        _, height = placed(q)
+        return np.asarray((height - height[first])[first < np.arange(bags)])
+
+    return Shape(start, distance, values, tuple(nominal.lengths))
+
+
+def _planes(p: Array, kind: Kinds, plane_set: Kinds) -> tuple[
+        Array, Callable[[Array, Kinds, Array], Array], Callable[[Array], tuple[Array, Array]]]:
     """
-    Return a plane for each bag.
+    Return start and distances of a plane for each bag, and its normals (b, 3) and heights (b,).
 
     p: (m, 3); plane_set: (b,) the set of parallel planes of each bag. The unknowns are two tilts
     of each set, and one height of each plane over the middle of its points.
@@ -158,56 +187,18 @@ def planes(p: Array, kind: Kinds, plane_set: Kinds) -> Planes:
         k = kind // BAGS
         return np.asarray(((p - middles[k]) * normals(q)[k]).sum(axis=1) - q[2 * sets + k])
 
-    def heights(q: Array) -> Array:
-        return np.asarray((middles * normals(q)).sum(axis=1) + q[2 * sets:])
+    def placed(q: Array) -> tuple[Array, Array]:
+        n = normals(q)
+        return n, (middles * n).sum(axis=1) + q[2 * sets:]
 
-    return Planes(np.zeros(2 * sets + len(plane_set)), distance, normals, heights)
-
-
-def parallel_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
-    """Return blocks of parallel planes: heights over the first of each block."""
-    bags = int((kind // BAGS).max()) + 1
-    block = np.arange(bags) // (bags // (bags - len(nominal.lengths)))
-    fitted_planes = planes(p, kind, block)
-    first = np.searchsorted(block, block)
-
-    def values(q: Array) -> Array:
-        height = fitted_planes.heights(q)
-        return np.asarray((height - height[first])[first < np.arange(bags)])
-
-    return Shape(fitted_planes.start, fitted_planes.distance, values, tuple(nominal.lengths))
-
-
-def free_planes(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
-    """Return independent planes; of two, the angle between them is measured."""
-    plane_set = np.arange(int((kind // BAGS).max()) + 1)
-    fitted_planes = planes(p, kind, plane_set)
-
-    def values(q: Array) -> Array:
-        n = fitted_planes.normals(q)
-        return np.array([np.arctan2(np.linalg.norm(np.cross(n[0], n[1])), np.abs(n[0] @ n[1]))]
-                        if len(plane_set) == 2 else [])
-
-    return Shape(fitted_planes.start, fitted_planes.distance, values,
-                 (np.pi / 2,) * (len(plane_set) == 2))
-
-
-def point(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
-    """Return one point; kinds 0 to 2 are its distances along x, y and z."""
-    middle = p.mean(axis=0)
-
-    def distance(p: Array, kind: Kinds, q: Array) -> Array:
-        return np.asarray(np.take_along_axis(p - middle - q, (kind % BAGS)[:, None], 1)[:, 0])
-
-    nominals = tuple(nominal.reference) or (None, None, None)
-    return Shape(np.zeros(3), distance, lambda q: np.asarray(middle + q), nominals)
+    return np.zeros(2 * sets + len(plane_set)), distance, placed
 
 
 def spheres(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
-    """Return one sphere of each bag; values: the radii, and the distance of two centres."""
+    """Return one sphere of each bag; values: the radii, and the distances of the centres."""
     bag = kind // BAGS
     count = int(bag.max()) + 1
-    start = np.concatenate([sphere_through(p[bag == k]) for k in range(count)])
+    start = np.concatenate([_sphere_through(p[bag == k]) for k in range(count)])
 
     def distance(p: Array, kind: Kinds, q: Array) -> Array:
         balls = q.reshape(count, 4)[kind // BAGS]
@@ -222,7 +213,7 @@ def spheres(p: Array, kind: Kinds, nominal: VerifyConfig) -> Shape:
     return Shape(start, distance, values, nominals)
 
 
-def sphere_through(p: Array) -> Array:
+def _sphere_through(p: Array) -> Array:
     """Return centre and radius (4,) of the algebraic sphere fit to points (n, 3)."""
     middle = p.mean(axis=0)
     centred = p - middle

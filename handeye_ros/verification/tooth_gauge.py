@@ -18,7 +18,8 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount
 from handeye_ros.sampling.trajectory import Trajectory
-from handeye_ros.verification.shapes import BAGS, by_point, Kinds, Shape, StationSet, system_of
+from handeye_ros.verification.fixed_fit import least_squares
+from handeye_ros.verification.shapes import BAGS, Kinds, Shape, StationSet
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,20 +46,22 @@ def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Con
     flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
     T = in_mount(flange.T_base_flange[flange.inside], config)
     used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
-    chosen = np.unique(np.linspace(0, max(len(used) - 1, 0), PROFILES).astype(int))[:len(used)]
-    points, station = [], []
-    for k, index in enumerate(chosen):
+    chosen = _spread(len(used), PROFILES)
+    points = [np.empty((0, 2))]
+    for index in chosen:
         valid = used[index].points[np.isfinite(used[index].points).all(axis=1)]
-        rows = np.unique(np.linspace(0, max(len(valid) - 1, 0), POINTS).astype(int))[:len(valid)]
-        points.append(valid[rows])
-        station.append(np.full(len(rows), k))
-    count = sum(map(len, station))
-    L = np.zeros((count, 2, 2))
-    L[:, 1, 0] = config.noise.sensor
-    obs = Observations(np.concatenate([np.empty(0, np.intp), *station]).astype(np.intp),
-                       np.concatenate([np.empty((0, 2)), *points]),
-                       np.zeros(count, np.intp), L, np.arange(count))
+        points.append(valid[_spread(len(valid), POINTS)])
+    station = np.repeat(np.arange(len(chosen)), [len(part) for part in points[1:]])
+    noise = np.zeros((len(station), 2, 2))
+    noise[:, 1, 0] = config.noise.sensor
+    obs = Observations(station, np.concatenate(points), np.zeros(len(station), dtype=np.intp),
+                       noise, np.arange(len(station)))
     return StationSet(T[chosen], obs, np.zeros(len(chosen), dtype=np.intp))
+
+
+def _spread(count: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most so many of count items, evenly spread."""
+    return np.unique(np.linspace(0, max(count - 1, 0), most).astype(np.intp))[:count]
 
 
 def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[StationSet, Shape]:
@@ -70,14 +73,13 @@ def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[Stati
     pitch, height = nominal.lengths
     flank = nominal.flank or pitch / 4
     frame = _frame(p, pitch, height, flank)
-    q = np.zeros(9)
-    q[8] = flank / height
+    q = np.append(np.zeros(8), flank / height)
     for _ in range(ROUNDS):
         kind, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
         if on_gauge.mean() < LEAST_SHARE:
             break
         shape = _shape(frame, pitch, height, tooth[on_gauge], q)
-        q = system_of(shape, p[on_gauge], kind[on_gauge]).least_squares(q, iterations=1)
+        q = least_squares(shape, p[on_gauge], kind[on_gauge], q, iterations=1)
     top, valley, *flanks = np.bincount(kind[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
     if on_gauge.mean() < LEAST_SHARE or least < LEAST_FACE:
@@ -85,18 +87,19 @@ def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[Stati
             f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
-    obs = stations.observations
-    least = ROUNDING * float(np.median(obs.noise[on_gauge, 1, 0]))
-    by_p = by_point(shape, p[on_gauge], kind[on_gauge], q)
-    by_range = np.abs((by_p * _rays(stations, p)[on_gauge]).sum(axis=1))
-    on_gauge, scale = _cleaned(
-        shape.distance(p[on_gauge], kind[on_gauge], q), np.maximum(by_range, GRAZING), on_gauge,
-        np.stack([obs.kind // BAGS, kind, tooth], axis=1), least)
-    chosen = obs.select(on_gauge)
-    noise = np.zeros_like(chosen.noise)
-    noise[:, 1, 0] = np.maximum(chosen.noise[:, 1, 0], scale)
-    chosen = replace(chosen, noise=noise, kind=kind[on_gauge] + chosen.kind // BAGS * BAGS)
-    return replace(stations, observations=chosen), _shape(frame, pitch, height, tooth[on_gauge], q)
+    rows = np.flatnonzero(on_gauge)
+    pass_kind = stations.observations.kind[rows] // BAGS * BAGS
+    by_range = np.abs((shape.by_point(p[rows], kind[rows], q)
+                       * _rays(stations, p)[rows]).sum(axis=1))
+    good, scatter = _cleaned(
+        shape.distance(p[rows], kind[rows], q), np.maximum(by_range, GRAZING),
+        np.stack([pass_kind, kind[rows], tooth[rows]], axis=1),
+        ROUNDING * float(np.median(stations.observations.noise[rows, 1, 0])))
+    obs = stations.observations.select(rows[good])
+    noise = np.zeros_like(obs.noise)
+    noise[:, 1, 0] = np.maximum(obs.noise[:, 1, 0], scatter[good])
+    obs = replace(obs, noise=noise, kind=kind[rows[good]] + pass_kind[good])
+    return replace(stations, observations=obs), _shape(frame, pitch, height, tooth[rows[good]], q)
 
 
 def _rays(stations: StationSet, p: Array) -> Array:
@@ -108,19 +111,18 @@ def _rays(stations: StationSet, p: Array) -> Array:
     return np.asarray(T[:, :3, :3] @ plane[1])
 
 
-def _cleaned(distances: Array, by_range: Array, candidates: NDArray[np.bool_],
-             face: NDArray[np.intp], min_scatter: float) -> tuple[NDArray[np.bool_], Array]:
+def _cleaned(distances: Array, by_range: Array, face: NDArray[np.intp], min_scatter: float
+             ) -> tuple[NDArray[np.bool_], Array]:
     """
-    Return which points (m,) are no outliers of their pass and face, and the noise (k,).
+    Return which points (m,) are no outliers of their pass and face, and their noise (m,).
 
-    distances: of the candidates, by_range: their derivatives; face: (m, 3) pass, kind and tooth;
-    min_scatter: the smallest scatter assumed (m). A sensor measures steep faces worse than it
-    states, so the noise is the scatter of the points of a pass about their own mean.
+    by_range: derivatives of the distances; face: (m, 3) pass, kind and tooth; min_scatter: the
+    smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the noise
+    is the scatter of the points of a pass about their own mean.
     """
-    rows = np.flatnonzero(candidates)
-    group = np.unique(face[rows], axis=0, return_inverse=True)[1]
+    group = np.unique(face, axis=0, return_inverse=True)[1]
     group = group.reshape(-1)  # numpy 2.0 alone returns it as a column
-    good, noise = np.zeros(len(rows), dtype=bool), np.zeros(len(rows))
+    good, noise = np.zeros(len(face), dtype=bool), np.zeros(len(face))
     for k in range(group.max() + 1):
         members = np.flatnonzero(group == k)
         deviation = distances[members] - np.median(distances[members])
@@ -130,9 +132,7 @@ def _cleaned(distances: Array, by_range: Array, candidates: NDArray[np.bool_],
         # about a mean and a slope of their own
         scatter = deviation[inliers].std() * np.sqrt(count / max(count - 2, 1))
         good[members[inliers]], noise[members] = True, scatter / np.median(by_range[members])
-    clean = np.zeros_like(candidates)
-    clean[rows[good]] = True
-    return clean, noise[good]
+    return good, noise
 
 
 def _local(p: Array, frame: Array, q: Array) -> Array:
@@ -187,41 +187,29 @@ def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:
     Which way it is up does not matter: teeth and gaps have the same pitch and height.
     """
     middle = p.mean(axis=0)
-    z = np.linalg.svd((p - middle)[::max(len(p) // 3000, 1)], full_matrices=False)[2][2]
-    side = np.cross(z, [1.0, 0, 0] if abs(z[0]) < 0.7 else [0, 1.0, 0])
-    side /= np.linalg.norm(side)
-    flat = np.column_stack([side, np.cross(z, side), z])
+    flat = np.linalg.svd((p - middle)[::max(len(p) // 3000, 1)], full_matrices=False)[2].T
+    flat[:, 0] *= np.linalg.det(flat)
     local = (p - middle) @ flat
 
-    def spread(turn: float) -> float:
-        return _unevenness(local, turn, BIN * pitch)
+    def unevenness(turn: float) -> float:
+        """Return the variance of the heights within strips across a direction."""
+        x = local[:, 0] * np.cos(turn) + local[:, 1] * np.sin(turn)
+        strip = np.floor((x - x.min()) / (BIN * pitch)).astype(int)
+        mean = np.bincount(strip, local[:, 2]) / np.maximum(np.bincount(strip), 1)
+        return float(((local[:, 2] - mean[strip]) ** 2).mean())
 
-    turns = np.deg2rad(np.arange(0.0, 180.0, 2.0))
-    turn = min(turns, key=spread)
+    turn = min(np.deg2rad(np.arange(0.0, 180.0, 2.0)), key=unevenness)
     for size in (0.5, 0.1):
-        turn = min(turn + np.deg2rad(size * np.arange(-5, 6)), key=spread)
-    R = flat @ np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0],
-                         [0, 0, 1]])
-    local = (p - middle) @ R
-    low, high = np.quantile(local[:, 2], [0.02, 0.98])
-    local[:, 2] += height / 2 - (low + high) / 2
-    phases = np.linspace(0, pitch, 120, endpoint=False)
-    away = [np.median(np.abs(local[:, 2] - _height(local[:, 0] - v, pitch, height, flank)))
-            for v in phases]
-    shift = np.array([phases[int(np.argmin(away))], 0.0, (low + high) / 2 - height / 2])
-    return se3.transform(R, middle + R @ shift)
+        turn = min(turn + np.deg2rad(size * np.arange(-5, 6)), key=unevenness)
+    R = flat @ se3.exp_rotation(np.array([0.0, 0.0, turn]))
+    x, _, z = ((p - middle) @ R).T
+    low, high = np.quantile(z, [0.02, 0.98])
+    z = z + height / 2 - (low + high) / 2
 
+    def misfit(phase: float) -> float:
+        """Return the median distance of the heights from those of nominal teeth."""
+        out = np.abs((x - phase + pitch / 2) % pitch - pitch / 2) - pitch / 4
+        return float(np.median(np.abs(z - np.clip(0.5 - out / flank, 0.0, 1.0) * height)))
 
-def _unevenness(local: Array, turn: float, size: float) -> float:
-    """Return the variance of the heights within strips across a direction."""
-    x = local[:, 0] * np.cos(turn) + local[:, 1] * np.sin(turn)
-    strip = np.floor((x - x.min()) / size).astype(int)
-    count = np.bincount(strip)
-    mean = np.bincount(strip, local[:, 2]) / np.maximum(count, 1)
-    return float(((local[:, 2] - mean[strip]) ** 2).mean())
-
-
-def _height(x: Array, pitch: float, height: float, flank: float) -> Array:
-    """Return the height of nominal teeth at x."""
-    out = np.abs((x + pitch / 2) % pitch - pitch / 2) - pitch / 4
-    return np.asarray(np.clip(0.5 - out / flank, 0.0, 1.0) * height)
+    phase = min(np.linspace(0, pitch, 120, endpoint=False), key=misfit)
+    return se3.transform(R, middle + R @ [phase, 0.0, (low + high) / 2 - height / 2])

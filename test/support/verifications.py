@@ -10,7 +10,8 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.simulate import gauges
 from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.verify import stations_of, verify
+from handeye_ros.verification.stations import stations_of
+from handeye_ros.verification.verify import verify
 import numpy as np
 
 ROOT = Path(__file__).parents[2]

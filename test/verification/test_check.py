@@ -103,7 +103,7 @@ def test_causes_that_the_stops_cannot_tell_apart_are_all_said(calibrated):
                            config)
     assert set(found.verdict.split(' or ')) >= {'target', 'sensor'}
     assert 'these stops cannot decide' in found.sentence
-    assert 'Two more stops would decide it: stop' in found.sentence
+    assert 'Repeat some of them with the sensor turned' in found.sentence
     assert sum(found.odds.values()) == pytest.approx(1.0)
 
 

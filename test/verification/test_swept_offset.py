@@ -11,8 +11,9 @@ from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import Calibration, Quality, TimeOffset
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
-from handeye_ros.verification.routines import ROUTINES
-from handeye_ros.verification.verify import settings_for, stations_of, verify
+from handeye_ros.verification.routines import ROUTINES, settings_for
+from handeye_ros.verification.stations import stations_of
+from handeye_ros.verification.verify import verify
 import numpy as np
 import pytest
 

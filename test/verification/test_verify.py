@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import json
 from pathlib import Path
 import re
 
@@ -17,11 +18,11 @@ from handeye_ros.simulate import gauges
 from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.verification import tooth_gauge, verification
-from handeye_ros.verification.fixed_fit import points_in_base
-from handeye_ros.verification.routines import ROUTINES
+from handeye_ros.verification import decision as verification
+from handeye_ros.verification import tooth_gauge
+from handeye_ros.verification.routines import ROUTINES, settings_for
 from handeye_ros.verification.shapes import BAGS, stacked
-from handeye_ros.verification.verify import settings_for, verify
+from handeye_ros.verification.verify import verify
 import numpy as np
 import pytest
 from verifications import bench, measured, result
@@ -133,7 +134,7 @@ def test_the_protocol_says_what_an_inspector_asks_for():
 def test_a_protocol_has_a_number_a_date_and_the_file_that_was_verified():
     made, found = measured('ball_bar')
     report = replace(result('ball_bar', made, found), created='2026-11-24T13:00:00+00:00',
-                     calibration_file=(('path', '/cell/calibration.yaml'), ('sha256', 'ab12')))
+                     calibration_file={'path': '/cell/calibration.yaml', 'sha256': 'ab12'})
     page, again, other = (protocol(yaml.safe_load(verification.yaml_text(given))) for given
                           in (report, report, replace(report, verdict='insensitive')))
     numbers = [re.search(r'Protocol <b>(\w+)</b>', text)[1] for text in (page, again, other)]
@@ -302,7 +303,7 @@ def test_results_are_plain_values():
     assert read['format'] == verification.FORMAT
     assert read['verdict'] == 'pass'
     assert [q['nominal'] for q in read['quantities']] == list(made.lengths)
-    assert read == verification.values(report)
+    assert read == json.loads(json.dumps(verification.values(report)))
 
 
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
@@ -331,9 +332,15 @@ def test_the_noise_of_a_tilted_pass_goes_by_the_angle_of_each_face_to_the_ray():
     made, found = measured('tooth')
     config = of_lengths(*made.lengths)
     seen = stacked(bench.scanned(made, config))
-    p = points_in_base(seen, found.T_flange_sensor @ sensor_axes(config))
+    p = seen.points(found.T_flange_sensor @ sensor_axes(config))
     used = tooth_gauge.fitted(seen, p, config.verify)[0].observations
     near, far = sorted(np.median(used.noise[used.kind == 3 * BAGS + face, 1, 0])
                        for face in (tooth_gauge.RISING, tooth_gauge.FALLING))
     steep = gauges.PLAIN.noise * (1 + 4 * (np.deg2rad(60) / gauges.PLAIN.max_incidence) ** 8)
     assert near < 1.05 * gauges.PLAIN.noise and 0.95 * steep < far < 1.2 * steep
+
+
+def test_a_height_of_which_no_top_is_seen_is_left_open():
+    right, wrong = bench.trial('tooth', 0)  # whose tops lie too far off to be taken for tops
+    assert right.quantities[1].std < 3e-6
+    assert wrong.verdict == 'fail' and wrong.quantities[1].std == np.inf
