@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A verification from its YAML (see verification/verification.py), formatted."""
+"""A verification from its YAML (see verification/decision.py), formatted."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
