@@ -38,6 +38,7 @@ LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 FAR = 10.0
 NEAR = 1e-3
 THICK = 2e-3  # m: largest distance of the points of a profile from its plane
+TILTED, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
 THIN = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
 SURE = 10  # smallest number of returns for a decision on their order
 # fraction of backward steps between returns: at most along the line, at least along the range
@@ -399,9 +400,18 @@ def _require_unit(points: Array, unit: str) -> None:
 
 def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """Raise for returns (n, 3) outside the plane of the first two axes."""
-    if len(points) < 2 or not np.ptp(points[:, 2]) > THICK:  # nor where it is not finite
+    if len(points) < 2 or not np.ptp(points[:, 2]) > TILTED:  # nor where it is not finite
         return
     spread = np.ptp(points, axis=0)
+    slope, off = _slope_across(points)
+    if abs(slope) > LEAST_SLOPE and off < THIN * spread[2] and min(spread[:2]) > THIN * spread[2]:
+        raise _unusable(f'the points lie in a plane that is tilted by '
+                        f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
+                        f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
+                        f'a frame of the light plane, where {axes[2]} is 0; a static transform '
+                        'can hold the tilt')
+    if not spread[2] > THICK:
+        return
     text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
             f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
     if min(spread[:2]) < THIN * spread[2]:
@@ -412,6 +422,14 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
                         f'[{axes[along]}, {axes[range_axis]}]')
     raise _unusable(f'{text}; a line profiler measures in one plane: let its driver publish '
                     'single profiles in its own frame')
+
+
+def _slope_across(points: Array) -> tuple[float, float]:
+    """Return the slope of the third coordinate by the second, and the RMS off the best plane."""
+    centred = points - points.mean(axis=0)
+    by, *_ = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)
+    off = centred[:, 2] - centred[:, :2] @ by
+    return float(by[1]), math.sqrt(float(off @ off) / len(off))
 
 
 def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> Array:

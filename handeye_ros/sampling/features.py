@@ -16,7 +16,7 @@ from functools import partial
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
-from handeye_ros.errors import FeatureError, mm
+from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points
 from handeye_ros.profiles.lines import combined_line, on_line
 from handeye_ros.sampling.stops import decoded, evenly, NS, Stop
@@ -50,7 +50,7 @@ def sample_of(stop: Stop, config: Config) -> Sample:
         return _sample_of_pass(stop, config)
     profiles = decoded(stop.steady(config), config)
     if not profiles:
-        raise _no_profiles(stop)
+        raise _no_profiles(stop, config)
     used, features = of_profiles(profiles, config)
     require_inside(features, used)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
@@ -64,7 +64,7 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
     if 2 * len(found) < MOST_SINGLE < len(stop.profiles):
         found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_SINGLE), config), config)
     if not found:
-        raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop)
+        raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in found])
     single = tuple(
         Sample(profile.stamp, pose, features,
@@ -74,8 +74,13 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
                    motion=trajectory_of(stop.poses, config.sampling.max_pose_gap))
 
 
-def _no_profiles(stop: Stop) -> FeatureError:
-    """Return the refusal of a stop without a profile of the time of its poses."""
+def _no_profiles(stop: Stop, config: Config) -> FeatureError:
+    """Return the refusal of a stop without a usable profile of the time of its poses."""
+    for profile in stop.steady(config):
+        try:
+            profile.read(config.profile)
+        except UnusableMessageError as error:
+            return FeatureError(str(error), reason='unusable')
     return FeatureError(f'no profile has a stamp of the {(stop.end - stop.start) / NS:.1f} s '
                         'during which the robot stood still here: either the sensor sent none, '
                         'or its clock is not that of the robot', reason='no_profiles')

@@ -34,6 +34,7 @@ from handeye_ros.sampling.sweep import single_samples
 import numpy as np
 
 SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
+SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
 LARGEST_POSITION = 50.0  # m: no flange is there, it is another unit
 PATIENCE = 2 * NS  # of a stop without any profile, before it is said that it gives no sample
 CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
@@ -97,7 +98,7 @@ class Session(Copied):
         self._passed_by = 0  # stops in manual mode
         self._unseen = 0  # stops dropped while waiting for profiles
         self._largest_position = 0.0
-        self._beside = 0.0
+        self._beside: list[float] = []  # of the first profile of each stop
         self._pose_stream: Stream[TimedPose] = Stream('pose')
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
         self._early: tuple[int, float] = -1, 0.0  # stop checked by early(), time of the next check
@@ -113,7 +114,8 @@ class Session(Copied):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
-        notes = frame_notes(self._profile_stream.frame, self._beside, self._config)
+        notes = frame_notes(self._profile_stream.frame,
+                            float(np.abs(self._beside).max(initial=0.0)), self._config)
         given_up = [f'gave up {self._unseen} stops, the oldest that waited for profiles'
                     ] if self._unseen else []
         dropped = [self._profiles.warning] if self._profiles.warning else []
@@ -138,12 +140,20 @@ class Session(Copied):
 
     @property
     def conflict(self) -> InputError | None:
-        """Return the error of contradicting frames, or None."""
+        """Return the error of contradicting frames, or of a tilted light plane, or None."""
         wanted = self._config.robot_base_frame.lstrip('/')
         if wanted and self.base_frame and wanted != self.base_frame:
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
+        if self._beside and np.ptp(self._beside) > SAME_PLANE:
+            along, across = self._config.profile.axes
+            return InputError(
+                f'the profiles lie between {min(self._beside) * 1e3:.1f} and '
+                f'{max(self._beside) * 1e3:.1f} mm beside the plane of {along} and {across} in '
+                'their frame, as in a light plane that is tilted against it: let the driver '
+                'publish them in a frame of the light plane; a static transform can hold the '
+                'tilt', reason='tilted_plane')
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property
@@ -340,8 +350,10 @@ class Session(Copied):
         """
         Refuse a recording in which the robot never stood still.
 
-        Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops.
+        Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops,
+        and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
+        self._require_one_frame()
         if self._taken or self._numbers:
             return
         poses, sampling = self._pose_stream, self._config.sampling
@@ -432,7 +444,7 @@ class Session(Copied):
     def _with_profiles(self, stop: Stop) -> Stop:
         stop = stop.with_profiles(self._profiles.items, self._config)
         for profile in decoded(stop.profiles[:1], self._config):
-            self._beside = max(self._beside, abs(profile.beside))
+            self._beside.append(profile.beside)
         return stop
 
     @property
