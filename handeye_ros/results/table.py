@@ -22,7 +22,6 @@ from rich.text import Text
 LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
 DIRECTIONS = ('normal', 'direction', 'normal_1', 'normal_2')
 ANGLES = ('angle',)
-MOST_REASONS = 10  # for rejected samples, listed in full
 # Estimated sizes of smooth errors: label, factor and unit.
 SMOOTH_ERRORS = {
     'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
@@ -93,11 +92,14 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(quality)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    reasons = Counter(s.reason or 'no reason given' for s in calibration.samples if not s.used)
-    if len(reasons) > MOST_REASONS:
-        reasons = Counter(reason.split(':')[0] for reason in reasons.elements())
-    for reason, count in reasons.items():
-        yield '', f'{count} rejected: {reason}'
+    causes: dict[str, Counter[str]] = {}  # reasons that differ in their figures alone, together
+    for sample in calibration.samples:
+        if not sample.used:
+            reason = sample.reason or 'no reason given'
+            causes.setdefault(reason.split(':')[0], Counter())[reason] += 1
+    for cause, reasons in causes.items():
+        count, reason = reasons.total(), reasons.most_common(1)[0][0]
+        yield '', f'{count} rejected: {reason if len(reasons) == 1 else cause}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')

@@ -202,6 +202,13 @@ def row(text, name):
     return next(line.split() for line in text.splitlines() if line.split()[:1] == [name])
 
 
+def test_reasons_that_differ_in_their_figures_are_one_line():
+    wrong = tuple(SampleReport(k, False, reason=f'contradicts the others: {k}.5 times')
+                  for k in range(7))
+    text = printed(replace(CALIBRATION, samples=wrong))
+    assert '7 rejected: contradicts the others' in text and text.count('contradicts') == 1
+
+
 def test_the_report_has_millimetres_and_degrees(path):
     text = printed(CALIBRATION)
     std = np.sqrt(np.diag(CALIBRATION.covariance))
