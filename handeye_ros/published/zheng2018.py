@@ -281,19 +281,6 @@ def to_plane(pixels: Array, sensor: Sensor) -> Array:
     return np.column_stack([sensor.L * D * y / scale, -D ** 2 * x / scale])
 
 
-def to_pixels(points: Array, sensor: Sensor) -> Array:
-    """
-    Return (n, 2) pixels of (n, 2) points y and z of the sensor plane (metres).
-
-    A point behind the camera gives NaN.
-    """
-    y, z = points.T
-    depth = np.hypot(sensor.L, sensor.H) - z * np.cos(sensor.theta)
-    depth = np.where(depth > 0.0, depth, np.nan)
-    image = sensor.f * np.column_stack([-z * np.sin(sensor.theta), y]) / depth[:, None]
-    return np.asarray(image / sensor.pitch + sensor.centre)
-
-
 def derivatives(z: Array) -> tuple[Array, Array]:
     """Return slope and second derivative (n,) of a range (n,) by sample; NaN in the border."""
     slope, second = np.full((2, len(z)), np.nan)

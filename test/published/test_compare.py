@@ -11,7 +11,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.checks.errors import OneOrientationError, TooUncertainError
 from handeye_ros.errors import BadValueError
 from handeye_ros.frames import sensor_axes
-from handeye_ros.published.compare import compare, Comparison, ESTIMATORS, Row, tables
+from handeye_ros.published.compare import compare, Comparison, Row, tables
+from handeye_ros.published.estimators import ESTIMATORS
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.tabulated import FILE_METHODS

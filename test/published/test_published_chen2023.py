@@ -99,17 +99,6 @@ def test_gradient_and_hessian(per_edge: int) -> None:
                                    atol=1e-8 * np.abs(hessian).max())
 
 
-def test_rigid_jacobian() -> None:
-    rng = np.random.default_rng(1)
-    _, poses, points, edges = cell(rng)
-    rows, R, delta = rows_of(poses, points, edges), chen2023.STARTS[2], rng.normal(size=6)
-    J = chen2023._products_jacobian(delta, rows, R)
-    for k, e in enumerate(np.eye(6) * 1e-6):
-        slope = (chen2023._products(delta + e, rows, R)
-                 - chen2023._products(delta - e, rows, R)) / 2e-6
-        np.testing.assert_allclose(J[:, k], slope, atol=1e-8)
-
-
 def test_starts_are_rotations_with_six_range_axes() -> None:
     np.testing.assert_allclose(chen2023.STARTS[:, :, 2],
                                np.vstack([np.eye(3), -np.eye(3)]), atol=1e-12)

@@ -16,7 +16,8 @@ from handeye_ros.cli import simulated
 from handeye_ros.config import Config, load, with_values
 from handeye_ros.data import Array, Calibration
 from handeye_ros.frames import sensor_axes
-from handeye_ros.published.compare import compare_files, ESTIMATORS
+from handeye_ros.published.compare import compare_files
+from handeye_ros.published.estimators import ESTIMATORS
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, measured
