@@ -125,7 +125,7 @@ def trial(job: tuple[Case, int]) -> np.ndarray:
     samples = tuple(misjudged(sample, case.sensor_factor) for sample in samples)
     config = configured(case, case.robot_factor)
     start = time.process_time()
-    solution = pipeline.estimate(samples, (), config)
+    solution = pipeline.answer(samples, (), config).consensus()
     seconds = time.process_time() - start
     X, X_true = solution.estimate.X, truth.T_flange_sensor
     delta = se3.difference(X, X_true)

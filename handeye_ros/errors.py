@@ -70,10 +70,6 @@ def nearest(word: str, known: Sequence[str]) -> str:
     return f'; did you mean "{close[0]}"?' if close else ''
 
 
-class NamedCauseError(DataError):
-    """A refusal with a known cause: no other cause is searched for."""
-
-
 class UnknownKeyError(InputError):
     """A configuration key that does not exist."""
 

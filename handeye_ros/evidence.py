@@ -1,17 +1,36 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording or a session shows: its samples, and the evidence of a saved calibration."""
+"""
+What a recording or a session shows beside its answer: its stops, and how well each agrees.
+
+Everything here reads the one answer of the pipeline, so that no table contradicts it.
+"""
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handeye_ros import pipeline, tabulated
+from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session import is_session, read_session
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration
-from handeye_ros.results.evidence import config_of, Evidence, recording_of
-from handeye_ros.sampling.session import Session
+from handeye_ros.data import Array, Calibration, EdgePoint, Reject, Sample
+from handeye_ros.errors import UnusableMessageError
+from handeye_ros.estimation.problem import Problem, UNUSED
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.frames import in_mount, mounted
+from handeye_ros.outcome import left_out, measured_points
+from handeye_ros.pipeline import Answer
+from handeye_ros.results.evidence import config_of, Evidence, recording_of, StopSnapshot
+from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.sweep import Pairing, single_samples
+import numpy as np
+from numpy.typing import NDArray
+
+TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
 
 
 def session_of(path: Path, config: Config) -> Session:
@@ -20,7 +39,7 @@ def session_of(path: Path, config: Config) -> Session:
 
     The stops of a session are stored one by one, and some were taken again or taken back: they
     are no recording in the order of time. Raises InputError for what cannot be read, DataError
-    where it holds no stations.
+    where it holds no stops.
     """
     if is_session(path):
         return read_session(path).session(config)
@@ -43,4 +62,185 @@ def evidence(calibration: Calibration, bag: Path | None, folder: Path = Path()) 
         bag, missing = recording_of(calibration, folder)
     if bag is None:
         return Evidence(missing=missing)
-    return pipeline.evidence(session_of(bag, config), config)
+    session = session_of(bag, config)
+    return evidence_of(session, pipeline.answer_of(session, config), config)
+
+
+def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
+    """Return the stops of a session with their part in its answer, and the answer."""
+    stops = [stop_snapshot(outcome, config) for outcome in session.outcomes]
+    calibration, solution = answer.calibration, answer.solution
+    if calibration is None or solution is None:
+        return Evidence(tuple(stops), refusal=str(answer.refusal or ''))
+    used = [answer.samples[i] for i in solution.used]
+    measured = measured_points(used, solution.problem)
+    residuals = measured.residuals(solution.problem, solution.estimate, solution.corrected_poses())
+    predicted = left_out(solution, measured)
+    reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
+    by_stamp = {stamp: i for i, stop in enumerate(stops)
+                for stamp in stop.samples or (stop.stamp,)}
+    stop_of_point = np.array([by_stamp[sample.stamp] for sample in used])[measured.station]
+    stops = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
+    for i in np.unique(stop_of_point).tolist():
+        stops[i] = replace(stops[i], reason='', residuals=residuals[stop_of_point == i],
+                           left_out=predicted[stop_of_point == i])
+    return Evidence(tuple(stops), calibration, sweep=_sweep(used, measured.station, residuals))
+
+
+def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) -> Array:
+    """Return time, RMS residual and speed (n, 3) of the samples of a moving robot."""
+    moving = [i for i, sample in enumerate(used) if sample.motion is not None]
+    if not moving:
+        return np.empty((0, 3))
+    stamps = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
+    twists = used[moving[0]].motion.at(stamps).twists
+    return np.column_stack([(stamps - stamps[0]) * 1e-9,
+                            _rms(station, residuals, len(used))[moving],
+                            np.linalg.norm(twists[:, :3], axis=1)])
+
+
+def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
+    """Return what was seen at a stop."""
+    stop, sample, stamp = outcome.stop.load(config), outcome.sample, outcome.result.stamp
+    if sample:
+        T = sample.T_base_flange
+    else:
+        middle = stop.poses[len(stop.poses) // 2]
+        T = se3.from_quaternion(middle.translation, middle.quaternion)
+    points = np.empty((0, 2))
+    profile = min(stop.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
+    with suppress(UnusableMessageError):
+        points = profile.read(config.profile).points if profile else points
+    return StopSnapshot(outcome.number, stamp, in_mount(T, config), points,
+                        sample.features if sample else (), getattr(outcome.result, 'reason', ''),
+                        samples=tuple(s.stamp for s in sample.single) if sample else ())
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """
+    RMS distances of a sample's points to the target of an answer, in metres.
+
+    residual: from the answer; left_out: from the answer without this sample; used: whether the
+    answer uses it. Both are the same for a sample that it does not use.
+    """
+
+    residual: float
+    left_out: float
+    used: bool
+
+
+def agreements(answer: Answer, samples: Sequence[Sample], config: Config
+               ) -> tuple[Agreement | None, ...]:
+    """
+    Return how each sample agrees with the answer of some or all of them.
+
+    samples: of stops, also those that are left out of the answer. None for one that shows nothing
+    of the target, and for all where the answer has no solution.
+    """
+    solution, n = answer.solution, len(samples)
+    if solution is None:
+        return (None,) * n
+    owner = {one.stamp: k for k, sample in enumerate(samples)
+             for one in sample.single or (sample,)}
+    stations = np.array([owner[one.stamp] for one in answer.samples])
+    used = [answer.samples[i] for i in solution.used]
+    of_used = stations[solution.used]
+    # a pass is used if the answer uses most of its profiles
+    by_answer = 2 * np.bincount(of_used, minlength=n) >= np.maximum(
+        np.bincount(stations, minlength=n), 1)
+    measured = measured_points(used, solution.problem)
+    of_point, fold = of_used[measured.station], np.unique(of_used, return_inverse=True)[1]
+    residual = _rms(of_point, measured.residuals(
+        solution.problem, solution.estimate, solution.corrected_poses()), n)
+    predicted = _rms(of_point, left_out(solution, measured, fold.reshape(-1)), n)
+    others = [k for k in range(n) if not by_answer[k]]
+    residual[others] = predicted[others] = _of_others(
+        [samples[k] for k in others], answer.samples[0].offsets, solution, config)
+    return tuple(None if np.isnan(residual[k]) else Agreement(
+        float(residual[k]), float(predicted[k]), bool(by_answer[k])) for k in range(n))
+
+
+def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: Solution,
+               config: Config) -> Array:
+    """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
+    ones = list(single_samples(samples))
+    number = np.repeat(np.arange(len(samples)), [len(s.single) or 1 for s in samples])
+    if any(one.motion for one in ones):
+        at = Pairing.of(ones).at(*offsets)
+        ones = [replace(one, T_base_flange=T) for one, T, inside in zip(
+            ones, at.T_base_flange, at.inside, strict=True) if inside]
+        number = number[at.inside]
+    if not ones:
+        return np.full(len(samples), np.nan)
+    method, estimate = solution.problem.method, solution.estimate
+    whole = Problem(method, mounted(ones, config), method.observe(ones), config)
+    labelled = method.relabel(whole.observations, whole.points_in_base(estimate.X),
+                              estimate.target, config)
+    problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
+    measured = measured_points(ones, problem)
+    return _rms(number[measured.station], measured.residuals(problem, estimate), len(samples))
+
+
+def _rms(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
+    """Return the RMS (n,) of the residuals (k,) of each number (k,), NaN for one without any."""
+    count = np.bincount(number, minlength=n)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        return np.asarray(np.sqrt(np.bincount(number, residuals ** 2, minlength=n) / count))
+
+
+def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
+    """Return a sentence if the laser crosses an edge at too small an angle, else ''."""
+    points = np.array([f.point for f in sample.features if isinstance(f, EdgePoint)])
+    kinds, smallest = solution.problem.method.essential, config.sampling.min_crossing_angle
+    if not len(points) or not kinds:
+        return ''
+    angles = [(*_crossing(sample, points, solution, kind, config), kind) for kind in kinds]
+    distance, angle, kind = min(angles)
+    if distance > TOO_FAR or angle >= smallest:
+        return ''
+    return (f'the laser crosses {kind} at {np.degrees(angle):.0f} degrees, less than '
+            f'sampling.min_crossing_angle ({np.degrees(smallest):.0f} degrees), so its edge point '
+            'cannot count: turn the tool about the range axis')
+
+
+def _crossing(sample: Sample, points: Array, solution: Solution, name: str, config: Config
+              ) -> tuple[float, float]:
+    """Return distance to an edge (m) and crossing angle (rad) of the nearest of points (n, 2)."""
+    method, estimate = solution.problem.method, solution.estimate
+    pose = mounted([sample], config)[0] @ estimate.X
+    in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
+                              ) @ pose[:3, :3].T + pose[:3, 3]
+    found = [method.conditions(in_base, np.full(len(points), kind), estimate.target, config)
+             for kind in _with(solution.problem, method.kinds.index(name))]
+    distance = np.linalg.norm([one.g for one in found], axis=0)
+    nearest = int(np.argmin(distance))
+    across = np.array([one.dg_dp[nearest] for one in found])
+    along_laser = across @ pose[:3, 0] / np.linalg.norm(across, axis=1)
+    steepness = min(1.0, float(np.linalg.norm(along_laser)))
+    return float(distance[nearest]), float(np.arcsin(steepness))
+
+
+def _with(problem: Problem, kind: int) -> list[int]:
+    """Return the kinds of conditions that edge points of a kind have, this kind first."""
+    obs = problem.observations
+    points = obs.station * (obs.source.max() + 1) + obs.source
+    seen = np.unique(obs.kind[np.isin(points, points[obs.kind == kind])])
+    return [kind, *(int(k) for k in seen if k not in (kind, UNUSED))]
+
+
+NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
+
+
+def sample_summary(sample: Sample | Reject) -> str:
+    """Return what a sample shows, or why there is none, in words."""
+    if isinstance(sample, Reject):
+        return sample.reason
+    counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
+    seen = ', '.join(count_of(count, name) for name, count in counts.items())
+    return f'{seen} from {count_of(sample.profiles, "profile")}'
+
+
+def count_of(count: int, what: str) -> str:
+    """Return a number with its noun: `1 sample`, `2 samples`."""
+    return f'{count} {what}' if count == 1 else f'{count} {what}s'

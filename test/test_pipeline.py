@@ -10,14 +10,6 @@ from pathlib import Path
 
 from cells import Recorded, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import (
-    LostEdgesError,
-    OneAxisError,
-    OneOrientationError,
-    TooFewEdgesError,
-    TooFewSamplesError,
-)
-from handeye_ros.checks.settings import WrongSettingError
 from handeye_ros.config import load, with_values
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
@@ -232,23 +224,21 @@ def test_profiles_between_the_stops_are_no_matter() -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(('name', 'error'), [
-    ('one_orientation', OneOrientationError), ('tilt_only', OneAxisError),
-    ('yaw_only', OneAxisError), ('one_orientation_per_edge', OneAxisError),
-    ('no_target', (LostEdgesError, TooFewEdgesError, WrongSettingError)),
-    ('nothing_in_sight', TooFewSamplesError)])
-def test_what_carries_no_answer_is_refused(
-        name: str, error: type[DataError] | tuple[type[DataError], ...]) -> None:
-    with pytest.raises(error) as caught:
+@pytest.mark.parametrize(('name', 'reasons'), [
+    ('one_orientation', 'one_orientation'), ('tilt_only', 'one_axis'), ('yaw_only', 'one_axis'),
+    ('one_orientation_per_edge', 'one_axis'), ('no_target', 'edges settings'),
+    ('nothing_in_sight', 'few')])
+def test_what_carries_no_answer_is_refused(name: str, reasons: str) -> None:
+    with pytest.raises(DataError) as caught:
         calibrated(recorded(name, 0, rate=5.0, columns=640))
-    assert caught.value.exit_code == 3 and len(str(caught.value)) > 40
+    assert caught.value.reason in reasons.split() and caught.value.exit_code == 3
 
 
 def test_empty_streams_are_refused() -> None:
     made = recording('plate_5_5')
     with pytest.raises(DataError, match='no flange pose'):
         calibrated(made, poses=[])
-    with pytest.raises(TooFewSamplesError, match='no profile has a stamp of'):
+    with pytest.raises(DataError, match='no profile has a stamp of'):
         calibrated(made, profiles=[])
     spans = [(s.start, s.end) for s in made.truth.stations]
     moving = [p for p in made.poses if not any(a <= p.stamp <= b for a, b in spans)]

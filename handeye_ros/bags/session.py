@@ -540,7 +540,7 @@ def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int6
 
 def source_of_session(stored: Stored, config: Config, chain: Chain) -> Source:
     """Return the samples of a session with their joint values; raises InputError."""
-    from handeye_ros.checks.settings import require_same_clock
+    from handeye_ros.checks.clocks import require_same_clock
     from handeye_ros.robot.samples import Source  # both import the whole pipeline
     session = stored.session(config)
     return Source.of(session.samples, session.rejects, session.frame_id, config, chain,

@@ -11,21 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.checks.alternatives import (
-    Fit,
-    Hypothesis,
-    require_stated,
-)
-from handeye_ros.checks.consistency import misfit_of, MISFITTING, require_consistent
-from handeye_ros.checks.errors import (
-    CalibrationTypeError,
-    ConventionError,
-    RangeSignError,
-    ScatteredOrientationsError,
-)
+from handeye_ros.checks.hypotheses import Fit, Hypothesis
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
@@ -34,46 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
 INVERSE = 'inverse poses'
 
 
-Flipped: TypeAlias = tuple[Problem, NDArray[np.intp]]
-"""The problem with the opposite profile.range_sign, and the numbers of its stops."""
-
-
-def require_agreement(problem: Problem, agreed: Solution, flipped: Flipped | None) -> None:
-    """Raise for an answer that samples or poses contradict; name a convention that explains it."""
-    require_conventions(problem, agreed, flipped)
-    require_consistent(problem, agreed)
-
-
-def require_conventions(problem: Problem, agreed: Solution, flipped: Flipped | None) -> None:
-    """
-    Raise where an error of conventions explains the samples better.
-
-    flipped: None with too few samples of the opposite sign. Raises RangeSignError,
-    CalibrationTypeError, ConventionError or ScatteredOrientationsError.
-    """
-    misfit, stated = misfit_of(problem, agreed), Fit.of_all(agreed)
-    if flipped and (misfit.variance_factor > SIGN_TRIED or misfit.hopeless or agreed.unused_share):
-        require_stated(stated, [_other_sign(*flipped, stated)])
-    if not misfit.hopeless and misfit.variance_factor < MISFITTING:
-        return
-    require_stated(stated, [
-        _undone(problem, name, undo, stated) for name, change in CONVENTION_ERRORS.items()
-        for undo in (change.undo, change.other) if undo])
-    if misfit.hopeless and orientations_scatter(problem.poses):
-        raise ScatteredOrientationsError(misfit.rms)
-
-
-def _other_sign(flipped: Problem, stops: NDArray[np.intp], stated: Fit) -> Hypothesis:
-    """Return the hypothesis of the opposite range sign."""
-    change = f'profile.range_sign {flipped.config.profile.range_sign}'
-
-    def refusal(fit: Fit) -> DataError:
-        return RangeSignError(f'{fit.compared(stated, change)}: set it')
-    return Hypothesis(partial(Fit.of, flipped, stops, stated.total), refusal)
+def convention_errors(problem: Problem, stated: Fit) -> list[Hypothesis]:
+    """Return the hypotheses that the poses contain one of the known errors."""
+    return [_undone(problem, name, undo, stated) for name, change in CONVENTION_ERRORS.items()
+            for undo in (change.undo, change.other) if undo]
 
 
 def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], stated: Fit
@@ -89,13 +44,14 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], stated:
             if _mounted_on_base(fit.parts[0]) != on_base:
                 where, on = (('on the flange', 'base') if on_base else
                              ('beside the robot', 'flange'))
-                return CalibrationTypeError(
+                return DataError(
                     f'{fit.compared(stated, f"calibration_type {other}")}: set it if the sensor '
                     f'is fixed {where} and the target in the frame of the {on}; otherwise the '
-                    'poses are published inverted')
+                    'poses are published inverted', reason='settings')
             advice += f'; or set calibration_type to {other}, if the sensor is mounted so'
-        return ConventionError(f'the poses contradict the samples: '
-                               f'{fit.compared(stated, f"{name} undone")}; {advice}')
+        return DataError(f'the poses contradict the samples: '
+                         f'{fit.compared(stated, f"{name} undone")}; {advice}',
+                         reason='convention')
     return Hypothesis(partial(Fit.of, replace(problem, poses=poses)), refusal)
 
 

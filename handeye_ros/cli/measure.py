@@ -161,10 +161,10 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
     reason = next((reject.reason for reject in session.rejects), '')
     if not settings.sampling.moving:
         return check.check(session.samples, calibration, settings, reason)
-    swept, used, _ = pipeline.solved(session.samples, session.rejects,
-                                     session.with_base(settings), session.frame_id)
+    answer = pipeline.answer_of(session, settings)
+    offset, solution = answer.required().time_offset, answer.consensus()
+    used = [answer.samples[i] for i in solution.used]
     result = check.check(check.some_of_sweep(used), calibration, settings, reason)
-    offset = swept.time_offset
     return check.with_offset(result, offset, calibration) if offset else result
 
 

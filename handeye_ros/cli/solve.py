@@ -152,31 +152,30 @@ def samples(
     assignments: Assignments = [],
 ) -> None:
     """Show the samples of a session, the worst first."""
-    from handeye_ros.checks.review import review, sample_summary
-    from handeye_ros.errors import DataError
+    from handeye_ros import pipeline
+    from handeye_ros.evidence import agreements, sample_summary
     from rich import box
     from rich.table import Table
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
     session = stored.session(settings) if stored else gathered(path, settings)
     outcomes = [outcome for outcome in session.outcomes if outcome.sample]
-    agreements: dict[int, tuple[float, float, bool]] = {}
-    try:
-        with doing('comparing the samples'):
-            reviewed = review([o.sample for o in outcomes if o.sample],
-                              [not session.excludes(outcome) for outcome in outcomes], settings)
-    except DataError as error:
-        typer.echo(f'no residuals yet: {error}', err=True)
-    else:
-        agreements = {o.number: (a.residual, a.left_out, a.used) for o, a in
-                      zip(outcomes, reviewed.agreements, strict=True) if a}
+    with doing('comparing the samples'):
+        answer = pipeline.answer(session.samples, session.rejects, session.with_base(settings),
+                                 session.frame_id)
+        found = agreements(answer, [o.sample for o in outcomes if o.sample], settings)
+    if answer.refusal:
+        typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',
+                   err=True)
+    residuals = {o.number: (a.residual, a.left_out, a.used)
+                 for o, a in zip(outcomes, found, strict=True) if a}
 
     table = Table(*[''] * 5, box=box.SIMPLE_HEAD, pad_edge=False)
     for column, name in zip(table.columns, ('number', 'residual', 'left out'), strict=False):
         column.header, column.justify = name, 'right'
     for outcome in sorted(session.outcomes, key=lambda o: (
-            -agreements.get(o.number, (0.0, -1.0))[1], o.number)):
-        residual, left_out, used = agreements.get(outcome.number, (None, None, True))
+            -residuals.get(o.number, (0.0, -1.0))[1], o.number)):
+        residual, left_out, used = residuals.get(outcome.number, (None, None, True))
         state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
         table.add_row(
             str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'

@@ -18,10 +18,10 @@ so that nothing is published after the end; one in node.py, so that settings cha
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 import sys
 from threading import Lock
@@ -37,16 +37,11 @@ from handeye_ros.bags.session import (
     REMOVED,
     SessionFiles,
 )
-from handeye_ros.checks.review import (
-    count_of,
-    flat_crossing,
-    Review,
-    review,
-    sample_summary,
-)
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, FeatureError, HandeyeError, InputError, UnwritableError
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.guidance.score import extremes
 from handeye_ros.node.arrivals import Arrivals, Latest
@@ -80,32 +75,41 @@ Result = TypeVar('Result')
 @dataclass(frozen=True, eq=False)
 class Derived:
     """
-    What follows from the samples: their review and the advice.
+    What follows from the samples: their answer, how each agrees with it, and the advice.
 
-    review: None where there is none, no_review: why; reviewed: the samples in the order of the
-    agreements of the review; advised: the number of the last sample in the advice, 0 for none;
-    basis: identifies samples and settings that it follows from.
+    answer: None before the first; agreements: of the samples by their numbers; advised: the number
+    of the last sample in the advice, 0 for none; basis: identifies samples and settings that it
+    follows from.
     """
 
     advice: Advice
     advised: int = 0
-    review: Review | None = None
+    answer: pipeline.Answer | None = None
+    agreements: Mapping[int, Agreement] = field(default_factory=dict)
     no_review: str = ''
-    reviewed: tuple[Outcome, ...] = ()
     basis: object = None
 
+    @property
+    def solution(self) -> Solution | None:
+        """Return the solution of the answer, however uncertain."""
+        return self.answer.solution if self.answer else None
 
-def derive(samples: Sequence[Sample], included: Sequence[bool], config: Config, seen: Array,
-           refused: Sequence[Array]) -> tuple[Review | None, str, Advice]:
-    """Return the review of samples or why there is none, and the advice; see pipeline.advise."""
-    found, reason = None, ''
-    try:
-        found = review(samples, included, config)
-    except DataError as error:
-        reason = str(error)
-    used = sorted((sample for sample, use in zip(samples, included, strict=True) if use),
+
+def derive(samples: Mapping[int, Sample], excluded: frozenset[int], config: Config, seen: Array,
+           refused: Sequence[Array]) -> Derived:
+    """
+    Return what follows from samples, by their numbers.
+
+    excluded: numbers of those that samples.exclude leaves out; seen, refused: see pipeline.advise.
+    """
+    used = sorted((sample for number, sample in samples.items() if number not in excluded),
                   key=lambda sample: sample.stamp)
-    return found, reason, pipeline.advise(used, config, seen, refused)
+    answer = pipeline.answer(used, (), config)
+    found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
+    advice = pipeline.advise(used, config, seen, refused, answer)
+    return Derived(advice, max(samples, default=0), answer,
+                   {number: one for number, one in found.items() if one},
+                   '' if answer.solution else str(answer.refusal))
 
 
 class LiveSession:
@@ -449,11 +453,11 @@ class LiveSession:
 
     def _objection(self, outcome: Outcome) -> str:
         """Return a sentence if the laser crosses an estimated edge at too small an angle."""
-        last = self.derived.review
-        if outcome.sample is None or last is None or (
-                last.solution.degrees_of_freedom < SURE_FREEDOM):
+        solution = self.derived.solution
+        if outcome.sample is None or solution is None or (
+                solution.degrees_of_freedom < SURE_FREEDOM):
             return ''
-        return flat_crossing(outcome.sample, last.solution, self.config)
+        return flat_crossing(outcome.sample, solution, self.config)
 
     def take_sample(self) -> str:
         """Take a sample at the current stop; raises DataError, or InputError unstored."""
@@ -602,28 +606,26 @@ class LiveSession:
         current = self.latest.current(self.config)
         if current:
             self.extremes = extremes(np.concatenate([self.extremes, current.points]))
-        included = [not session.excludes(outcome) for outcome in outcomes]
+        samples = {outcome.number: outcome.sample for outcome in outcomes if outcome.sample}
+        excluded = frozenset(o.number for o in outcomes if session.excludes(o))
         with suppress(PoolEndedError):
-            future = self.solver.submit(derive, [o.sample for o in outcomes], included,
-                                        self.config, self.extremes, refused)
+            future = self.solver.submit(derive, samples, excluded, self.config, self.extremes,
+                                        refused)
             self._deriving = True
-            future.add_done_callback(
-                lambda done: self._later(self._put_derived, done, outcomes, basis))
+            future.add_done_callback(lambda done: self._later(self._put_derived, done, basis))
 
-    def _put_derived(self, done: Future[tuple[Review | None, str, Advice]],
-                     outcomes: tuple[Outcome, ...], basis: tuple[Any, ...]) -> None:
+    def _put_derived(self, done: Future[Derived], basis: tuple[Any, ...]) -> None:
         self._deriving = False
         try:
-            found, reason, advice = done.result()
+            derived = done.result()
         except ENDED as error:
-            found, reason, advice = None, str(error), self.derived.advice
+            derived = Derived(self.derived.advice, no_review=str(error))
             if self._failed != basis:  # one more try
                 self._failed = basis
                 self._derive()
                 return
         if basis[0] == self._cleared:
-            advised = max((outcome.number for outcome in outcomes), default=0)
-            self.derived = Derived(advice, advised, found, reason, outcomes, basis)
+            self.derived = replace(derived, basis=basis)
         self._derive()  # if the samples have changed meanwhile
 
     # answer

@@ -20,10 +20,10 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from handeye_ros import se3
-from handeye_ros.checks.review import count_of
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Calibration, EdgePoint, Sample
 from handeye_ros.errors import INSTALL_TF2
+from handeye_ros.evidence import count_of
 from handeye_ros.node.arrivals import Arrivals
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.markers import current_markers, ends, session_markers, set_fields

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
-from handeye_ros.checks.review import Agreement, count_of, sample_summary
 from handeye_ros.data import Calibration
+from handeye_ros.evidence import Agreement, count_of, sample_summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.table import transform_rows
 from handeye_ros.sampling.session import Outcome, Session
@@ -41,11 +41,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     session, config, derived = live.copied(), live.config, live.derived
     obstacles = obstacles or {}
     poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
-    agreements = {}
-    if derived.review:
-        agreements = {outcome.number: agreement for outcome, agreement in zip(
-            derived.reviewed, derived.review.agreements, strict=False) if agreement}
-    samples = [_sample(outcome, session, agreements.get(outcome.number))
+    samples = [_sample(outcome, session, derived.agreements.get(outcome.number))
                for outcome in session.outcomes]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion

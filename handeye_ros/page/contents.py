@@ -13,10 +13,11 @@ from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session import read_session, sessions_in
-from handeye_ros.checks.review import Review, stop_snapshot
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.evidence import stop_snapshot
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.score import extremes
@@ -222,16 +223,17 @@ def _profile(points: Array, features: Iterable[Feature], reason: str) -> dict[st
 
 def _edges(live: Live) -> dict[int, str]:
     """Return the edges of the target crossed by each used sample, by its number."""
-    review = live.derived.review
-    if review is None:
-        return {}
-    problem, edges = review.solution.problem, {}
+    answer, edges = live.derived.answer, dict[int, str]()
+    if answer is None or answer.solution is None:
+        return edges
+    problem = answer.solution.problem
     names, kinds = problem.method.kinds, problem.method.essential_kinds
-    used = [outcome for outcome, agreement in zip(live.derived.reviewed, review.agreements,
-                                                  strict=False) if agreement and agreement.used]
-    for station, outcome in enumerate(used):
+    number = {one.stamp: outcome.number for outcome in live.copied().outcomes if outcome.sample
+              for one in outcome.sample.single or (outcome.sample,)}
+    for station, i in enumerate(answer.solution.used.tolist()):
         crossed = set(problem.observations.kind[problem.observations.station == station])
-        edges[outcome.number] = ', '.join(names[kind] for kind in kinds if kind in crossed)
+        edges[number.get(answer.samples[i].stamp, 0)] = ', '.join(
+            names[kind] for kind in kinds if kind in crossed)
     return edges
 
 
@@ -243,9 +245,9 @@ def _scene(live: Live, current: Any) -> dict[str, Any]:
     view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
     the advice while the sensor's pose is unknown.
     """
-    config, review, advice = live.config, live.derived.review, live.derived.advice
-    review = review if advice.sigmas else None
-    X = review.solution.estimate.X if review else np.eye(4)
+    config, advice = live.config, live.derived.advice
+    solution = live.derived.solution if advice.sigmas else None
+    X = solution.estimate.X if solution else np.eye(4)
     samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
     pose = live.latest.pose
     aim = advice.next.T_base_flange if advice.next else None
@@ -260,13 +262,13 @@ def _scene(live: Live, current: Any) -> dict[str, Any]:
             (in_mount(T_base_flange, config) @ X)[:3])
 
     return {
-        'known': review is not None, 'range_sign': config.profile.range_sign,
+        'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
         'view': _rounded(outline), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
         'next': drawn(aim), 'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
-        **(_target(review, config) if review else {'edges': [], 'outline': []})}
+        **(_target(solution, config) if solution else {'edges': [], 'outline': []})}
 
 
 def _motion_to(T_base_flange: Array, aim: Array) -> dict[str, Any]:
@@ -285,13 +287,13 @@ def _move(move: Move) -> dict[str, Any]:
             'R': _rounded(R)}
 
 
-def _target(review: Review, config: Config) -> Mapping[str, Any]:
+def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     """Return edges, outline and ball of the target, and a point (3,) for each station."""
-    problem, estimate = review.solution.problem, review.solution.estimate
+    problem, estimate = solution.problem, solution.estimate
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
-    form = shape(problem.method.describe(estimate.target, review.solution.target_std),
+    form = shape(problem.method.describe(estimate.target, solution.target_std),
                  config.target.size, points)
     ball = form.ball and (_rounded(form.ball[0]), form.ball[1])
     return {'edges': [_rounded(line) for line in form.edges], 'ball': ball,

@@ -10,7 +10,6 @@ import time
 from typing import Any
 
 from handeye_ros import pipeline, se3, targets
-from handeye_ros.checks.consistency import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
@@ -26,7 +25,6 @@ from handeye_ros.published.estimators import (
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.sweep import synchronised
 from handeye_ros.tabulated.method import FileMethod, Input, plane_axes, require_trusted
 import numpy as np
 from rich import box
@@ -104,13 +102,14 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     start, X, refusal = time.perf_counter(), None, None
     stations = Stations(tuple(ordered), config)
     try:
-        moved = synchronised(ordered, config)
-        agreed = pipeline.estimate(moved.samples, rejects, config, moved.estimate)
-        used = [replace(moved.samples[i], motion=None) for i in agreed.used]  # others: no motion
+        answer = pipeline.answer(ordered, rejects, config)
+        solution = answer.consensus()
+        # the others know no motion
+        used = [replace(answer.samples[i], motion=None) for i in solution.used]
         stations = Stations(tuple(used), config,
-                            Known(agreed.problem, agreed.estimate, agreed.noise))
-        require_certain(agreed, config)
-        X = agreed.estimate.X
+                            Known(solution.problem, solution.estimate, solution.noise))
+        answer.required()
+        X = solution.estimate.X
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start

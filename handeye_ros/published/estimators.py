@@ -15,7 +15,7 @@ import math
 from typing import Any, TypeAlias
 
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.consistency import require_certain, require_rotations
+from handeye_ros.checks.refusals import missing_motion, require_certain, require_rotations
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, Sample
 from handeye_ros.errors import SingularError
@@ -23,8 +23,8 @@ from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import fit as fit_target
 from handeye_ros.frames import mount_frame
+from handeye_ros.outcome import measured_points
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
-from handeye_ros.results.outcome import measured_points
 from handeye_ros.tabulated import hand_eye
 from handeye_ros.tabulated.method import FileMethod, require_trusted
 from handeye_ros.targets import line, plate
@@ -140,9 +140,9 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
     """Return the fit by one of the own methods."""
     def fit(stations: Stations) -> Array:
         config = replace(stations.config, method=name)
-        agreed = pipeline.estimate(stations.samples, (), config)
-        require_certain(agreed, config)
-        return agreed.estimate.X
+        solution = pipeline.answer(stations.samples, (), config).consensus()
+        require_certain(solution.reported, config, missing_motion(solution.whole.poses, config))
+        return solution.estimate.X
     return fit
 
 

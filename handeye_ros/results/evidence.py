@@ -3,7 +3,7 @@
 """Data of the report: the stops of a recording with their results, and the verdict."""
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
@@ -11,14 +11,11 @@ from pathlib import Path
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import mm
-from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.outcome import left_out, measured_points
 from handeye_ros.results.truth_file import FIELD, field_points
 import numpy as np
-from numpy.typing import NDArray
 
 MANY_REJECTED = 1 / 3  # of the stops
 MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
@@ -105,36 +102,6 @@ def use_config(calibration: Calibration, config: Config | None = None) -> Config
         config = replace(config, time_offset=calibration.time_offset.value)
     mode = config.sampling.mode if not config.sampling.moving else 'still'
     return replace(config, sampling=replace(config.sampling, mode=mode))
-
-
-def evidence_of(stops: Sequence[StopSnapshot], used: Sequence[Sample], solution: Solution,
-                calibration: Calibration) -> Evidence:
-    """Return stops with their results; used: samples in the order of the problem's stations."""
-    measured = measured_points(used, solution.problem)
-    residuals = measured.residuals(solution.problem, solution.estimate, solution.corrected_poses())
-    cross_validation = left_out(solution, measured)
-    reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
-    results = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
-    by_stamp = {stamp: i for i, stop in enumerate(stops)
-                for stamp in stop.samples or (stop.stamp,)}
-    stop_of_point = np.array([by_stamp[sample.stamp] for sample in used])[measured.station]
-    for i in np.unique(stop_of_point).tolist():
-        results[i] = replace(results[i], reason='', residuals=residuals[stop_of_point == i],
-                             left_out=cross_validation[stop_of_point == i])
-    return Evidence(tuple(results), calibration, sweep=_sweep(used, measured.station, residuals))
-
-
-def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) -> Array:
-    """Return time, RMS residual and speed of the samples of a moving robot."""
-    count = np.bincount(station, minlength=len(used))
-    rms = np.sqrt(np.bincount(station, residuals ** 2, len(used)) / np.maximum(count, 1))
-    moving = [i for i, sample in enumerate(used) if sample.motion is not None]
-    if not moving:
-        return np.empty((0, 3))
-    stamps = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
-    twists = used[moving[0]].motion.at(stamps).twists
-    return np.column_stack([(stamps - stamps[0]) * 1e-9, rms[moving],
-                            np.linalg.norm(twists[:, :3], axis=1)])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.settings import require_same_clock
+from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import InputError

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from handeye_ros import orientations, se3
-from handeye_ros.checks.consistency import require_rotations
-from handeye_ros.checks.errors import ConventionError
+from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, InputError, mm, TooFewError
@@ -180,7 +179,7 @@ def solve(T_base_flange: Array, T_camera_target: Array, noise: PoseNoise | None 
     T_base_flange, T_camera_target: (n, 4, 4), pairwise at the same times; noise: estimated if not
     given; eye_on_base: the camera is fixed to the base, the target to the flange; frame: name of
     the frame that the camera is fixed in, for messages.
-    Raises TooFewError, OneOrientationError, OneAxisError, DataError.
+    Raises DataError.
     """
     T = se3.inverse(T_base_flange) if eye_on_base else T_base_flange
     if len(T) < MINIMUM:
@@ -310,7 +309,7 @@ def _solve(data: Views, config: Config) -> Answer[Views]:
 
 
 def _name_convention_error(data: Views, config: Config) -> None:
-    """Raise ConventionError if exactly one misreading explains the contradiction of the poses."""
+    """Raise DataError if exactly one misreading explains the contradiction of the poses."""
     before, found = _misfit(data.T_fixed_mount, data.T_camera_target), []
     for name, advice, T, seen in _misreadings(data):
         try:
@@ -323,8 +322,8 @@ def _name_convention_error(data: Views, config: Config) -> None:
             found.append((name, after, advice))
     if len(found) == 1:
         name, after, advice = found[0]
-        raise ConventionError(f'the poses do not fit, but with {name} the residual falls from '
-                              f'{mm(before)} to {mm(after)}: {advice}')
+        raise DataError(f'the poses do not fit, but with {name} the residual falls from '
+                        f'{mm(before)} to {mm(after)}: {advice}', reason='convention')
 
 
 def _misreadings(data: Views) -> Iterator[tuple[str, str, Array, Array]]:

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.errors import LeftOutError, TooUncertainError
+from handeye_ros.checks.refusals import require_certain, require_left_out
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import AnyProfile, Array, Calibration, Quality, SampleReport, TimedPose
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
-from handeye_ros.se3 import worst_rotation, worst_translation
+from handeye_ros.se3 import worst_translation
 import numpy as np
 from numpy.typing import NDArray
 
@@ -135,18 +135,9 @@ def plane_axes(method: FileMethod[Any], config: Config) -> Array:
 
 
 def require_trusted(method: FileMethod[Any], answer: Answer[Any], config: Config) -> None:
-    """Raise TooUncertainError or LeftOutError for an answer beyond the limits."""
-    limits, frame = config.limits, mount_frame(config)
-    turn, axis = worst_rotation(answer.covariance)
-    if not turn <= limits.rotation:
-        raise TooUncertainError.rotation(name_direction(axis, frame), turn, limits.rotation,
-                                         method.advice)
-    shift, direction = worst_translation(answer.covariance)
-    if not shift <= limits.translation:
-        raise TooUncertainError.translation(name_direction(direction, frame), shift,
-                                            limits.translation, method.advice)
-    if not answer.holdout_rms <= limits.residual:
-        raise LeftOutError(answer.holdout_rms, answer.residual_rms, limits.residual)
+    """Raise DataError for an answer beyond the limits."""
+    require_certain(answer.covariance, config, method.advice)
+    require_left_out(answer.holdout_rms, answer.residual_rms, config.limits.residual)
 
 
 def _quality(answer: Answer[Any], config: Config) -> Quality:

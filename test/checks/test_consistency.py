@@ -9,14 +9,7 @@ import re
 
 from cells import Cell, cell, config, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.consistency import turning
-from handeye_ros.checks.errors import (
-    OneAxisError,
-    OneOrientationError,
-    SensorFrameError,
-    TooFewSamplesError,
-    TooUncertainError,
-)
+from handeye_ros.checks.refusals import turning
 from handeye_ros.data import Array, FaceLine, Reject
 from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction, other_axes
@@ -64,7 +57,7 @@ def assert_names(message: str, direction: Array, frame: str, within: float = 0.0
 def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bool) -> None:
     make = cell if noise else exact_cell
     error = refusal(make(scenario(name, 'one_orientation', where), method=name))
-    assert isinstance(error, OneOrientationError)
+    assert error.reason == 'one_orientation'
     assert 'one orientation' in str(error) and 'tilt' in str(error)
 
 
@@ -76,7 +69,7 @@ def test_one_axis_is_refused_and_named(name: str, where: str, frame: str, motion
     for seed in range(3):
         made = cell(scenario(name, motion, where), seed, method=name)
         error = refusal(made)
-        assert isinstance(error, OneAxisError)
+        assert error.reason == 'one_axis'
         true_axis = made.truth.T_flange_sensor[:3, axis]
         assert_names(str(error), true_axis, frame)
         other = re.search(rf'about {frame} ([xyz]) or ([xyz])$', str(error))
@@ -87,7 +80,7 @@ def test_one_axis_is_refused_and_named(name: str, where: str, frame: str, motion
 def test_one_orientation_per_edge_is_one_axis(where: str, frame: str) -> None:
     made = cell(scenario('plate', 'one_orientation_per_edge', where))
     error = refusal(made)
-    assert isinstance(error, OneAxisError)
+    assert error.reason == 'one_axis'
     poses = made.problem.poses
     p = [s.label == 'p' for s in made.truth.stations]
     between = poses[p.index(True), :3, :3].T @ poses[p.index(False), :3, :3]
@@ -102,9 +95,9 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
     made = cell(replace(scenario(name, 'general', where), tilt=math.radians(1)), method=name,
                 limits__rotation=0.01)
     error = refusal(made)
-    assert isinstance(error, TooUncertainError | OneAxisError | OneOrientationError)
+    assert error.reason in ('uncertain', 'one_axis', 'one_orientation')
     assert re.search(rf'\b{frame}\b', str(error)) and 'degrees' in str(error)
-    if isinstance(error, TooUncertainError):
+    if error.reason == 'uncertain':
         turns, axes = turning(made.problem.poses)
         assert f'turn by only {np.degrees(turns[1]):.3g} degrees RMS about' in str(error)
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
@@ -118,7 +111,7 @@ def test_what_is_too_uncertain_is_the_worst_direction(name: str) -> None:
     std, direction = worst_translation(answer.covariance)
     strict = cell(scenario(name), 1, method=name, limits__translation=0.99 * std)
     error = refusal(strict)
-    assert isinstance(error, TooUncertainError) and 'position along' in str(error)
+    assert error.reason == 'uncertain' and 'position along' in str(error)
     assert_names(str(error), direction, 'flange')
     assert f'{std * 1e3:.3g} mm' in str(error)
     loose = cell(scenario(name), 1, method=name, limits__translation=1.01 * std)
@@ -148,12 +141,12 @@ def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> 
     made = cell(scenario(name), method=name)
     few = made.samples[:METHODS[name].minimum - 1]
     rejects = [Reject(i, reason) for i, reason in enumerate(['no edge', 'dark', 'no edge'])]
-    with pytest.raises(TooFewSamplesError) as caught:
+    with pytest.raises(DataError, match='usable samples') as caught:
         pipeline.solve(few, rejects, made.config, 'laser')
     message = str(caught.value)
     assert message.startswith(f'{len(few)} usable samples (3 stations gave none')
     assert 'most often: no edge' in message and str(METHODS[name].minimum) in message
-    with pytest.raises(TooFewSamplesError):
+    with pytest.raises(DataError, match='usable samples'):
         pipeline.solve([], [], made.config, 'laser')
 
 
@@ -203,7 +196,7 @@ def test_turns_are_measured_about_their_axes() -> None:
     ('flange', 'robot_effector_frame'), ('base', 'robot_base_frame')])
 def test_a_frame_of_the_robot_is_refused_by_its_key(frame: str, key: str) -> None:
     made = cell('sphere')
-    with pytest.raises(SensorFrameError, match=f'"{frame}", and {key} is the same'):
+    with pytest.raises(DataError, match=f'"{frame}", and {key} is the same'):
         pipeline.solve(made.samples, [], made.config, frame)
     other = replace(made.config, **{key: 'tool0'})
     assert pipeline.solve(made.samples, [], other, frame).child_frame == frame
@@ -221,7 +214,7 @@ def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> Non
 
     given_way = [replace(s, T_base_flange=bent(s.T_base_flange)) for s in made.samples]
     settings_of_a_cell = config(made.scenario)
-    with pytest.raises(TooUncertainError, match='limits.points'):
+    with pytest.raises(DataError, match='limits.points'):
         pipeline.solve(given_way, [], settings_of_a_cell, 'laser')
     known = pipeline.solve(made.samples, [], settings_of_a_cell, 'laser')
     assert made.error(known.T_flange_sensor) < 2e-3
@@ -244,6 +237,6 @@ def test_a_plane_seen_at_one_tilt_only_is_refused(noise: float) -> None:
         along = np.array([normal[2], -normal[0]]) / math.hypot(normal[0], normal[2])
         face = FaceLine(np.array([0, away + rng.normal(0, noise)]), along, 0.01, 1e-6)
         seen.append(replace(sample, T_base_flange=S @ se3.inverse(X), features=(face,)))
-    with pytest.raises(TooUncertainError, match='tilt') as caught:
+    with pytest.raises(DataError, match='tilt') as caught:
         pipeline.solve(seen, [], made.config, 'laser')
     assert_names(str(caught.value), X[:3, 2], 'flange', 0.05)

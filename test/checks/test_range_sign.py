@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from cells import cell, problem, recorded
 from handeye_ros import pipeline
-from handeye_ros.checks.alternatives import deviance, Fit
-from handeye_ros.checks.errors import RangeSignError
+from handeye_ros.checks.hypotheses import deviance, Fit
 from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, EdgePoint
+from handeye_ros.errors import DataError
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,7 +23,7 @@ import pytest
 @pytest.mark.parametrize('seed', range(3))
 def test_the_foot_of_a_plate_is_not_taken_for_its_edge(seed: int) -> None:
     made = recorded('plate_on_table', seed, columns=640)
-    with pytest.raises(RangeSignError, match='with profile.range_sign 1, '):
+    with pytest.raises(DataError, match='with profile.range_sign 1, '):
         pipeline.calibrate(made.profiles, made.poses, flipped_range(made.config))
 
 
@@ -32,7 +32,7 @@ def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
     scenario = replace(SCENARIOS[name], sensor=replace(SCENARIOS[name].sensor, rate=10.0))
     made = simulate(scenario, np.random.default_rng(seed))
     right = with_values(Config(), settings(scenario), 'the test')
-    with pytest.raises(RangeSignError, match=f'range_sign {right.profile.range_sign}, '):
+    with pytest.raises(DataError, match=f'range_sign {right.profile.range_sign}, '):
         pipeline.calibrate(made.profiles, made.poses, flipped_range(right))
 
 

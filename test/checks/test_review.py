@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from cells import cell, solved
 from handeye_ros import se3
-from handeye_ros.checks.review import flat_crossing
 from handeye_ros.config import with_values
 from handeye_ros.estimation.search import evaluate
+from handeye_ros.evidence import flat_crossing
 import numpy as np
 import pytest
 

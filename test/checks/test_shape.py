@@ -8,10 +8,10 @@ from cells import cell
 from cells import solved as found
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import LostEdgesError, ScaleError
-from handeye_ros.checks.shape import scale_error
+from handeye_ros.checks.measures import scale_error
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
+from handeye_ros.errors import DataError
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
@@ -101,7 +101,7 @@ def test_faces_alone_do_not_answer_for_edges_that_fit_nowhere(seed: int) -> None
         moved = replace(edge, point=edge.point + shift * edge.direction)
         bent.append(replace(sample, features=(face, moved)))
     config = configs.with_values(Config(), settings(SCENARIOS['plate']), 'the test')
-    with pytest.raises(LostEdgesError, match='an answer that leaves out so many'):
+    with pytest.raises(DataError, match='an answer that leaves out so many'):
         pipeline.solve(bent, (), config, 'laser')
 
 
@@ -156,7 +156,7 @@ def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
         T[:3, 3] *= scale
         stretched.append(replace(sample, T_base_flange=T))
     config = configs.with_values(Config(), settings(scenario), 'the test')
-    with pytest.raises(ScaleError) as refusal:
+    with pytest.raises(DataError, match='lengths of robot and sensor') as refusal:
         pipeline.solve(stretched, (), config, 'laser')
     named = float(str(refusal.value).split('differ by ')[1].split(' ')[0])
     assert named == pytest.approx(2.0, abs=0.3)

@@ -16,7 +16,7 @@ import pytest
 def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     made = cell(target, 0)
     config = with_values(Config(), settings(made.scenario), target)
-    solution = pipeline.estimate(made.samples, (), config)
+    solution = pipeline.answer(made.samples, (), config).consensus()
     found = budget(solution)
     assert found.samples == len(made.samples)
     assert {'sensor, white', 'poses, white', 'robot_smooth', 'best fit'} <= {

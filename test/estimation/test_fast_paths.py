@@ -9,7 +9,7 @@ from cells import cell, solved
 from handeye_ros import se3
 from handeye_ros.estimation import solve
 from handeye_ros.estimation.solve import map_solution
-from handeye_ros.results.outcome import Measured
+from handeye_ros.outcome import Measured
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import sphere
 import numpy as np

@@ -299,7 +299,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
     found = cell('plate', 2)  # 18 samples
     config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
-    solution = pipeline.estimate(found.samples, (), config)
+    solution = pipeline.answer(found.samples, (), config).consensus()
     result = advise(found.samples, config, solution)
     assert 'as configured (noise.robot_scale)' in result.why and result.enough
 

@@ -11,10 +11,10 @@ import subprocess
 import sys
 
 from command import PATIENCE
-from handeye_ros.checks.review import review
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError
 from handeye_ros.node.pool import Pool, PoolEndedError
+from handeye_ros.pipeline import calibrate
 import pytest
 
 
@@ -29,9 +29,9 @@ def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
     assert pool.run(divmod, 7, 2) == (3, 1) and pool.run(os.getpid) != os.getpid()
     assert pool.run(os.nice, 0) == os.nice(0) + 5
     with pytest.raises(DataError) as refusal:
-        pool.run(review, [], [], Config())
+        pool.run(calibrate, [], [], Config())
     with pytest.raises(DataError) as here:
-        review([], [], Config())
+        calibrate([], [], Config())
     assert str(refusal.value) == str(here.value)
     with pytest.raises(ZeroDivisionError):
         pool.run(divmod, 1, 0)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from cells import Cell, cell, config, exact
 from command import assert_refused, handeye, PLATE, ROOT
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import OneOrientationError, TooUncertainError
 from handeye_ros.errors import BadValueError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published.compare import compare, Comparison, Row, tables
@@ -186,7 +185,7 @@ def test_one_that_fails_stops_no_other(only) -> None:
 
 def test_without_an_answer_of_ours_the_published_ones_lack_their_start() -> None:
     comparison = compared(cell('one_orientation'))
-    assert isinstance(comparison.refusal, OneOrientationError)
+    assert comparison.refusal.reason == 'one_orientation'
     assert not comparison.answered
     rows = by_name(comparison)
     assert rows['plate'].failure == str(comparison.refusal)
@@ -196,7 +195,7 @@ def test_without_an_answer_of_ours_the_published_ones_lack_their_start() -> None
 def test_an_answer_too_uncertain_for_us_is_none(only) -> None:
     only('plate', 'plate', CHEN_RIGID)
     comparison = compared(cell('plate', limits__translation=1e-6))
-    assert isinstance(comparison.refusal, TooUncertainError)
+    assert comparison.refusal.reason == 'uncertain'
     rows = by_name(comparison)
     assert rows['plate'].T_flange_sensor is None
     assert mapped(rows[CHEN_RIGID]) < 1e-3

@@ -7,10 +7,10 @@ from dataclasses import replace
 import math
 
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.review import review
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import HandeyeError
+from handeye_ros.evidence import agreements
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.trajectory import trajectory_of
@@ -164,7 +164,8 @@ def test_the_review_of_passes_knows_the_time_offset() -> None:
     config = config_of(scenario)
     session = pipeline.gather(made.profiles, made.poses, config)
     passes = [outcome.sample for outcome in session.outcomes if outcome.sample]
-    found = review(passes, [k != 2 for k in range(len(passes))], config).agreements
+    answer = pipeline.answer(passes[:2] + passes[3:], (), config)
+    found = agreements(answer, passes, config)
     assert [one is not None and one.used for one in found] == [k != 2 for k in range(len(passes))]
     assert all(one.residual < 1e-4 for one in found if one)
 

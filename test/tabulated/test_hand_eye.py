@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.checks.errors import OneAxisError, OneOrientationError
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.published import cn105021139a
@@ -155,10 +154,10 @@ def test_motions_that_leave_something_open_are_refused() -> None:
     with pytest.raises(TooFewError, match='at least 3 poses, got 2'):
         hand_eye.solve(T[:2], views[:2])
     _, _, T, views = cell(0, tilts=np.zeros(3))
-    with pytest.raises(OneOrientationError, match='tilt the tool'):
+    with pytest.raises(DataError, match='tilt the tool'):
         hand_eye.solve(T, views)
     _, _, T, views = cell(0, tilts=np.array([0, 0, 60.0]))
-    with pytest.raises(OneAxisError, match='the position along it is free'):
+    with pytest.raises(DataError, match='the position along it is free'):
         hand_eye.solve(T, views)
 
 

@@ -8,9 +8,9 @@ import re
 
 from cells import cell, exact_cell, recorded
 from handeye_ros import pipeline, se3, targets
-from handeye_ros.checks.errors import TooFewSamplesError
 from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
+from handeye_ros.errors import DataError
 from handeye_ros.published import zheng2018
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.scenario import PlateTarget
@@ -100,7 +100,7 @@ def test_stations_at_another_edge_are_left_out() -> None:
 
 def test_six_points_are_too_few() -> None:
     made = cell(LINE, 0)
-    with pytest.raises(TooFewSamplesError, match='line needs at least 7'):
+    with pytest.raises(DataError, match='line needs at least 7'):
         pipeline.solve(made.samples[:6], [], made.config, 'laser')
     assert targets.method_for(made.config).name == 'line'
 

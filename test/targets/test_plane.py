@@ -7,10 +7,9 @@ from dataclasses import replace
 
 from cells import cell, exact_cell, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.errors import OneAxisError
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine
-from handeye_ros.errors import FeatureError
+from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.profiles.faces import face_features, plane_features
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
@@ -60,7 +59,7 @@ def test_a_profile_without_an_edge_is_a_plane_and_no_face() -> None:
 
 def test_yaw_alone_is_refused_with_what_it_leaves_open() -> None:
     made = cell(replace(PLANE, motion='yaw_only'))
-    with pytest.raises(OneAxisError) as caught:
+    with pytest.raises(DataError, match='share one rotation axis') as caught:
         pipeline.solve(made.samples, [], made.config, 'laser')
     message = str(caught.value)
     assert 'if it is the normal of the plane (yaw only) all of the position' in message

@@ -18,11 +18,12 @@ uncertain, and therefore fits. So the same must also hold in metres, in one unit
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
 
+from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
@@ -32,9 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 RARE = 1e-5  # probability of naming a wrong cause
-# Twice the log of a Bayes factor: very strong by Kass and Raftery; odds of 1 to RARE.
-VERY_STRONG, DECISIVE = 10.0, -2 * math.log(RARE)
-LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an explanation may leave out
+DECISIVE = -2 * math.log(RARE)  # twice the log of a Bayes factor of these odds
 GROSS, FLOOR = 64.0, 0.01  # variance factors: of a stop that is not explained, the least
 
 
@@ -163,25 +162,41 @@ def deviance(q: Array, conditions: int) -> float:
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """
-    One changed assumption.
+    One changed assumption, or several that belong together.
 
     refit(): the fit of the same stops with this change, None without a fit; refusal(fit): the
-    error that names this change.
+    error that names this change; changes: how many assumptions it changes; simpler: one with
+    fewer changes that is named in its place if it explains the stops too.
     """
 
     refit: Callable[[], Fit | None]
     refusal: Callable[[Fit], DataError]
+    changes: int = 1
+    simpler: Hypothesis | None = None
 
 
-def require_stated(stated: Fit | None, hypotheses: Iterable[Hypothesis], level: float = DECISIVE
-                   ) -> None:
+def require_stated(stated: Fit | None, hypotheses: Sequence[Hypothesis]) -> None:
     """
-    Raise where one changed assumption explains the stops better than the stated ones.
+    Raise where another assumption explains the same stops better than the stated ones.
 
-    Raises the refusal of the best one. level: the evidence that it has to exceed.
+    stated: the fit of the stops as it is set, None without one. Raises the refusal of the best
+    hypothesis; each change of an assumption needs odds of 1 to RARE, shared by all that are tried.
     """
-    fits = [(fit.evidence_against(stated), one, fit) for one in hypotheses
-            if (fit := one.refit()) and fit.believable]
-    gain, best, fit = max(fits, key=lambda found: found[0], default=(-math.inf, None, None))
-    if best and fit and gain > level:
-        raise best.refusal(fit)
+    def refit(one: Hypothesis) -> tuple[float, DataError | None]:
+        fit = one.refit()
+        if fit is None or not fit.believable:
+            return 0.0, None
+        level = one.changes * (DECISIVE + 2 * math.log(len(hypotheses)))
+        return fit.evidence_against(stated) - level, one.refusal(fit)
+
+    most, best = 0.0, None
+    for one in hypotheses:
+        gain, refusal = refit(one)
+        if gain > most and one.simpler:
+            by_simpler, other = refit(one.simpler)
+            if by_simpler > most:
+                gain, refusal = by_simpler, other
+        if gain > most:
+            most, best = gain, refusal
+    if best:
+        raise best

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import math
 from typing import Any
 
-from handeye_ros.checks.alternatives import Fit, LARGEST_DROPPED_SHARE, RARE, VERY_STRONG
-from handeye_ros.checks.change_point import moved_slightly
-from handeye_ros.checks.errors import LostEdgesError, ScaleError, TooFewEdgesError
+from handeye_ros.checks.hypotheses import Fit, RARE
+from handeye_ros.checks.moved import moved_slightly
+from handeye_ros.checks.refusals import lost_edges
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, ROTATION_LAG, TIME_OFFSET, TimeOffset
 from handeye_ros.errors import DataError
@@ -26,6 +26,7 @@ from handeye_ros.estimation.solve import Solution
 import numpy as np
 from scipy.special import fdtrc
 
+VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 FREED_SIZE = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
@@ -172,21 +173,21 @@ def require_one_scale(agreed: Solution) -> None:
     """
     Raise for a solution in which robot and sensor differ too much in scale.
 
-    Raises ScaleError, or SmallMoveError where the evidence for a move is decisive.
+    Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
     for block, value, std, z in single_parameters(agreed):
         if block.name == 'scale' and abs(z) > CONTRADICTION and abs(value) > max(
                 SMALLEST_SCALE_ERROR, CONTRADICTION * std):
             moved_slightly(agreed)
-            raise ScaleError(abs(value), std)
+            raise _scales_differ(abs(value), std)
 
 
 def require_not_only_scale(solution: Solution) -> None:
     """
-    Raise for a solution in which a small scale error explains most of the residuals.
+    Raise DataError where a small scale error explains most of the residuals.
 
     Uses an F-test. Other nuisance parameters can absorb much of the scale error; the answer is
-    then wrong by that fraction of the lever arm. Raises ScaleError.
+    then wrong by that fraction of the lever arm.
     """
     scale, std, total = scale_error(solution)
     explained, freedom = (scale / std) ** 2, max(solution.redundancy, 1)
@@ -195,7 +196,15 @@ def require_not_only_scale(solution: Solution) -> None:
         return
     # the probability itself: scipy 1.11 inverts it wrongly where it is small
     if left <= 0.0 or fdtrc(1, freedom, explained * freedom / left) < RARE:
-        raise ScaleError(abs(scale), std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)
+        raise _scales_differ(abs(scale),
+                             std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)
+
+
+def _scales_differ(scale: float, std: float) -> DataError:
+    return DataError(
+        f'the lengths of robot and sensor differ by {100 * scale:.2f} +- {100 * std:.2f} %: one '
+        'of them has a wrong scale; measure a known length with each, and correct the unit or '
+        'the calibration of the wrong one', reason='scale')
 
 
 def time_offset_of(solution: Solution) -> TimeOffset | None:
@@ -255,44 +264,15 @@ def _bend_notes(solution: Solution) -> list[str]:
     return []
 
 
-def require_edges(agreed: Solution) -> None:
-    """
-    Raise for an answer that does not use most of the visible edges.
-
-    Raises TooFewEdgesError or LostEdgesError.
-    """
-    method = agreed.whole.method
-    if not method.essential:
-        return
-    used = int(agreed.problem.shows_essential.sum())
-    if used < method.minimum:
-        raise TooFewEdgesError(method.name, used, len(agreed.used), method.minimum)
-    shown = int(agreed.whole.shows_essential.sum())
-    if shown - used > LARGEST_DROPPED_SHARE * shown:
-        raise LostEdgesError(_lost_edges(agreed))
-
-
 def _edge_notes(agreed: Solution) -> list[str]:
     """Return in words the edges that the answer does not use, and those never seen."""
-    problem, lost = agreed.problem, _lost_edges(agreed)
+    problem, lost = agreed.problem, lost_edges(agreed)
     used = {problem.method.kinds[k] for k in set(problem.observations.kind)}
     edges = [{name.partition('_')[0] for name in names if name in problem.method.essential}
              for names in (problem.method.essential, used)]
     return [*([lost] if lost else []), *(
         f'no sample shows edge {edge} of the target: cross it too, or set target.type to line if '
         'the target has one edge only' for edge in sorted(edges[0] - edges[1]))]
-
-
-def _lost_edges(agreed: Solution) -> str:
-    """Return in words the edges that the answer does not use, '' if it uses all."""
-    if not len(agreed.unused):
-        return ''
-    shown = int(agreed.whole.subset(agreed.used).shows_essential.sum())
-    part, estimate = agreed.whole.subset(agreed.unused), agreed.estimate
-    where = part.method.elsewhere(part.observations, part.points_in_base(estimate.X),
-                                           estimate.target, part.config)
-    return (f'the edges of {len(agreed.unused)} of the {shown} samples that show one lie on none '
-            'of the target' + (f': {where}' if where else ''))
 
 
 def notes_of(agreed: Solution, config: Config) -> list[str]:

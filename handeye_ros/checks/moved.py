@@ -14,19 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 from handeye_ros import se3
-from handeye_ros.checks.alternatives import (
-    DECISIVE,
-    Fit,
-    Hypothesis,
-    RARE,
-    require_stated,
-)
-from handeye_ros.checks.errors import MovedError, SmallMoveError
+from handeye_ros.checks.hypotheses import DECISIVE, Fit, Hypothesis, RARE
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
@@ -45,59 +37,65 @@ LARGE = 3.0  # smallest move over the robot's smooth error: a smaller one may be
 RARELY, HARDLY_EVER = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
-def require_unmoved(problem: Problem, agreed: Solution) -> None:
-    """Raise MovedError where two parts of a recording fit separately but not together."""
+def moved_between(problem: Problem) -> list[Hypothesis]:
+    """Return the hypotheses that something moved between two parts of a recording."""
     n, fewest = len(problem.poses), problem.method.minimum
     if n < 2 * fewest:
-        return
+        return []
     stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
-    level = DECISIVE + 2 * float(np.log(len(stations)))
-    require_stated(Fit.of_all(agreed), [_parted(problem, k) for k in stations.tolist()], level)
+    return [_parted(problem, k) for k in stations.tolist()]
 
 
 def _parted(problem: Problem, k: int) -> Hypothesis:
     """Return the hypothesis that something moved before station k."""
-    every = np.arange(len(problem.poses))
+    n = len(problem.poses)
+    parts = np.split(np.arange(n), [k])
 
     def refit() -> Fit | None:
-        first = first_guesses(problem.subset(every[:k]))
-        rest = first_guesses(problem.subset(every[k:])) if first else None
-        if first is None or rest is None:
-            return None
-        return Fit((first, rest), (every[:k], every[k:]), len(every))
-    return Hypothesis(refit, partial(_refusal, problem, k))
+        first, second = (first_guesses(problem.subset(part)) for part in parts)
+        return Fit((first, second), tuple(parts), n) if first and second else None
 
-
-def _refusal(problem: Problem, k: int, fit: Fit) -> DataError:
-    first, second = (part for part in fit.parts)
-    delta = se3.difference(second.estimate.X, first.estimate.X)
-    covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
-                     for part in (first, second))
-    total = len(problem.poses)
-    if delta @ np.linalg.solve(covariance, delta) < chi2_isf(RARE, 6):
-        return MovedError.target(k, total, target_frame(problem.config))
-    move = se3.inverse(first.estimate.X) @ second.estimate.X
-    return MovedError.sensor(k, total, float(np.linalg.norm(move[:3, 3])),
-                             float(se3.angle(move[:3, :3])), mount_frame(problem.config))
+    def refusal(fit: Fit) -> DataError:
+        first, second = (part.estimate.X for part in fit.parts)
+        covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
+                         for part in fit.parts)
+        delta = se3.difference(second, first)
+        agree = (f'the first {k} samples agree among themselves, and so do the other {n - k}, but '
+                 'not with each other: in between, ')
+        switched = 'became another frame (tool or base of the robot switched)'
+        if delta @ np.linalg.solve(covariance, delta) < chi2_isf(RARE, 6):
+            frame = target_frame(problem.config)
+            return DataError(f'{agree}the target moved in {frame}, or {frame} {switched}; fix the '
+                             'target, and take all samples with the same', reason='moved')
+        move, frame = se3.inverse(first) @ second, mount_frame(problem.config)
+        return DataError(
+            f'{agree}the sensor moved in {frame} by {mm(float(np.linalg.norm(move[:3, 3])))} and '
+            f'{degrees(float(se3.angle(move[:3, :3])))}, or {frame} {switched}; take all samples '
+            'with the same', reason='moved')
+    return Hypothesis(refit, refusal)
 
 
 def moved_slightly(agreed: Solution) -> str:
     """
     Return a warning on a small move and its time, '' if there is none.
 
-    Raises SmallMoveError where the evidence is decisive.
+    Raises DataError (moved) where the evidence is decisive.
     """
     move = change_point(agreed)
     if move is None:
         return ''
     config = agreed.whole.config
-    refusal = SmallMoveError(
-        int(agreed.used[move.station]), len(agreed.whole.poses), move.sensor,
-        mount_frame(config) if move.sensor else target_frame(config),
-        float(np.linalg.norm(move.step[:3])), float(np.linalg.norm(move.step[3:])))
+    what, frame = (('sensor', mount_frame(config)) if move.sensor else
+                   ('target', target_frame(config)))
+    sentence = (
+        f'after the first {agreed.used[move.station]} of {len(agreed.whole.poses)} samples the '
+        f'{what} seems to have moved in {frame} by about '
+        f'{mm(float(np.linalg.norm(move.step[:3])))} and '
+        f'{degrees(float(np.linalg.norm(move.step[3:])))}, or the tool or base of the robot was '
+        'switched: check that it is fixed firmly, and take all samples again')
     if move.evidence > DECISIVE and move.p_value < HARDLY_EVER:
-        raise refusal
-    return str(refusal)
+        raise DataError(sentence, reason='moved')
+    return sentence
 
 
 @dataclass(frozen=True, eq=False)

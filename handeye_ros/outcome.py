@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""From a solution to its Calibration: transform, target, quality, result of each sample."""
+"""From a solution to its Calibration: transform, target, quality, residual of each sample."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
+from handeye_ros.checks.measures import notes_of, reported_blocks, time_offset_of
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import (
     Array,
@@ -17,7 +18,6 @@ from handeye_ros.data import (
     Sample,
     SampleReport,
     TIME_OFFSET,
-    TimeOffset,
 )
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
@@ -31,57 +31,53 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
              'crosses the edge at too small an angle')
 
 
-@dataclass(frozen=True)
-class NuisanceReport:
-    """The reported nuisance parameters by key, notes in words, and the time offset."""
+def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solution: Solution,
+                   config: Config, frame_id: str, warnings: Sequence[str] = ()) -> Calibration:
+    """
+    Return the calibration of a solution.
 
-    values: dict[str, Any]
-    notes: Sequence[str]
-    time_offset: TimeOffset | None
-
-
-def describe_calibration(samples: Sequence[Sample], rejects: Sequence[Reject], agreed: Solution,
-                         nuisances: NuisanceReport, config: Config, frame_id: str) -> Calibration:
-    """Return the calibration of a consensus; samples in the order of the problem's stations."""
-    solution, problem = agreed, agreed.problem
-    parent = mount_frame(config)
-    used = [samples[i] for i in agreed.used]
+    samples: in the order of its stations; rejects: stops that gave none; frame_id: of the
+    profiles; warnings: in words.
+    """
+    problem, parent = solution.problem, mount_frame(config)
+    used = [samples[i] for i in solution.used]
     measured = measured_points(used, problem)
     residuals = measured.residuals(problem, solution.estimate, solution.corrected_poses())
     reports = [*_used_reports(used, problem, measured.station, residuals),
-               *_dropped_reports(samples, agreed),
+               *_dropped_reports(samples, solution),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
     std, direction = se3.worst_translation(solution.reported)
-    quality = Quality(len(used), len(reports) - len(used), _rms(residuals),
-                      _rms(left_out(solution, measured)),
+    quality = Quality(len(used), len(reports) - len(used), rms(residuals),
+                      rms(left_out(solution, measured)),
                       f'position along {name_direction(direction, parent)} (m)', std)
+    provenance: dict[str, Any] = {'version': __version__, 'config': flatten(config)}
+    if warnings:
+        provenance['warnings'] = list(warnings)
     return Calibration(
         config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
         solution.reported[:6, :6],
-        _described_target(agreed, nuisances), quality,
-        tuple(sorted(reports, key=lambda report: report.stamp)),
-        {'version': __version__, 'config': flatten(config)}, nuisances.time_offset)
+        _described_target(solution, config), quality,
+        tuple(sorted(reports, key=lambda report: report.stamp)), provenance,
+        time_offset_of(solution))
 
 
-def _described_target(agreed: Solution, nuisances: NuisanceReport) -> dict[str, Any]:
+def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
-    solution = agreed
-    described = solution.problem.method.describe(solution.estimate.target,
-                                                          solution.target_std)
-    described |= nuisances.values | {'joint': _joint(solution)}
+    described = solution.problem.method.describe(solution.estimate.target, solution.target_std)
+    described |= reported_blocks(solution) | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
-    notes = [*nuisances.notes, *filter(None, [other_surfaces(agreed)])]
+    notes = [*notes_of(solution, config), *filter(None, [_other_surfaces(solution)])]
     return described | ({'note': '; '.join(notes)} if notes else {})
 
 
-def other_surfaces(agreed: Solution) -> str:
+def _other_surfaces(solution: Solution) -> str:
     """Return in words which of several visible surfaces is the target, '' with one surface."""
-    observed, problem = agreed.whole.subset(agreed.used), agreed.problem
+    observed, problem = solution.whole.subset(solution.used), solution.problem
     several = len(observed.observations) > len(problem.observations)
     if problem.method.essential or not several:
         return ''
-    estimate, obs = agreed.estimate, observed.observations
+    estimate, obs = solution.estimate, observed.observations
     unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
         [problem.observations.station, problem.observations.source]) @ [1, 1j])
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
@@ -92,7 +88,7 @@ def other_surfaces(agreed: Solution) -> str:
     side = 'nearer and farther' if 0 < nearer.sum() < len(nearer) else (
         'nearer' if nearer.any() else 'farther')
     stations = len(np.unique(obs.station[unused]))
-    return (f'{stations} of {len(agreed.used)} samples show other surfaces too, {side} than the '
+    return (f'{stations} of {len(solution.used)} samples show other surfaces too, {side} than the '
             f'{problem.method.name} that was used in all of them')
 
 
@@ -115,11 +111,11 @@ def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.
                   residuals: Array) -> list[SampleReport]:
     """Return the reports of used samples; residuals (k,) of points with their station (k,)."""
     count = np.bincount(station, minlength=len(used))
-    rms = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
+    own = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
     reports = []
     for i, edges in enumerate(_edges_used(problem)):
         note = ONLY_FACE if problem.method.essential and not edges else ''
-        reports.append(SampleReport(used[i].stamp, True, edges, float(rms[i]), note))
+        reports.append(SampleReport(used[i].stamp, True, edges, float(own[i]), note))
     return reports
 
 
@@ -134,20 +130,23 @@ def _edges_used(problem: Problem) -> list[str]:
             for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
-def _dropped_reports(samples: Sequence[Sample], agreed: Solution) -> list[SampleReport]:
+def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[SampleReport]:
     return [SampleReport(samples[i].stamp, False, reason='contradicts the other stations: its '
                          f'residual is {square ** 0.5:.1f} times what its noise explains')
-            for i, square in agreed.dropped.items()]
+            for i, square in solution.dropped.items()]
 
 
-def left_out(solution: Solution, measured: Measured, max_folds: int = MOST_FOLDS) -> Array:
+def left_out(solution: Solution, measured: Measured, fold: NDArray[np.intp] | None = None
+             ) -> Array:
     """
-    Return the cross-validation residuals (k,) of the stations, fold by fold.
+    Return the cross-validation residuals (k,) of the measured points, fold by fold.
 
-    With at most max_folds stations, each fold is one station.
+    fold: (n,) of each station, counted from 0; by default each station is one, of many stations
+    some share one.
     """
     problem, n = solution.problem, len(solution.problem.poses)
-    fold = np.arange(n) % min(n, max_folds)
+    if fold is None:
+        fold = np.arange(n) % min(n, MOST_FOLDS)
     estimates, poses = solution.predictions(fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
     order = np.argsort(fold[measured.station], kind='stable')
@@ -159,7 +158,8 @@ def left_out(solution: Solution, measured: Measured, max_folds: int = MOST_FOLDS
     return residuals
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square."""
     return float(np.sqrt((values ** 2).mean()))
 
 

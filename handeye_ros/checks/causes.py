@@ -1,0 +1,99 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+What explains samples that do not fit, in the order in which it is asked.
+
+The sign of the range, a known error in the convention of the poses, a sensor or target that
+moved, the scale of the robot; and, where none of these is certain, another setting or the clocks.
+The first that explains the same stops decisively better is named (hypotheses).
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from handeye_ros import targets
+from handeye_ros.checks.clocks import require_same_clock
+from handeye_ros.checks.conventions import convention_errors, orientations_scatter
+from handeye_ros.checks.hypotheses import Fit, Hypothesis, require_stated
+from handeye_ros.checks.measures import require_not_only_scale
+from handeye_ros.checks.moved import moved_between
+from handeye_ros.checks.refusals import (
+    Misfit,
+    MISFITTING,
+    missing_motion,
+    require_certain,
+    require_fit,
+    UnexplainedError,
+)
+from handeye_ros.checks.settings import require_settings
+from handeye_ros.config import Config, flipped_range
+from handeye_ros.data import Sample
+from handeye_ros.errors import DataError, mm
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.frames import mounted
+from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.session import Session
+import numpy as np
+
+SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
+
+
+def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Solution) -> None:
+    """
+    Raise DataError for a solution that the samples contradict, or explain better otherwise.
+
+    samples: in the order of the stations of the problem. Too little rotation of the poses is
+    reported before a move, since it can look like one.
+    """
+    misfit, stated = Misfit.of(solution), Fit.of_all(solution)
+    if misfit.variance_factor > SIGN_TRIED or misfit.hopeless or solution.unused_share:
+        require_stated(stated, _other_sign(samples, problem, stated))
+    if misfit.hopeless or misfit.variance_factor >= MISFITTING:
+        require_stated(stated, convention_errors(problem, stated))
+    if misfit.hopeless and orientations_scatter(problem.poses):
+        raise DataError(f'samples and poses contradict each other by {mm(misfit.rms)} RMS, and '
+                        'the orientations of the poses are scattered in all directions, as when '
+                        'angles in degrees are read as radians: convert the angles of the poses',
+                        reason='convention')
+    if misfit.hopeless:
+        require_certain(solution.reported, problem.config,
+                        missing_motion(problem.poses, problem.config))
+        require_stated(stated, moved_between(problem))
+    require_not_only_scale(solution)
+    require_fit(solution)
+
+
+def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Fit) -> list[Hypothesis]:
+    """Return the hypothesis of the opposite profile.range_sign, none with too few samples."""
+    config, method = flipped_range(problem.config), problem.method
+    others = with_common_shape([replace(s, features=s.flipped) for s in samples if s.flipped])
+    if len(others) < method.minimum:
+        return []
+    number = {sample.stamp: k for k, sample in enumerate(samples)}
+    stops = np.array([number[sample.stamp] for sample in others])
+    flipped = Problem(targets.method_for(config), mounted(others, config), method.observe(others),
+                      config)
+    change = f'profile.range_sign {config.profile.range_sign}'
+
+    def refusal(fit: Fit) -> DataError:
+        return DataError(f'{fit.compared(stated, change)}: set it', reason='settings')
+    return [Hypothesis(partial(Fit.of, flipped, stops, stated.total), refusal)]
+
+
+def explained(refusal: DataError, session: Session, config: Config) -> DataError:
+    """
+    Return a refusal, or the one of the setting or the clocks that explain the stops better.
+
+    A refusal whose cause is certain stays; an uncertain answer may come from clocks that differ.
+    """
+    try:
+        if isinstance(refusal, UnexplainedError):
+            require_settings(session, config)
+        if isinstance(refusal, UnexplainedError) or refusal.reason == 'uncertain':
+            require_same_clock(session, config)
+    except DataError as named:
+        return named
+    return refusal

@@ -1,0 +1,268 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is refused, in the order of a solve.
+
+Samples without an answer (frame, number, rotations); samples that no answer fits; answers that
+cannot be tested, that are too uncertain, or that leave out what the samples show.
+"""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.estimation.problem import Target
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.frames import mount_frame, name_direction, other_axes
+from handeye_ros.se3 import worst_rotation, worst_translation
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
+FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
+CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
+SURE = 0.99  # the same if several stations were dropped and similar surfaces may be confused
+SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
+
+
+class UnexplainedError(DataError):
+    """A refusal that another setting may explain; any other names a cause that is certain."""
+
+
+def require_own_frame(frame_id: str, config: Config) -> None:
+    """
+    Raise DataError if the profiles are in a frame with the name of a robot frame.
+
+    frame_id: of the profiles. The answer would relate a frame to itself.
+    """
+    for key, robots in (('robot_effector_frame', config.robot_effector_frame),
+                        ('robot_base_frame', config.base_frame)):
+        if frame_id == robots:
+            raise DataError(
+                f'the profiles have the frame_id "{frame_id}", and {key} is the same frame, so '
+                'the result would be a transform from this frame to itself: set another frame_id '
+                f'in the driver of the sensor, or set {key}', reason='frame')
+
+
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Target) -> None:
+    """Raise UnexplainedError when there are fewer samples than the method needs."""
+    if len(samples) < method.minimum:
+        reasons = Counter(reject.reason for reject in rejects).most_common(1)
+        why = (f' ({len(rejects)} stations gave none, most often: {reasons[0][0]})' if reasons
+               else '')
+        raise UnexplainedError(
+            f'{len(samples)} usable samples{why}; {method.name} needs at least {method.minimum}: '
+            'take more, with the laser across the target', reason='few')
+
+
+def require_rotations(poses: Array, frame: str, lost: str) -> None:
+    """
+    Raise DataError for poses (n, 4, 4) of the mount that do not turn about two axes.
+
+    frame: the mount frame, in which the axis is reported; lost: what one axis leaves unknown.
+    """
+    turns, axes = turning(poses)
+    if turns[0] < SMALLEST_TURN:
+        raise DataError(
+            f'all poses share one orientation (within {np.degrees(turns[0]):.2f} degrees): the '
+            'position of the sensor cannot be separated from the position of the target; tilt '
+            'the tool by 15 degrees or more about two axes', reason='one_orientation')
+    if turns[1] < SMALLEST_TURN:
+        raise DataError(
+            f'all poses share one rotation axis ({name_direction(axes[0], frame)}; they turn by '
+            f'{np.degrees(turns[0]):.1f} degrees RMS about it): {lost}; tilt the tool by 15 '
+            f'degrees or more about {other_axes(axes[0], frame)}', reason='one_axis')
+
+
+def turning(poses: Array) -> tuple[Array, Array]:
+    """
+    Return the RMS rotations (3,) of poses (n, 4, 4) in rad, and their principal axes (3, 3).
+
+    Largest first; the axes are the rows, in the frame that the sensor is fixed in.
+    """
+    rotations = Rotation.from_matrix(poses[:, :3, :3])
+    vectors = (rotations.mean().inv() * rotations).as_rotvec()
+    _, s, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=len(vectors) < 3)
+    turns = np.zeros(3)
+    turns[:len(s)] = s / len(poses) ** 0.5
+    return turns, axes
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Residuals of a solution: RMS and expected RMS (m), share of the stations dropped."""
+
+    rms: float
+    expected: float
+    share: float
+    variance_factor: float
+    wild: bool
+    hopeless: bool
+
+    @classmethod
+    def of(cls, solution: Solution) -> Misfit:
+        """
+        Return the misfit of a solution.
+
+        wild: the residuals exceed any plausible noise or robot error; hopeless: no answer is
+        possible.
+        """
+        limits, rms, expected = (
+            solution.whole.config.limits, solution.residual_rms, solution.expected_rms)
+        share, factor = len(solution.dropped) / len(solution.whole.poses), solution.variance_factor
+        wild = rms > limits.scatter * expected or (factor > 40.0 and rms > 4.0 * expected)
+        hopeless = share > LARGEST_DROPPED_SHARE or rms > limits.residual or wild
+        return cls(rms, expected, share, factor, wild, hopeless)
+
+
+def require_fit(solution: Solution) -> None:
+    """Raise UnexplainedError for a solution that its samples contradict."""
+    misfit, limits = Misfit.of(solution), solution.whole.config.limits
+    dropped, total = len(solution.dropped), len(solution.whole.poses)
+    if misfit.rms > limits.residual:
+        raise UnexplainedError(
+            f'samples and poses contradict each other by {mm(misfit.rms)} RMS (limits.residual '
+            f'is {mm(limits.residual)}), and no known convention error explains it: check the '
+            'poses (frames, convention, units), whether the clocks of sensor and robot agree, '
+            'target.type, profile.unit, profile.axes and profile.range_sign', reason='misfit')
+    if misfit.share > LARGEST_DROPPED_SHARE:
+        raise UnexplainedError(
+            f'{dropped} of {total} stations contradict the others, so no answer can be trusted: '
+            'check that target and sensor are fixed and that the laser crosses only the target',
+            reason='misfit')
+    if misfit.wild:
+        times = misfit.rms / misfit.expected
+        beyond = (f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else '')
+        raise UnexplainedError(
+            f'the residuals of {mm(misfit.rms)} RMS are {times:.1f} times what the configured '
+            f'noise explains{beyond}: there is another cause than noise; check '
+            'profile.range_sign, profile.axes and target.type, or raise noise.* if the robot or '
+            'the sensor really is that inaccurate', reason='misfit')
+
+
+def require_tested(solution: Solution) -> None:
+    """
+    Raise UnexplainedError for an answer with too few redundant conditions to test it.
+
+    Also if a sample is probably wrong, and without it too few conditions would remain or others
+    may be wrong too.
+    """
+    used, dropped, left = len(solution.used), len(solution.dropped), solution.redundancy
+    needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
+    if left < needed:
+        lost = f' ({dropped} of them contradict the others)' if dropped else ''
+        raise UnexplainedError(
+            f'{used + dropped} usable samples{lost} give only {left} redundant equations; at '
+            f'least {needed} are needed: take more samples at new poses', reason='few')
+    each = int(solution.ranks.max())
+    missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
+    not_all_found = solution.contaminated > SURE and dropped > 1 and solution.whole.ambiguous
+    if not_all_found or (solution.contaminated > CONTAMINATED and missing > 0):
+        raise UnexplainedError(
+            f'these {used} samples contradict each other: either the robot is less accurate than '
+            'noise.robot_smooth states, or at least one sample is wrong (a pose wrong by about a '
+            'millimetre, or another surface); so few samples cannot show which: take '
+            f'{max(1, -(-missing // each))} more at new poses, or repeat them all',
+            reason='outlier')
+
+
+def require_certain(covariance: Array, config: Config, advice: str) -> None:
+    """
+    Raise DataError (uncertain) for a transform with larger uncertainty than the limits.
+
+    covariance: (6, 6) of the transform; advice: what to do, in words.
+    """
+    limits, frame = config.limits, mount_frame(config)
+    std, axis = worst_rotation(covariance)
+    if not std <= limits.rotation:
+        words = f'is uncertain by {degrees(std)} (1 sigma; ' if std < 1 else 'is not determined ('
+        raise DataError(
+            f'the rotation about {name_direction(axis, frame)} {words}limits.rotation is '
+            f'{degrees(limits.rotation)}): {advice}', reason='uncertain')
+    std, direction = worst_translation(covariance)
+    if not std <= limits.translation:
+        raise DataError(
+            f'the position along {name_direction(direction, frame)} is uncertain by {mm(std)} (1 '
+            f'sigma; limits.translation is {mm(limits.translation)}): {advice}',
+            reason='uncertain')
+
+
+def require_certain_points(solution: Solution, config: Config) -> None:
+    """
+    Raise DataError (uncertain) where the measured points are more uncertain than the limit.
+
+    A rotation and a translation that make up for each other at the target are no uncertainty of
+    what the sensor measures; each alone may be large.
+    """
+    turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
+    by_rotation = np.cross(np.eye(3), turned[:, None, :]).swapaxes(1, 2)
+    moved = np.concatenate([np.broadcast_to(np.eye(3), by_rotation.shape), by_rotation], axis=2)
+    mean = np.einsum('kij,jl,kml->im', moved, solution.reported[:6, :6], moved) / len(moved)
+    values, vectors = np.linalg.eigh(mean)
+    std, limit, frame = float(np.sqrt(values[-1])), config.limits.points, mount_frame(config)
+    if std > limit:
+        raise DataError(
+            f'the points that the samples show are uncertain by {mm(std)} along '
+            f'{name_direction(vectors[:, -1], frame)} (1 sigma; limits.points is {mm(limit)}): '
+            f'{missing_motion(solution.whole.poses, config)}', reason='uncertain')
+
+
+def missing_motion(poses: Array, config: Config) -> str:
+    """Return in words the motion that poses (n, 4, 4) of the mount lack."""
+    frame = mount_frame(config)
+    turns, axes = turning(poses)
+    if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
+        return ('take more samples with the target in all parts of the field of view (near, far, '
+                'left, right), each with another tilt')
+    return (f'the poses turn by only {degrees(turns[1])} RMS about '
+            f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
+            'more to both sides')
+
+
+def require_edges(solution: Solution) -> None:
+    """Raise UnexplainedError for an answer that does not use most of the visible edges."""
+    method = solution.whole.method
+    if not method.essential:
+        return
+    used = int(solution.problem.shows_essential.sum())
+    if used < method.minimum:
+        raise UnexplainedError(
+            f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
+            f'and {method.name} needs {method.minimum}: cross the edges with the laser, inside '
+            'the field of view, or calibrate from the plane alone (target.type plane)',
+            reason='edges')
+    shown = int(solution.whole.shows_essential.sum())
+    if shown - used > LARGEST_DROPPED_SHARE * shown:
+        raise UnexplainedError(
+            f'{lost_edges(solution)}; an answer that leaves out so many cannot be trusted: check '
+            'target.size, that the edges are straight and that the laser crosses no other edges, '
+            'or calibrate from the plane alone (target.type plane)', reason='edges')
+
+
+def lost_edges(solution: Solution) -> str:
+    """Return in words the edges that the answer does not use, '' if it uses all."""
+    if not len(solution.unused):
+        return ''
+    shown = int(solution.whole.subset(solution.used).shows_essential.sum())
+    part, estimate = solution.whole.subset(solution.unused), solution.estimate
+    where = part.method.elsewhere(part.observations, part.points_in_base(estimate.X),
+                                  estimate.target, part.config)
+    return (f'the edges of {len(solution.unused)} of the {shown} samples that show one lie on '
+            'none of the target' + (f': {where}' if where else ''))
+
+
+def require_left_out(left_out: float, residual: float, limit: float) -> None:
+    """Raise UnexplainedError for samples that differ too much (m RMS) when they are left out."""
+    if not left_out <= limit:
+        noisy = residual > 0.5 * left_out  # else the fit follows single samples
+        why = ('the noise of sensor or robot is that large; take more samples, or raise '
+               'limits.residual if this accuracy is enough' if noisy else
+               'too few samples, or some are wrong; take more')
+        raise UnexplainedError(
+            f'samples differ by {mm(left_out)} RMS from what the others predict (limits.residual '
+            f'is {mm(limit)}), and by {mm(residual)} from the answer: {why}', reason='left_out')
