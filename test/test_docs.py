@@ -3,7 +3,6 @@
 """Every command line of the README and the docs is run, or its names are looked up."""
 from __future__ import annotations
 
-import ast
 from collections.abc import Iterator
 from pathlib import Path
 import re
@@ -57,25 +56,6 @@ def of(program: str) -> list[object]:
     return [pytest.param(page, text, id=f'{page.stem}: {text}')
             for page in PAGES for text in dict.fromkeys(commands(page))
             if PROGRAM.match(text)[1] == program]  # type: ignore[index]
-
-
-@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
-def test_commands_are_found_by_their_name(page: Path) -> None:
-    """One line of the README activates the environment; nothing else names its folder."""
-    lines = page.read_text(encoding='utf-8').splitlines()
-    named = [line.strip() for line in lines if '.venv/bin' in line]
-    assert named == (['source .venv/bin/activate'] if page.name == 'README.md' else [])
-
-
-def test_every_equation_of_the_estimator_is_some_functions_and_the_other_way_round() -> None:
-    page = (ROOT / 'docs' / 'estimator.md').read_text(encoding='utf-8')
-    files = [file for room in ('estimation', 'checks')
-             for file in (ROOT / 'handeye_ros' / room).glob('*.py')]
-    texts = [ast.get_docstring(node) or '' for file in files
-             for node in ast.walk(ast.parse(file.read_text(encoding='utf-8')))
-             if isinstance(node, (ast.FunctionDef, ast.ClassDef))]
-    named = {number for text in texts for number in re.findall(r', \((\d+)\)', text)}
-    assert named == set(re.findall(r'\\tag\{(\d+)\}', page))
 
 
 def test_there_are_commands() -> None:

@@ -26,6 +26,7 @@ pytestmark = pytest.mark.ros
 
 NAME = 'handeye_ros'
 ROOT = Path(__file__).parents[1]
+DATA = ('launch', 'config', 'rviz', 'foxglove')
 EXECUTABLES = {'calibrate', 'corrected_pose', 'handeye', 'publish', 'replay', 'scan'}
 
 
@@ -78,31 +79,14 @@ def executable(workspace: Path, name: str) -> Path:
     return workspace / 'install' / NAME / 'lib' / NAME / name
 
 
-def test_the_package_is_found_through_the_ament_index(
-        workspace: Path, sourced: dict[str, str]) -> None:
-    code = ('from ament_index_python import get_package_share_directory as share;'
-            f'import {NAME}; print(share("{NAME}"), {NAME}.__file__)')
-    run = subprocess.run([sys.executable, '-c', code], cwd=workspace, env=sourced,
-                         capture_output=True, text=True, check=True)
-    found, module = map(Path, run.stdout.split())
-    assert found == share(workspace)
-    assert module.is_relative_to(workspace / 'install')
-
-
-@pytest.mark.parametrize('folder', ['launch', 'config', 'rviz', 'foxglove'])
-def test_launch_and_config_files_are_installed(workspace: Path, folder: str) -> None:
-    expected = {file.name: file.read_bytes() for file in (ROOT / folder).glob('*.*')}
-    assert expected
-    installed = {file.name: file.read_bytes() for file in (share(workspace) / folder).iterdir()}
-    assert installed == expected
-
-
-@pytest.mark.parametrize('folder', ['page/assets', 'results/assets'])
-def test_what_pages_are_made_of_is_installed(workspace: Path, folder: str) -> None:
-    expected = {file.name for file in (ROOT / NAME / folder).iterdir()}
-    assert expected
-    (found,) = (workspace / 'install').glob(f'**/site-packages/{NAME}/{folder}')
-    assert {file.name for file in found.iterdir()} == expected
+def test_what_is_no_code_is_installed(workspace: Path) -> None:
+    (code,) = (workspace / 'install').glob(f'**/site-packages/{NAME}')
+    for source, place in (*((ROOT / name, share(workspace) / name) for name in DATA),
+                          *((ROOT / NAME / name, code / name)
+                            for name in ('page/assets', 'results/assets'))):
+        expected = {file.name: file.read_bytes() for file in source.glob('*.*')}
+        assert expected
+        assert {file.name: file.read_bytes() for file in place.iterdir()} == expected
 
 
 def test_the_executables_run_in_this_environment(workspace: Path) -> None:
@@ -136,14 +120,6 @@ def test_the_installed_node_answers(node: subprocess.Popen[bytes], client: Clien
     assert node.poll() is None
 
 
-@pytest.mark.skipif(sys.prefix == sys.base_prefix, reason='not in a virtual environment')
-def test_the_console_script_stands_beside_python() -> None:
-    script = Path(sys.executable).parent / 'handeye'
-    run = subprocess.run([script, '--help'], env=environment(), capture_output=True, text=True,
-                         check=True)
-    assert 'solve' in run.stdout
-
-
 def test_the_version_is_the_same_everywhere() -> None:
     manifest = ElementTree.parse(ROOT / 'package.xml')
     assert manifest.findtext('version') == version(NAME) == handeye_ros.__version__
@@ -175,7 +151,7 @@ def test_a_clean_environment_gets_all_that_users_need(wheel: Path, tmp_path: Pat
     subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)
     subprocess.run([sys.executable, '-m', 'pip', '--python', venv, 'install', '--quiet',
                     '--no-deps', '--no-index', wheel], env=environment(), check=True)
-    for folder in ('launch', 'config', 'rviz', 'foxglove'):
+    for folder in DATA:
         expected = {file.name for file in (ROOT / folder).glob('*.*')}
         installed = venv / 'share' / NAME / folder
         assert expected and {file.name for file in installed.glob('*.*')} == expected
@@ -195,18 +171,3 @@ def test_a_clean_environment_gets_all_that_users_need(wheel: Path, tmp_path: Pat
     where = subprocess.run([venv / 'bin' / 'python', '-c', code], cwd=tmp_path, env=kept,
                            capture_output=True, text=True, check=True)
     assert Path(where.stdout.strip()).is_relative_to(venv)
-
-
-@pytest.mark.skipif(sys.prefix == sys.base_prefix, reason='not in a virtual environment')
-def test_the_shell_completes_the_verbs(tmp_path: Path) -> None:
-    pytest.importorskip('shellingham', reason='needs shellingham')
-    script = Path(sys.executable).parent / 'handeye'
-    kept = {**environment(), 'HOME': str(tmp_path), 'SHELL': '/bin/bash'}
-    run = subprocess.run(['bash', '-c', f'{script} --install-completion; exit $?'], env=kept,
-                         capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert (tmp_path / '.bash_completions' / 'handeye.sh').is_file()
-    asked = {**kept, 'COMP_WORDS': 'handeye exp', 'COMP_CWORD': '1',
-             '_HANDEYE_COMPLETE': 'complete_bash'}
-    run = subprocess.run([script], env=asked, capture_output=True, text=True, check=False)
-    assert run.stdout.split() == ['export']

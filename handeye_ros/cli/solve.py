@@ -88,9 +88,13 @@ def solve(
 
 def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
     """Return the method of a target that is solved from files, None for one of profiles."""
+    from handeye_ros.targets import METHODS
+    is_table = path.suffix in TABLES and path.is_file()
+    if settings.target.type in METHODS and not is_table:
+        return None
     from handeye_ros import tabulated
     method = tabulated.of(settings)
-    if method is None and path.suffix in TABLES and path.is_file():
+    if method is None and is_table:
         fitting = list(tabulated.FILE_METHODS)
         raise InputError(f'{path} is a table of measured values, but target.type '
                          f'{settings.target.type} is seen by the profiles of a recording: set '

@@ -62,13 +62,6 @@ def test_noise_is_fitted_and_the_factor_converges() -> None:
     np.testing.assert_allclose(off, found.distances, atol=1e-8)
 
 
-def test_a_sensor_with_y_0_is_one_turn_away() -> None:
-    turned = zheng2018.T_plane_x_plane_y
-    np.testing.assert_allclose(se3.apply(turned, np.array([[0.01, 0.0, 0.17]])),
-                               [[0.0, 0.01, 0.17]])
-    assert np.linalg.det(turned) == pytest.approx(1.0)
-
-
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3), st.floats(1e-3, 10))
 def test_line_search_never_climbs_and_finds_a_minimum(c: list[float], top: float) -> None:
     a, b, d = c

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 import math
 
 from handeye_ros import se3
-from handeye_ros.data import Calibration, Quality, SampleReport
+from handeye_ros.data import Calibration, Quality, SampleReport, TimeOffset
 from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.results import calibration_file, table, truth_file
 from hypothesis import given, settings
@@ -46,14 +47,6 @@ def content_of(calibration, path):
     return yaml.safe_load(path.read_text())
 
 
-def test_read_back_it_is_equal(path):
-    calibration_file.write_calibration(CALIBRATION, path)
-    again = calibration_file.read_calibration(path)
-    assert calibration_file.equal(again, CALIBRATION)
-    assert not calibration_file.equal(replace(again, name='other'), CALIBRATION)
-    assert not calibration_file.equal(replace(again, covariance=2 * again.covariance), CALIBRATION)
-
-
 def test_the_documented_keys_in_their_order(path):
     content = content_of(CALIBRATION, path)
     assert list(content) == [
@@ -71,12 +64,6 @@ def test_the_documented_keys_in_their_order(path):
         'stamp': 1700000004500000001, 'used': False, 'reason': 'no edge in sight'}
     assert list(content['provenance']) == ['version', 'created', 'inputs', 'config']
     assert 'p_flange = T @ p_laser' in path.read_text()
-
-
-def test_the_time_is_put_in_where_there_is_none(path):
-    content = content_of(replace(CALIBRATION, provenance={}), path)
-    assert content['provenance']['created'].endswith('+00:00')
-    assert content['provenance']['version']
 
 
 finite = st.floats(-1e6, 1e6)
@@ -98,8 +85,10 @@ def calibrations(draw):
         inner, max_size=3) | st.dictionaries(words, inner, max_size=3), max_leaves=5)
     target = draw(st.dictionaries(words, plain, max_size=3))
     provenance = {'version': draw(words), 'created': draw(words), 'config': {}}
+    offset = draw(st.none() | st.builds(TimeOffset, finite, finite))
     names = [draw(words) for _ in range(4)]
-    return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance)
+    return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance,
+                       offset)
 
 
 @settings(max_examples=40, deadline=None)
@@ -107,39 +96,29 @@ def calibrations(draw):
 def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
     path = tmp_path_factory.mktemp('any') / 'calibration.yaml'
     calibration_file.write_calibration(calibration, path)
-    assert calibration_file.equal(calibration_file.read_calibration(path), calibration)
+    again = calibration_file.read_calibration(path)
+    assert calibration_file.equal(again, calibration)
+    for other in ({'name': f'{again.name}2'}, {'covariance': again.covariance + 1},
+                  {'time_offset': TimeOffset(1.0, 1.0)}):
+        assert not calibration_file.equal(replace(again, **other), calibration)
 
 
-def paths_to_values(content, prefix=()):
-    for key, value in content.items():
-        yield (*prefix, key)
-        if isinstance(value, dict) and key not in ('target', 'provenance'):
-            yield from paths_to_values(value, (*prefix, key))
-
-
-KEYS = [k for k in paths_to_values(calibration_file._content(CALIBRATION)) if k != ('rpy',)]
-
-
-@pytest.mark.parametrize('keys', KEYS, ids='.'.join)
-@pytest.mark.parametrize('damage', ['missing', 'wrong type'])
+@pytest.mark.parametrize('keys', [
+    'format', 'name', 'child_frame', 'transform', 'transform.rotation', 'transform.rotation.w',
+    'covariance', 'target', 'quality.samples_used', 'quality.holdout_rms', 'samples',
+    'provenance'])
+@pytest.mark.parametrize('damage', ['missing', 'of another type'])
 def test_damage_is_named(path, keys, damage):
     content = content_of(CALIBRATION, path)
-    section = content
-    for key in keys[:-1]:
-        section = section[key]
+    *sections, last = keys.split('.')
+    section = reduce(dict.__getitem__, sections, content)
     if damage == 'missing':
-        del section[keys[-1]]
+        del section[last]
     else:
-        section[keys[-1]] = None if keys[-1] == 'name' else object_of_wrong_type(section[keys[-1]])
+        section[last] = 7 if isinstance(section[last], str | list | dict) else 'seven'
     path.write_text(yaml.safe_dump(content))
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=f'(?s){path} cannot be used: {keys}'):
         calibration_file.read_calibration(path)
-    assert '.'.join(keys) in str(caught.value) or keys[-1] == 'format'
-    assert str(path) in str(caught.value)
-
-
-def object_of_wrong_type(value):
-    return 7 if isinstance(value, str | list | dict) else 'seven'
 
 
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
@@ -151,6 +130,7 @@ def object_of_wrong_type(value):
     ('used: true', 'used: 1', r'samples\[0\].used is 1'),
     ('covariance: [', 'covariance: [1.0, ', 'covariance does not hold 36 numbers'),
     ('covariance: [', 'covariance: [[', 'not valid YAML'),
+    ('rpy: [', 'rpy: [0.0, ', 'rpy does not hold 3 numbers'),
 ])
 def test_damaged_values(path, old, new, reason):
     calibration_file.write_calibration(CALIBRATION, path)
@@ -175,20 +155,15 @@ def test_no_such_file(path):
         calibration_file.read_calibration(path)
 
 
-def test_a_file_before_is_replaced_and_nothing_else_is_left(path):
+def test_written_whole_or_not_at_all(tmp_path, path):
     path.write_text('old')
-    calibration_file.write_calibration(CALIBRATION, path)
-    assert calibration_file.equal(calibration_file.read_calibration(path), CALIBRATION)
-    assert [p.name for p in path.parent.iterdir()] == ['calibration.yaml']
-
-
-def test_unwritable_folders_leave_nothing_behind(tmp_path):
-    (tmp_path / 'file').write_text('')
+    calibration_file.write_calibration(replace(CALIBRATION, provenance={}), path)
+    assert calibration_file.read_calibration(path).provenance['created'].endswith('+00:00')
     (tmp_path / 'folder' / 'inside').mkdir(parents=True)
-    for path in (tmp_path / 'file' / 'x.yaml', tmp_path / 'folder'):
+    for place in (path / 'x.yaml', tmp_path / 'folder'):
         with pytest.raises(UnwritableError, match='cannot write'):
-            calibration_file.write_calibration(CALIBRATION, path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ['file', 'folder']
+            calibration_file.write_calibration(CALIBRATION, place)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['calibration.yaml', 'folder']
 
 
 def printed(calibration):
@@ -212,7 +187,6 @@ def test_reasons_that_differ_in_their_figures_are_one_line():
 def test_the_report_has_millimetres_and_degrees(path):
     text = printed(CALIBRATION)
     std = np.sqrt(np.diag(CALIBRATION.covariance))
-    assert 'laser in flange. T maps points of laser into flange: p_flange = T @ p_laser' in text
     assert row(text, 'x') == ['x', '12.300', f'{std[0] * 1e3:.3f}', 'mm']
     roll = math.degrees(se3.rpy(CALIBRATION.T_flange_sensor)[0])
     assert row(text, 'roll')[1] == f'{roll:.4f}'
@@ -221,8 +195,6 @@ def test_the_report_has_millimetres_and_degrees(path):
     assert '1 rejected: no edge in sight' in text
     assert '40.000 mm, given' in text
     assert '90.0002 degrees, 1 sigma 0.0057' in text
-    assert '0.021 mm RMS' in text
-    assert '0.026 mm RMS' in text
 
 
 def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():

@@ -91,13 +91,6 @@ def test_it_shows_the_same_numbers_as_the_file(page: Any, calibration: Calibrati
     assert calibration.provenance['inputs'][0]['sha256'] in text_of(page, 'inputs')
 
 
-def test_the_verdict_comes_first(page: Any, calibration: Calibration) -> None:
-    first = page.find_element('css selector', 'h1')
-    assert re.match(r'Good for mapping points of laser into flange to 0\.\d+ mm', first.text)
-    assert first.location['y'] < 100
-    assert not page.find_elements('id', 'remarks')
-
-
 def test_the_scene_is_drawn_and_turns(page: Any) -> None:
     painted, colors, before = page.execute_script(PAINTED)
     assert painted > 3000 and colors > 10
@@ -110,54 +103,24 @@ def test_the_scene_is_drawn_and_turns(page: Any) -> None:
     assert float(text_of(page, 'factor')) >= 1
 
 
-def test_a_zoomed_scene_stays_in_view_and_can_be_reset(page: Any) -> None:
+def test_a_zoomed_scene_can_be_reset_and_keys_turn_it(page: Any) -> None:
     canvas, reset = page.find_element('id', 'scene'), page.find_element('id', 'reset')
     reset.click()
-    _, _, first = page.execute_script(PAINTED)
-    from selenium.webdriver import ActionChains
+    first = page.execute_script(PAINTED)[2]
+    canvas.click()  # the wheel zooms what was clicked
     for _ in range(4):  # on a corner of what is drawn, not on the middle of the picture
         page.execute_script(
             "arguments[0].dispatchEvent(new WheelEvent('wheel', {deltaY: -800, clientX: "
             'arguments[0].getBoundingClientRect().left + 300, clientY: '
             'arguments[0].getBoundingClientRect().top + 340}))', canvas)
-    for right, down in ((150, 0), (0, 90), (-80, -60)):
-        ActionChains(page).move_to_element(canvas).click_and_hold().move_by_offset(
-            right, down).release().perform()
-        painted, _, zoomed = page.execute_script(PAINTED)
-        assert painted > 800 and zoomed != first  # more than the axes in the corner
+    painted, _, zoomed = page.execute_script(PAINTED)
+    assert painted > 800 and zoomed != first  # more than the axes in the corner
     reset.click()
     assert page.execute_script(PAINTED)[2] == first
-
-
-def test_keys_turn_the_scene(page: Any) -> None:
-    canvas = page.find_element('id', 'scene')
-    page.find_element('id', 'reset').click()
-    first = page.execute_script(PAINTED)[2]
     canvas.send_keys('\ue014+')  # arrow right
     assert page.execute_script(PAINTED)[2] != first
     canvas.send_keys('0')
     assert page.execute_script(PAINTED)[2] == first
-
-
-def test_it_is_dark_where_that_is_preferred_but_not_in_print(solved: Path) -> None:
-    with chromium() as browser:
-        for media, scheme, dark in (('screen', 'light', False), ('screen', 'dark', True),
-                                    ('print', 'dark', False)):
-            browser.execute_cdp_cmd('Emulation.setEmulatedMedia', {
-                'media': media, 'features': [{'name': 'prefers-color-scheme', 'value': scheme}]})
-            browser.get((solved / 'report.html').as_uri())
-            color = browser.find_element('tag name', 'body').value_of_css_property(
-                'background-color')
-            assert (int(re.findall(r'\d+', color)[0]) < 60) is dark, (media, scheme, color)
-
-
-def test_details_say_in_words_what_a_setback_is_of(page: Any, calibration: Calibration) -> None:
-    keys = [key for key in calibration.target if re.fullmatch(r'setback_[pq]_\w+(?<!_std)', key)]
-    rows = re.findall(r'set-back of edge [pq], [a-z ]+', text_of(page, 'details'))
-    assert len(rows) == len(keys) > 0
-    assert 'setback' not in text_of(page, 'facts')
-    weakest = f'{calibration.quality.weakest_std * 1e3:.3f} mm'
-    assert weakest in text_of(page, 'explained')
 
 
 def test_every_picture_is_there(page: Any, calibration: Calibration) -> None:
@@ -176,19 +139,7 @@ def test_the_numbers_can_be_copied(page: Any) -> None:
     assert result <= {'copied', 'press Ctrl-C'}
     uses = [pre.text for pre in page.find_elements('css selector', '.copy pre')]
     assert '<origin xyz="' in uses[0] and uses[1].startswith('ros2 run tf2_ros static_')
-
-
-def test_nothing_is_complained_of(page: Any) -> None:
     assert complaints(page) == []
-
-
-def test_a_phone_needs_no_scrolling_sideways(solved: Path) -> None:
-    with chromium(360, 740) as browser:
-        browser.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
-            'width': 360, 'height': 740, 'deviceScaleFactor': 2, 'mobile': True})
-        browser.get((solved / 'report.html').as_uri())
-        assert browser.execute_script('return document.documentElement.scrollWidth') <= 360
-        assert browser.execute_script(PAINTED)[0] > 3000
 
 
 def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, found: Evidence
@@ -226,16 +177,6 @@ def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -
     assert mapped_std(calibration, points) == pytest.approx(rms, rel=0.05)
 
 
-@pytest.mark.thorough
-def test_without_its_recording_it_says_so(solved: Path, tmp_path: Path) -> None:
-    text = (solved / 'calibration.yaml').read_text()
-    (tmp_path / 'calibration.yaml').write_text(text.replace(str(BAG), 'gone'))
-    run = handeye('report', '.', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    text = (tmp_path / 'report.html').read_text()
-    assert 'is not there, so its stops are not shown: name the recording with --bag' in text
-
-
 def test_a_recording_of_a_relative_path_is_found_from_another_folder(
         calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / 'bag').symlink_to(BAG)
@@ -269,12 +210,6 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
     found = evidence(files, None)
     assert 'solved from files' in found.missing
     assert 'id="scene"' in report.html(files, found)
-
-
-@pytest.mark.thorough
-def test_wrong_input_is_refused(tmp_path: Path) -> None:
-    assert_refused(handeye('report', 'none.yaml', cwd=tmp_path), 2, 'none.yaml cannot be used')
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_calibration_that_says_little_of_itself_has_a_report_too(calibration: Calibration
