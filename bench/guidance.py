@@ -54,7 +54,7 @@ from handeye_ros.guidance.rules import limits_of
 from handeye_ros.guidance.score import extremes, learn_view, mapping, View
 from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.features import of_profiles, require_inside
+from handeye_ros.sampling.features import of_profiles
 from handeye_ros.sampling.session import duplicate_pose, Outcome
 from handeye_ros.simulate import (
     plate,
@@ -146,7 +146,6 @@ class World:
             sensor.plane_points(self.scenario.sensor, measured))]
         self.seen = extremes(np.concatenate([self.seen, profiles[-1].points]))
         used, features = of_profiles(profiles, self.config)
-        require_inside(features, used)
         self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)
         sample = Sample(len(self.samples), reported(T_base_flange, error), features, len(used))

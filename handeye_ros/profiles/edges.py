@@ -1,15 +1,17 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The edge at the end of a face: sharp, rounded or bevelled.
+Where a face of a profile ends in an edge, and where it only ends.
 
-The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
-gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at
-its last point before the drop, the bent end included. What lies behind the end is searched in the
-frame of the face, on the continuation of its surface.
+`edge_at` decides: all that makes an end real, or speaks against it, stands there. The edge is
+where the plane of the face meets the plane of the wall below it. A wall in sight gives it as the
+crossing of two lines, whatever lies between them. Otherwise the plate ends at its last point
+before the drop, the bent end included. What lies behind the end is searched in the frame of the
+face, on the continuation of its surface.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -21,6 +23,19 @@ from handeye_ros.profiles.segment import returned, Segment, STEEPEST
 import numpy as np
 from numpy.typing import NDArray
 
+# why an end of a face is no edge
+BORDER = 'at the border of the field of view'
+NEARER = 'at something nearer'
+BENT = 'where its surface goes on at nearly the same height'
+
+GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
+NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
+ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
+ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
+MIN_STEP_SIGMAS = 8.0
+SHADOW_SLOPE = 2.0  # largest width hidden behind a step, over its height
+LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
+STEEP_ERROR = 1.0  # error of a steep surface, as a share of its additional noise
 MOST_LOST = 4  # largest number of rows between neighbouring points of the plate
 SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
 CONTINUATION_ROWS = 80  # rows behind a face that may still be its bent end or its wall
@@ -40,59 +55,19 @@ RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 
 
 @dataclass(frozen=True, eq=False)
-class Returns:
-    """
-    A profile with its returns, for the search of ends of faces.
-
-    points: (n, 2) of the profile; rows: (k,) with a return; near: sign for which near * range is
-    larger for nearer points: -1 if the range grows away from the sensor.
-    """
-
-    points: Array
-    rows: NDArray[np.intp]
-    near: int
-
-    def lost(self, first: int, last: int) -> int:
-        """Return the number of rows without a return, after the first and up to the last."""
-        found = self.rows.searchsorted([first, last])
-        return last - first - int(found[1] - found[0])
-
-    def outwards(self, row: int, outward: int) -> NDArray[np.intp]:
-        """Return a row and the returns among the CONTINUATION_ROWS behind it."""
-        at = int(self.rows.searchsorted(row))
-        if outward > 0:
-            some = self.rows[at:at + CONTINUATION_ROWS + 1]
-            return some[:some.searchsorted(row + CONTINUATION_ROWS + 1)]
-        some = self.rows[max(at - CONTINUATION_ROWS, 0):at + 1]
-        return some[some.searchsorted(row - CONTINUATION_ROWS):][::-1]
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """
-    The frame of a face at one of its ends: along the face, outwards, and below.
-
-    origin: (2,) the point of the face line at the segment's last point; along: (2,) unit
-    vector; below: (2,) unit vector away from the sensor.
-    """
-
-    origin: Array
-    along: Array
-    below: Array
-
-    def of(self, points: Array) -> tuple[Array, Array]:
-        """Return the coordinates of points (k, 2) along and below the face."""
-        away = points - self.origin
-        return away @ self.along, away @ self.below
-
-
-@dataclass(frozen=True, eq=False)
 class End:
-    """One end of a segment of a profile, with the direction of the rows behind it (+1 or -1)."""
+    """
+    One end of a straight piece of a profile, with the frame of the face there.
+
+    points: (n, 2) of the profile; returns: (k,) rows with a return; near: sign for which near *
+    range is larger for nearer points; outward: direction of the rows behind the end, +1 or -1.
+    """
 
     segment: Segment
+    points: Array
+    returns: NDArray[np.intp]
+    near: int
     outward: int
-    seen: Returns
 
     @property
     def row(self) -> int:
@@ -107,29 +82,164 @@ class End:
         """Return the last row of another segment as seen from this end."""
         return other.last if self.outward > 0 else other.first
 
-    @property
+    def following(self, segments: Sequence[Segment]) -> list[Segment]:
+        """Return the segments behind the end, the nearest first."""
+        return [s for s in segments[::self.outward] if s is not self.segment
+                and (s.first - self.row) * self.outward > 0]
+
+    def lost(self, first: int, last: int) -> int:
+        """Return the number of rows without a return, after the first and up to the last."""
+        found = self.returns.searchsorted([first, last])
+        return last - first - int(found[1] - found[0])
+
+    @cached_property
     def column(self) -> float:
         """Return the mean distance along x between neighbouring columns of the segment."""
         first, last = self.segment.first, self.segment.last
-        x = self.seen.points[:, 0]
+        x = self.points[:, 0]
         return abs(float(x[last] - x[first])) / (last - first)
 
+    @property
+    def pitch(self) -> float:
+        """Return the mean distance between neighbouring points along the face."""
+        return self.column * math.hypot(1.0, self.segment.slope)
+
     @cached_property
-    def frame(self) -> Frame:
-        """Return the frame of the face here."""
-        segment, points = self.segment, self.seen.points
-        x, middle = (points.item(row, 0) for row in
+    def frame(self) -> Array:
+        """
+        Return the frame of the face (3, 2): origin, and unit vectors outwards and below.
+
+        The origin is the point of the face line at the segment's last point.
+        """
+        segment = self.segment
+        x, middle = (self.points.item(row, 0) for row in
                      (self.row, segment.rows.item(len(segment.rows) // 2)))
         outward = -1.0 if x < middle else 1.0
-        length, near = math.hypot(1.0, segment.slope), self.seen.near
-        frame = np.array([[x, segment.height(x)],
-                          [outward / length, outward * segment.slope / length],
-                          [near * segment.slope / length, -near / length]])
-        return Frame(*frame)
+        length, near = math.hypot(1.0, segment.slope), self.near
+        return np.array([[x, segment.height(x)],
+                         [outward / length, outward * segment.slope / length],
+                         [near * segment.slope / length, -near / length]])
 
-    def along_and_below(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+    def outwards_and_below(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the coordinates of rows of the profile along and below the face."""
-        return self.frame.of(self.seen.points.take(rows, axis=0))
+        origin, along, below = self.frame
+        away = self.points.take(rows, axis=0) - origin
+        return away @ along, away @ below
+
+    def edge(self, place: float, std: float, kind: str) -> EdgePoint:
+        """Return the edge point on the face line, at a place (m) outwards from the origin."""
+        origin, along, _ = self.frame
+        return EdgePoint(origin + place * along, along, std, 0.0, kind)
+
+    def rise_of(self, row: int) -> float:
+        """Return by how much a point is nearer than the face line (m, along the range)."""
+        x, z = self.points[row].tolist()
+        return float(self.near * (z - self.segment.height(x)))
+
+
+def edge_at(end: End, segments: Sequence[Segment]) -> EdgePoint | str:
+    """
+    Return the edge at the end of a face, or in words why it is none.
+
+    segments: all of the profile, in the order of their first rows. The face ends in an edge where
+    a wall is seen (roof), where the next surface is lower (step, or shadow if its foot is hidden),
+    or where nothing is seen behind it (gap, or open if the driver does not say).
+    """
+    rows = continuation(end)
+    following = end.following(segments)
+    if following and _is_bevel(end, following[0], rows):
+        following = following[1:]
+    other = following[0] if following else None
+    if other is None:
+        size = len(end.points)
+        if end.lost(*((end.row + 1, size) if end.outward > 0 else (0, end.row))) >= GAP_COLUMNS:
+            kind = 'gap'
+        elif end.lost(0, size):
+            return BORDER
+        else:  # a driver that leaves lost points out does not say where the field of view ends
+            kind = 'open'
+    else:
+        start, least = end.start_of(other), smallest_step(end, other)
+        rows = rows[:np.count_nonzero(np.abs(rows - end.row) < abs(start - end.row))]
+        corner = _meet_in_a_corner(end, other, rows)
+        # a surface that turns away from the sensor leaves the line over its whole length
+        rise = end.rise_of(end.end_of(other) if corner else start)
+        if corner:
+            kind = 'roof'
+            if rise > 0:
+                return NEARER
+        elif rise > least:
+            kind = 'gap'
+            if abs(end.points[start, 0] - end.points[end.row, 0]) <= SHADOW_SLOPE * rise:
+                return NEARER
+        elif rise < -least:
+            kind = 'shadow' if _foot_hidden(end, rows, start) else 'step'
+        else:
+            return BENT
+    room = min(end.row, len(end.points) - 1 - end.row) * end.pitch
+    if room < NEAREST and end.lost(0, len(end.points)):
+        return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
+                f'(move it {NEAREST * 1e3:.0f} mm or more into the view)')
+    if kind == 'roof' and other is not None:
+        return _corner(end, other)
+    wall = _wall(end, rows)
+    if wall:
+        return end.edge(*wall, 'roof')
+    return _last_point(end, rows, other if kind in ('step', 'shadow') else None, kind)
+
+
+def smallest_step(end: End, other: Segment) -> float:
+    """Return the smallest height (m) between a face and another surface that is a step."""
+    return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
+
+
+def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
+    """Return whether the next piece is a bevel of the same plate, not a wall or face."""
+    if not np.count_nonzero(rows == end.start_of(other)):
+        return False
+    u, v = end.outwards_and_below(np.array([end.start_of(other), end.end_of(other)]))
+    size, down = math.hypot(u[1] - u[0], v[1] - v[0]), float(v[1] - v[0])
+    return size <= LARGEST_BEVEL and down > 0 and abs(u[1] - u[0]) > WALL_SLOPE * down
+
+
+def _foot_hidden(end: End, rows: NDArray[np.intp], start: int) -> bool:
+    """Return whether there are no returns between the end of a plate and the ground's start."""
+    last = int(rows[-1]) if len(rows) else end.row
+    return end.lost(*sorted((last, start))) >= GAP_COLUMNS
+
+
+def _meet_in_a_corner(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
+    """Return whether two pieces end in a common corner."""
+    a, b = end.segment, other
+    if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
+        return False
+    x = (b.offset - a.offset) / (a.slope - b.slope)
+    x_end, x_start = end.points[end.row, 0], end.points[end.start_of(other), 0]
+    # a rounded or bevelled corner leaves room between the pieces, with points of its own
+    bent = len(rows) > 0 and abs(end.start_of(other) - rows[-1]) <= MOST_LOST
+    reach = max(ROOF_REACH * end.column, LARGEST_BEVEL if bent else 0.0)
+    return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
+                and abs(x_start - x_end) <= 2 * reach)
+
+
+def _corner(end: End, other: Segment) -> EdgePoint:
+    """Return the edge where the lines of two pieces cross."""
+    a, b = end.segment, other
+    x = (b.offset - a.offset) / (a.slope - b.slope)
+    # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
+    # than the face has an additional error of that size
+    steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5 * STEEP_ERROR
+    offset_std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
+    length = math.hypot(1.0, a.slope)
+    origin, along, _ = end.frame
+    place = (x - origin[0]) * np.sign(along[0]) * length
+    return end.edge(float(place), offset_std / abs(a.slope - b.slope) * length, 'roof')
+
+
+def _std_at(segment: Segment, x: float, points: Array) -> float:
+    """Return 1 sigma of the range of a segment's line at x."""
+    xs = points[segment.rows, 0]
+    return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
 
 
 def continuation(end: End) -> NDArray[np.intp]:
@@ -139,20 +249,26 @@ def continuation(end: End) -> NDArray[np.intp]:
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
     """
-    rows = end.seen.outwards(end.row, end.outward)
+    at = int(end.returns.searchsorted(end.row))
+    if end.outward > 0:
+        rows = end.returns[at:at + CONTINUATION_ROWS + 1]
+        rows = rows[:rows.searchsorted(end.row + CONTINUATION_ROWS + 1)]
+    else:
+        rows = end.returns[max(at - CONTINUATION_ROWS, 0):at + 1]
+        rows = rows[rows.searchsorted(end.row - CONTINUATION_ROWS):][::-1]
     # mostly there is nothing, or only the drop
     if len(rows) == 1 or not (_follows(end, rows[0], rows[1])
                               or (len(rows) > 2 and _follows(end, rows[0], rows[2]))):
         return rows[1:1]
     follows = _follows(end, rows[:-1], rows[1:])
-    found = leading(follows) + 1
+    found = _leading(follows) + 1
     if found < len(rows) - 1 and _follows(end, rows[found - 1], rows[found + 1]):
-        more = found + 2 + leading(follows[found + 1:])
+        more = found + 2 + _leading(follows[found + 1:])
         return np.concatenate([rows[1:found], rows[found + 1:more]])
     return rows[1:found]
 
 
-def leading(values: NDArray[np.bool_]) -> int:
+def _leading(values: NDArray[np.bool_]) -> int:
     """Return the number of true values before the first false one."""
     first = int(values.argmin()) if len(values) else 0
     return len(values) if not len(values) or values[first] else first
@@ -160,15 +276,15 @@ def leading(values: NDArray[np.bool_]) -> int:
 
 def _follows(end: End, rows: Any, after: Any) -> Any:
     """Return whether a row (or which rows) continues a surface that curves away."""
-    points, slack = end.seen.points, SLACK_SIGMAS * end.segment.noise
+    points, slack = end.points, SLACK_SIGMAS * end.segment.noise
     step = (points[after] - points[rows]).T
-    aside, drop = abs(step[0]), -end.seen.near * step[1]
+    aside, drop = abs(step[0]), -end.near * step[1]
     # a driver may leave lost points out: then the next row need not be near
     return ((drop < STEEPEST * aside + slack) & (drop > -slack)
             & (abs(after - rows) <= MOST_LOST) & (aside < (MOST_LOST + 0.5) * end.column))
 
 
-def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
+def _wall(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     """
     Return position and 1 sigma (m) where a wall in the continuation (rows) meets the face line.
 
@@ -176,7 +292,7 @@ def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     """
     if len(rows) < WALL_POINTS:
         return None
-    all_u, all_v = u, v = end.along_and_below(rows)
+    all_u, all_v = u, v = end.outwards_and_below(rows)
     lowest = float(v.max())
     if lowest < SMALLEST_WALL:
         return None
@@ -197,11 +313,11 @@ def wall_edge(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
 
 def _end_of_face(end: End, u: Array, v: Array) -> float:
     """Return the end of the flat part of a face, with points at u along and v below it."""
-    flat = leading(v <= FLAT_SIGMAS * end.segment.noise)
+    flat = _leading(v <= FLAT_SIGMAS * end.segment.noise)
     return float(u[flat - 1]) if flat else 0.0
 
 
-def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str) -> EdgePoint:
+def _last_point(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str) -> EdgePoint:
     """
     Return the end of a plate before a drop, its continuation (rows) included.
 
@@ -211,8 +327,8 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
     segment = end.segment
     plate = segment.rows[::end.outward][-LAST_POINTS:]
     plate = np.concatenate([plate, rows]) if len(rows) else plate
-    u, v = end.along_and_below(plate)
-    pitch = end.column * math.hypot(1.0, segment.slope)
+    u, v = end.outwards_and_below(plate)
+    pitch = end.pitch
     step = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1)
     step = min(max(step, 0.0), pitch) if len(rows) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:]) if len(rows) else 0.0
@@ -221,7 +337,7 @@ def end_edge(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
     std = math.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_STD ** 2)
                     + (RAMP_STD * pitch * 2 * width) ** 2)
-    edge = edge_point(end.frame, place, std, kind)
+    edge = end.edge(place, std, kind)
     lowest = sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS
     if lowest < ROUNDED_SIGMAS * segment.noise / LAST_POINTS ** 0.5:
         return edge
@@ -234,13 +350,14 @@ def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, be
     segment, before = end.segment, max(2 * len(rows), SHORTEST_ROUNDING)
     believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
     rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
-    rounding = rounding_of(*end.along_and_below(rows), place,
-                           end.column * math.hypot(1.0, segment.slope), segment.noise)
+    rounding = rounding_of(*end.outwards_and_below(rows), place,
+                           end.pitch, segment.noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(rounding.depth, STEEPEST_ROUNDING * beyond + FLAT_SIGMAS * segment.noise)
     out, below = rounding.middle
-    arc = (out - place) * end.frame.along + below * end.frame.below
-    return replace(edge, drop=depth * end.frame.below, shapes=rounding.shapes, arc=arc,
+    _, along_axis, below_axis = end.frame
+    arc = (out - place) * along_axis + below * below_axis
+    return replace(edge, drop=depth * below_axis, shapes=rounding.shapes, arc=arc,
                    arc_std=rounding.middle_std)
 
 
@@ -257,7 +374,7 @@ def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float
     if ground is None or not 0 < between <= MOST_MIXED:
         return 0, 0.0
     columns = np.arange(between + 2)
-    points = end.seen.points.take(last + end.outward * columns, axis=0)
+    points = end.points.take(last + end.outward * columns, axis=0)
     seen = returned(points)
     columns = columns.take(seen)
     x, z = points.take(seen, axis=0).T
@@ -269,15 +386,3 @@ def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float
     after = max(int(np.argmax(share > 0.5)), 1)
     part = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
     return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))
-
-
-def edge_point(frame: Frame, place: float, std: float, kind: str) -> EdgePoint:
-    """Return the edge point on the face line, at a place (m) from the last point of the face."""
-    return EdgePoint(frame.origin + place * frame.along, frame.along, std, 0.0, kind)
-
-
-def std_at(segment: Segment, x: float, points: Array) -> float:
-    """Return 1 sigma of the range of a segment's line at x."""
-    xs = points[segment.rows, 0]
-    spread = xs.std()
-    return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / spread) ** 2) / len(xs)))

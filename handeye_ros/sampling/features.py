@@ -31,7 +31,6 @@ LEAST_AGREEING = 0.6  # smallest share of the profiles of a stop
 ALONG = 0.1  # weight of a distance along a surface against one across, to match lines
 MOST_TIMES = 4  # profiles of one stop count as at most this many for an edge
 MOST_SINGLE = 32  # profiles of a pass that are evaluated, twice as many if few show the target
-NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
 
 
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
@@ -52,7 +51,6 @@ def sample_of(stop: Stop, config: Config) -> Sample:
     if not profiles:
         raise _no_profiles(stop, config)
     used, features = of_profiles(profiles, config)
-    require_inside(features, used)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
                   _flipped(used[0], config))
@@ -127,34 +125,6 @@ def of_profiles(profiles: Sequence[Profile], config: Config
     return ([profile for profile, _ in found],
             combine([features for _, features in found],
                     1 if method.essential else len(method.kinds)))
-
-
-def require_inside(features: Sequence[Feature], profiles: Sequence[Profile]) -> None:
-    """
-    Reject a stop if all its edges may be cut off by the border of the view.
-
-    The view ends where the columns of a profile end. A driver that omits columns without a return
-    hides this; then nothing is refused.
-    profiles: those of the stop that show the features. Raises FeatureError.
-    """
-    edges = [feature for feature in features if isinstance(feature, EdgePoint)]
-    columns = {len(profile.points) for profile in profiles}
-    if not edges or len(columns) > 1 or not np.isnan(profiles[0].points).any():
-        return
-    farthest = max(_to_the_end(edge, profiles[0].points) for edge in edges)
-    if farthest < NEAREST:
-        raise FeatureError(
-            f'the edge lies {farthest * 1e3:.1f} mm from the end of the view, where it may '
-            f'be cut off: move it {NEAREST * 1e3:.0f} mm or more into the view')
-
-
-def _to_the_end(edge: EdgePoint, points: Array) -> float:
-    """Return the width (m) of the columns beside an edge, on the side with fewer."""
-    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
-    at = seen[int(np.argmin(np.abs(points[seen] - edge.point).sum(axis=1)))]
-    along = points[seen] @ edge.direction
-    spacing = float(np.median(np.abs(np.diff(along) / np.diff(seen))))
-    return float(min(at, len(points) - 1 - at) * spacing)
 
 
 def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:
