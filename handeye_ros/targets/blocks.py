@@ -3,12 +3,15 @@
 """Nuisance parameters common to targets: set-back of faces, shapes of edges, flatness."""
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Linear, Target
-from handeye_ros.targets.common import edges_of, ENDS, ends_of, out_of_face
+from handeye_ros.estimation.problem import Linear
+from handeye_ros.targets.common import EdgeObservations, edges_of, ENDS, out_of_face
 import numpy as np
+from numpy.typing import NDArray
 
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
 
@@ -16,10 +19,36 @@ GRAZING = 0.64  # cosine of the incidence below which the range of a face may be
 STEEPNESS = np.array([8, 16, 32])  # exponents of the smallest cosine over that of a point
 
 
-def of_faces_and_edges(linear: Linear) -> Blocks:
-    """Yield the blocks of set-backs, edge shapes, and flatness of faces."""
-    for source in (setbacks, edge_shapes, flatness, grazing):
-        yield from source(linear)
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """
+    The ends of faces, m observations in all.
+
+    feature: (m,) index of the feature of each observation; parts: for each (kind, way the face
+    ends), which observations (m,) these are, kind 0 if an end has several; slope: (m,) of the face
+    there, against the line of sight.
+    """
+
+    feature: NDArray[np.intp]
+    parts: dict[tuple[int, int], NDArray[np.bool_]]
+    slope: Array
+
+    def outwards(self, linear: Linear) -> Array:
+        """Return derivatives (m,) by outward moves of the ends, of unit length per feature."""
+        along = out_of_face(linear)
+        length = np.sqrt(np.bincount(self.feature, along ** 2))[self.feature]
+        return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
+
+
+def ends_of(obs: EdgeObservations) -> Ends:
+    """Return the ends of faces among observations."""
+    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
+    _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
+    kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
+    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
+    slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
+                      where=obs.outward[:, 0] != 0)
+    return Ends(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
 
 
 def setbacks(linear: Linear) -> Blocks:
@@ -78,16 +107,3 @@ def grazing(linear: Linear) -> Blocks:
         share = np.where(cosine < GRAZING, least / np.maximum(cosine, least), 0.0)
         columns = linear.by_point[:, 1:] * share[:, None] ** STEEPNESS
         yield ParameterBlock('grazing', columns * std, std)
-
-
-class FaceTarget(Target):
-    """A target of faces and edges, with their nuisance parameters."""
-
-    def blocks(self, linear: Linear) -> Blocks:
-        """Yield the blocks of set-backs, shapes of edges, and flatness of faces."""
-        return of_faces_and_edges(linear)
-
-    def feature_errors(self, linear: Linear) -> Array:
-        """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
-        setback = linear.problem.config.target.setback_std
-        return out_of_face(linear)[:, None] * setback

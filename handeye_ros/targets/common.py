@@ -3,11 +3,11 @@
 """Common to the targets: ends of faces, collecting observations, linear search for a start."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.data import Array, EdgePoint, FaceLine
 from handeye_ros.estimation.problem import Linear, Observations, Problem
 import numpy as np
 from numpy.typing import NDArray
@@ -35,27 +35,6 @@ class EdgeObservations(Observations):
     shape: Array = field(default_factory=lambda: np.empty(0))
 
 
-@dataclass(frozen=True, eq=False)
-class Ends:
-    """
-    The ends of faces, m observations in all.
-
-    feature: (m,) index of the feature of each observation; parts: for each (kind, way the face
-    ends), which observations (m,) these are, kind 0 if an end has several; slope: (m,) of the face
-    there, against the line of sight.
-    """
-
-    feature: NDArray[np.intp]
-    parts: dict[tuple[int, int], NDArray[np.bool_]]
-    slope: Array
-
-    def outwards(self, linear: Linear) -> Array:
-        """Return derivatives (m,) by outward moves of the ends, of unit length per feature."""
-        along = out_of_face(linear)
-        length = np.sqrt(np.bincount(self.feature, along ** 2))[self.feature]
-        return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
-
-
 def out_of_face(linear: Linear) -> Array:
     """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
     outward = edges_of(linear.problem.observations).outward
@@ -69,17 +48,6 @@ def edges_of(obs: Observations) -> EdgeObservations:
     none = np.zeros(len(obs))
     return EdgeObservations(obs.station, obs.points, obs.kind, obs.noise, obs.source,
                             obs.component, none.astype(np.intp), np.zeros((len(obs), 2)), none)
-
-
-def ends_of(obs: EdgeObservations) -> Ends:
-    """Return the ends of faces among observations."""
-    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
-    _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
-    kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
-    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
-    slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
-                      where=obs.outward[:, 0] != 0)
-    return Ends(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
 
 
 @dataclass
@@ -131,16 +99,6 @@ def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
     noise = np.zeros((len(points), 2, 2))
     noise[:, :, 0] = std[:, None] * across
     rows.add_points(station, points, kind, noise, source)
-
-
-def collect(samples: Sequence[Sample],
-            add: Callable[[ObservationRows, int, Feature, int], None]) -> EdgeObservations:
-    """Return the observations of all features; add(rows, station, feature, source) appends one."""
-    rows = ObservationRows()
-    for station, sample in enumerate(samples):
-        for i, feature in enumerate(sample.features):
-            add(rows, station, feature, SOURCES * i)
-    return rows.observations()
 
 
 def edge_noise(edge: EdgePoint) -> Array:

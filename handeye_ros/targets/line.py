@@ -11,15 +11,14 @@ measured on that line.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.data import Array, EdgePoint, Feature
 from handeye_ros.estimation.problem import (
-    Conditions,
     Estimate,
     Observations,
     Problem,
@@ -27,39 +26,33 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import (
-    add_face,
     best_linear,
-    collect,
     edge_noise,
+    edges_of,
+    ENDS,
     FACE,
     hemisphere,
     nearest_transform,
     ObservationRows,
     some_of,
+    SOURCES,
 )
-from handeye_ros.targets.starts import same_kind, same_side
+from handeye_ros.targets.target import FaceTarget
 import numpy as np
 from numpy.typing import NDArray
 
 EDGE_Y, EDGE_Z = 1, 2
 KINDS = ('face', 'edge', 'edge_z')
-LABELS = ('y', 'z', 'rx', 'ry', 'rz')
 NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
 DIRECTIONS = 400
 CANDIDATES = 24
 MINIMUM = 7  # samples
 BELIEVED_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
-
-
-def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
-    if isinstance(feature, FaceLine):
-        add_face(rows, station, feature, source)
-    elif isinstance(feature, EdgePoint):
-        for kind in (EDGE_Y, EDGE_Z):
-            rows.add(station, feature.point, kind, edge_noise(feature), source, feature)
+CONDITIONS = 2  # of one edge point
+# of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
+GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDS)])
 
 
 def _turns(observations: Observations, p: Array, target: Array) -> Array:
@@ -136,22 +129,69 @@ def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
 
 
+def same_kind(problem: Problem, fewest: int) -> list[Problem]:
+    """
+    Return problems with edge points of one group of kinds each, the most frequent first.
+
+    Nearly all stations see a corner as a corner, whatever else ends a face (the sensor's reach, a
+    step). If a station shows several of a kind, those of either side follow.
+    """
+    obs = problem.observations
+    group = np.where(obs.kind == FACE, 0, GROUPS[edges_of(obs).end])
+    stations = [len(np.unique(obs.station[group == k])) for k in range(GROUPS.max() + 1)]
+    present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
+    if len(present) < 2:
+        return []
+    left = _left(problem)
+    choices = [(group == k) & side for k in present for side in (True, left, ~left)]
+    parts = [_part(problem, chosen, fewest) for chosen in choices]
+    return [part for i, part in enumerate(parts) if part is not None and (
+        i % 3 == 0 or np.bincount(obs.station[choices[i - i % 3]]).max() > CONDITIONS)]
+
+
+def same_side(problem: Problem, fewest: int) -> list[Problem]:
+    """Return problems with all edge points, or the left or right ones where there are several."""
+    edge = problem.observations.kind != FACE
+    choices = [edge]
+    if _several(problem):
+        left = _left(problem)
+        choices += [edge & left, edge & ~left]
+    return [part for chosen in choices if (part := _part(problem, chosen, fewest)) is not None]
+
+
+def _several(problem: Problem) -> bool:
+    """Return whether any station shows several ends of a face."""
+    obs = problem.observations
+    return bool((obs.kind == FACE).any()
+                and np.bincount(obs.station[obs.kind != FACE]).max(initial=0) > CONDITIONS)
+
+
+def _left(problem: Problem) -> NDArray[np.bool_]:
+    """Return which observations (m,) are left of the centre of their station's face."""
+    obs, n = problem.observations, len(problem.poses)
+    face = obs.kind == FACE
+    total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
+    middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
+    return np.asarray(obs.points[:, 0] < middle[obs.station])
+
+
+def _part(problem: Problem, chosen: NDArray[np.bool_], fewest: int) -> Problem | None:
+    """Return the problem of chosen observations (m,), None if too few stations have any."""
+    part = replace(problem, observations=problem.observations.select(chosen))
+    stations = np.unique(part.observations.station)
+    everything = chosen[problem.observations.kind != FACE].all()
+    return part.subset(stations) if len(stations) >= fewest or everything else None
+
+
 class Line(FaceTarget):
     """One straight edge: every edge point lies on one line of the base frame."""
 
     name = 'line'
     kinds = KINDS
-    labels = LABELS
+    labels, moves = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
+    features = staticmethod(face_features)
     essential = ('edge',)
     minimum = MINIMUM
-
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
-        return face_features(points, config)
-
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of face lines and edge points; labels are assigned later."""
-        return collect(samples, _add)
 
     def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """
@@ -169,27 +209,24 @@ class Line(FaceTarget):
             for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
                 yield _with_face(whole, e) if target.use_face else e
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
-                   ) -> Conditions:
+    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
+        """Append two conditions of an edge point, or those of a face line."""
+        super().add(rows, station, feature, number)
+        if isinstance(feature, EdgePoint):
+            for kind in (EDGE_Y, EDGE_Z):
+                rows.add(station, feature.point, kind, edge_noise(feature), SOURCES * number,
+                         feature)
+
+    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
+                  ) -> tuple[Array, Array, Array]:
         """Return the distances from the line in y and z, or from the face."""
-        T = target.reshape(*target.shape[:-1], 4, 4)
-        R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-        dg_dp = NORMALS[kind] @ np.swapaxes(R, -1, -2)
-        by_rotation = -se3.cross(offset, dg_dp) @ R
-        return Conditions((offset * dg_dp).sum(axis=-1), dg_dp,
-                          np.concatenate([-dg_dp @ R[..., 1:], by_rotation], axis=-1))
+        normals = NORMALS[kind]
+        g = (local * normals).sum(axis=-1)
+        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
 
-    def retract(self, target: Array, delta: Array) -> Array:
-        """Return lines (..., 16) after a step: along their y and z, about their x, y and z."""
-        T = target.reshape(*target.shape[:-1], 4, 4)
-        step = np.concatenate([np.einsum('...ij,...j->...i', T[..., :3, 1:3], delta[..., :2]),
-                               np.einsum('...ij,...j->...i', T[..., :3, :3], delta[..., 2:])],
-                              axis=-1)
-        return se3.perturb(T, step).reshape(target.shape)
-
-    def free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters are unknown; the turn about the line only with a face."""
-        return np.array([True, True, config.target.use_face, True, True])
+    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return that the turn about the line is none, without a face."""
+        return {} if config.target.use_face else {'rx': (0.0, 0.0)}
 
     def relabel(self, observations: Observations, p: Array, target: Array, config: Config
                 ) -> Observations:

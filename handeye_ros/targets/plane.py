@@ -10,15 +10,14 @@ Frame of the target: any point of the plane as origin, z its normal, towards the
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Feature, Sample
+from handeye_ros.data import Array
 from handeye_ros.estimation.problem import (
-    Conditions,
     Estimate,
     Observations,
     Problem,
@@ -26,19 +25,16 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import best_of, different
 from handeye_ros.profiles.faces import plane_features
-from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import (
-    add_face,
     best_linear,
-    collect,
     hemisphere,
     nearest_piece,
     nearest_transform,
-    ObservationRows,
     some_of,
     SOURCES,
     with_one_piece,
 )
+from handeye_ros.targets.target import FaceTarget
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,11 +43,6 @@ CANDIDATES = 10
 BELIEVED_SHARE = 0.7  # of the stations
 AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
 TINY = 1e-30  # m^2
-
-
-def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
-    if isinstance(feature, FaceLine):
-        add_face(rows, station, feature, source)
 
 
 def one_surface(problem: Problem) -> list[Problem]:
@@ -125,17 +116,10 @@ class Plane(FaceTarget):
 
     name = 'plane'
     kinds = ('face',)
-    labels = ('z', 'rx', 'ry')
+    labels, moves = ('z', 'rx', 'ry'), (2, 3, 4)
+    features = staticmethod(plane_features)
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
                 'all of the position and part of the rotation')
-
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
-        return plane_features(points, config)
-
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the face lines of samples."""
-        return collect(samples, _add)
 
     def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
@@ -151,21 +135,11 @@ class Plane(FaceTarget):
                 fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
             yield from (found[i] for i in fresh)
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
-                   ) -> Conditions:
-        """Return the height over the plane of points p (..., m, 3) in base, targets (..., 16)."""
-        T = target.reshape(*target.shape[:-1], 4, 4)
-        offset, normal = p - T[..., None, :3, 3], T[..., None, :3, 2]
-        by_tilt = se3.cross(normal, offset) @ T[..., :3, :2]
-        return Conditions((offset * normal).sum(axis=-1), np.broadcast_to(normal, p.shape),
-                          np.concatenate([-np.ones((*p.shape[:-1], 1)), by_tilt], axis=-1))
-
-    def retract(self, target: Array, delta: Array) -> Array:
-        """Return planes (..., 16) after a step: along their normals, about their x and y."""
-        T = target.reshape(*target.shape[:-1], 4, 4)
-        tilt = np.einsum('...ij,...j->...i', T[..., :3, :2], delta[..., 1:])
-        step = np.concatenate([delta[..., :1] * T[..., :3, 2], tilt], axis=-1)
-        return se3.perturb(T, step).reshape(target.shape)
+    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
+                  ) -> tuple[Array, Array, Array]:
+        """Return the height over the plane, and its derivatives."""
+        return local[..., 2], np.broadcast_to([0.0, 0.0, 1.0], local.shape), np.empty(
+            (*local.shape[:-1], 0))
 
     def relabel(self, observations: Observations, p: Array, target: Array, config: Config
                 ) -> Observations:

@@ -10,25 +10,23 @@ conditions: the two decorrelated points of the line lie in z = 0, the edge point
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.data import Array, EdgePoint, Feature
 from handeye_ros.estimation.problem import (
-    Conditions,
     Estimate,
     Observations,
     Problem,
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.blocks import FaceTarget
-from handeye_ros.targets.common import add_face, collect, edge_noise, FACE, ObservationRows
+from handeye_ros.targets.common import edge_noise, FACE, ObservationRows, some_stations, SOURCES
 from handeye_ros.targets.plane import PLANE
-from handeye_ros.targets.starts import turned, two_lines
+from handeye_ros.targets.target import FaceTarget
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,13 +40,8 @@ SMALLEST_GATE = 1e-3
 SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 BELIEVED_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
-
-def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
-    if isinstance(feature, FaceLine):
-        add_face(rows, station, feature, source)
-    elif isinstance(feature, EdgePoint):
-        # the wall below is as far out as the edge, for any crossing angle
-        rows.add(station, feature.point + feature.drop, P, edge_noise(feature), source, feature)
+DIRECTIONS = 120  # tried, over a quarter turn
+VOTERS = 24  # points that this search uses
 
 
 def state(T_base_target: Array, config: Config) -> Array:
@@ -80,7 +73,7 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
     p = problem.points_in_base(plane.X)
     flat = ((p - T_base_plane[:3, 3]) @ T_base_plane[:3, :3])[:, :2]
     edge = np.flatnonzero(observations.kind != FACE)
-    corner, turn = two_lines(flat[edge], rng)
+    corner, turn = _two_lines(flat[edge], rng)
     inward = _face_centres(observations, flat, edge) - flat[edge]
     T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
     return Estimate(plane.X, state(T_base_plane @ T_plane_target, problem.config))
@@ -116,7 +109,7 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
     """Return T_plane_target (4, 4): of four quarter turns the one with the face at x, y > 0."""
     best, best_votes = np.eye(4), -1
     for quarter in range(4):
-        R = turned(turn + quarter * np.pi / 2)
+        R = _turned(turn + quarter * np.pi / 2)
         local, to_face = points @ R, inward @ R
         off = np.abs(local).min(axis=1)  # points on neither line do not vote
         on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
@@ -129,21 +122,56 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
     return best
 
 
+def _two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
+    """
+    Return corner (2,) and direction (rad) of the best two perpendicular lines through points.
+
+    points: (m, 2). All directions, and all pairs of points for the lines, are tried. The cost of a
+    point is its distance to the nearer line, limited.
+    """
+    voters = points[some_stations(len(points), VOTERS, rng)]
+    angles = np.linspace(0.0, np.pi / 2, DIRECTIONS, endpoint=False)
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
+    limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)
+    to_q, to_p = (np.minimum(np.abs(w.T[:, :, None] - w), limit).astype(np.float32)
+                  for w in (u, v))  # (point, angle, line through)
+    total = np.zeros((*u.shape, len(voters)), dtype=np.float32)
+    for of_q, of_p in zip(to_q, to_p, strict=True):
+        total += np.minimum(of_q[:, :, None], of_p[:, None])
+    k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
+    turn = float(angles[k])
+    return _fitted(points, _turned(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
+
+
+def _fitted(points: Array, corner: Array, turn: float, limit: float) -> tuple[Array, float]:
+    """Return corner and direction fitted to the points (m, 2) near either line."""
+    for reach in (limit, limit / 2, limit / 4):
+        x, y = ((points - corner) @ _turned(turn)).T
+        on_p, on_q = np.abs(y) < np.minimum(np.abs(x), reach), np.abs(x) < np.minimum(
+            np.abs(y), reach)
+        A = np.concatenate([
+            np.column_stack([np.zeros(on_p.sum()), np.ones(on_p.sum()), x[on_p]]),
+            np.column_stack([np.ones(on_q.sum()), np.zeros(on_q.sum()), -y[on_q]])])
+        step = np.linalg.lstsq(A, np.concatenate([y[on_p], x[on_q]]), rcond=None)[0]
+        corner, turn = corner + _turned(turn) @ step[:2], turn + float(step[2])
+    return corner, turn
+
+
+def _turned(turn: float) -> Array:
+    """Return the (2, 2) rotation by an angle."""
+    return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+
 class Plate(FaceTarget):
     """A plate: two straight edges with a common corner, and the face between them."""
 
     name = 'plate'
     kinds = KINDS
     labels = LABELS
+    moves = range(6)
+    features = staticmethod(face_features)
     essential = KINDS[1:]
-
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
-        return face_features(points, config)
-
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of face lines and edge points; labels are assigned later."""
-        return collect(samples, _add)
 
     def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts: first the plane, then the two edges in it."""
@@ -154,33 +182,40 @@ class Plate(FaceTarget):
             if problem.config.target.size:  # edge p may run along either of the two
                 yield _turned_around_corner(estimate)
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
-                   ) -> Conditions:
-        """Return the height over the face, or the distance from the edge, of points (m, 3)."""
-        T, size, angle = target[:16].reshape(4, 4), target[SIZE], target[ANGLE]
-        R = T[:3, :3]
-        local = (p - T[:3, 3]) @ R
-        along_q = np.array([np.cos(angle), np.sin(angle), 0.0])
-        across_q = np.array([np.sin(angle), -np.cos(angle), 0.0])
-        normals = np.array([[0, 0, 1.0], [0, 1.0, 0], across_q, [0, 1.0, 0], across_q])[kind]
-        offsets = np.array([0.0, 0.0, 0.0, size[1] * np.sin(angle), size[0] * np.sin(angle)])[kind]
-        g = (local * normals).sum(axis=1) - offsets
-        dg_dp = normals @ R.T
-        by_angle = np.where((kind == Q) | (kind == Q_FAR), local @ along_q, 0.0)
-        by_angle = by_angle - np.where(kind == P_FAR, size[1], np.where(
-            kind == Q_FAR, size[0], 0.0)) * np.cos(angle)
-        by_rotation = -se3.cross(p - T[:3, 3], dg_dp)
-        by_size = [np.where(kind == k, -np.sin(angle), 0.0) for k in (Q_FAR, P_FAR)]
-        return Conditions(g, dg_dp, np.column_stack([-dg_dp, by_rotation, *by_size, by_angle]))
+    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
+        """Append the condition of an edge point, or those of a face line."""
+        super().add(rows, station, feature, number)
+        if isinstance(feature, EdgePoint):
+            # the wall below is as far out as the edge, for any crossing angle
+            rows.add(station, feature.point + feature.drop, P, edge_noise(feature),
+                     SOURCES * number, feature)
 
-    def retract(self, target: Array, delta: Array) -> Array:
-        """Return the target after a step delta (9,)."""
-        T = se3.perturb(target[:16].reshape(4, 4), delta[:6])
-        return np.append(T.ravel(), target[16:] + delta[6:])
+    def axes(self, R: Array) -> Array:
+        """Return the axes of the base: along them are the covariances of stored answers."""
+        return np.broadcast_to(np.eye(3), R.shape)
 
-    def free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters are unknown: all but the lengths and the edge angle."""
-        return np.array([True] * 6 + [False] * 2 + [config.target.edge_angle_free])
+    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
+                  ) -> tuple[Array, Array, Array]:
+        """Return the height over the face, or the distance from the edge."""
+        size_p, size_q, angle = measures
+        sine, cosine = np.sin(angle), np.cos(angle)
+        normals = np.array([[0, 0, 1.0], [0, 1.0, 0], [sine, -cosine, 0], [0, 1.0, 0],
+                            [sine, -cosine, 0]])[kind]
+        length = np.array([0.0, 0.0, 0.0, size_q, size_p])[kind]
+        along_q = local @ [cosine, sine, 0.0]
+        by_angle = np.where((kind == Q) | (kind == Q_FAR), along_q, 0.0) - length * cosine
+        by_measures = [*(np.where(kind == k, -sine, 0.0) for k in (Q_FAR, P_FAR)), by_angle]
+        return ((local * normals).sum(axis=1) - length * sine, normals,
+                np.column_stack(by_measures))
+
+    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return the lengths, and the angle between the edges if it is not free."""
+        target = config.target
+        std = target.size_std if target.size else 0.0
+        size_p, size_q = target.size or (0.0, 0.0)
+        angle = {} if target.edge_angle_free else {
+            'edge_angle': (np.pi / 2, target.edge_angle_std)}
+        return {'size_p': (size_p, std), 'size_q': (size_q, std), **angle}
 
     def relabel(self, observations: Observations, p: Array, target: Array, config: Config
                 ) -> Observations:
@@ -208,16 +243,6 @@ class Plate(FaceTarget):
         translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
         return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
                 'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
-
-    def tolerances(self, config: Config) -> Array:
-        """Return 1 sigma of the stated lengths and of the right angle."""
-        size = config.target.size_std if config.target.size else 0.0
-        angle = 0.0 if config.target.edge_angle_free else config.target.edge_angle_std
-        return np.array([0.0] * 6 + [size, size, angle])
-
-    def configured(self, config: Config) -> Array:
-        """Return the configured lengths and the right angle between the edges, (9,)."""
-        return np.array([0.0] * 6 + [*(config.target.size or (0.0, 0.0)), np.pi / 2])
 
     def relax(self, config: Config) -> Config | None:
         """Return the configuration with a free edge angle, None if it is free already."""

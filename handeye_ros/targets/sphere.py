@@ -8,7 +8,7 @@ plane on which the centre lies need not be given.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -21,12 +21,12 @@ from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
     Problem,
-    Target,
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.targets.common import collect, ObservationRows, some_of
+from handeye_ros.targets.common import ObservationRows, some_of
+from handeye_ros.targets.target import ProfileTarget
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -36,15 +36,6 @@ CANDIDATES = 16
 LONG = 9  # points: of longer arcs every third is used for a start
 REGULAR = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 AT_ONCE = 50  # rotations for which the offset across the plane is searched together
-
-
-def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
-    if isinstance(feature, Arc):
-        outward = feature.points - feature.centre
-        outward /= np.linalg.norm(outward, axis=1)[:, None]
-        noise = np.zeros((len(outward), 2, 2))
-        noise[:, :, 0] = outward * feature.std[:, None]
-        rows.add_points(station, feature.points, 0, noise)
 
 
 def _fewer(observations: Observations) -> Observations:
@@ -137,20 +128,27 @@ def rotations(count: int) -> Array:
     return np.asarray(Rotation.from_quat(q).as_matrix())
 
 
-class Sphere(Target):
+class Sphere(ProfileTarget):
     """A sphere: all points of all arcs are at the radius from one centre."""
 
     name = 'sphere'
     kinds = ('arc',)
     labels = ('x', 'y', 'z', 'radius')
+    features = staticmethod(arc_features)
 
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
-        return arc_features(points, config)
+    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
+        """Append the conditions of the normal points of an arc."""
+        if isinstance(feature, Arc):
+            outward = feature.points - feature.centre
+            outward /= np.linalg.norm(outward, axis=1)[:, None]
+            noise = np.zeros((len(outward), 2, 2))
+            noise[:, :, 0] = outward * feature.std[:, None]
+            rows.add_points(station, feature.points, 0, noise)
 
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the arcs' normal points."""
-        return collect(samples, _add)
+    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return the radius if it is given."""
+        target = config.target
+        return {'radius': (target.radius, target.radius_std)} if target.radius > 0 else {}
 
     def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
                    ) -> tuple[Array, NDArray[np.intp]]:
@@ -185,23 +183,10 @@ class Sphere(Target):
         """Return centres and radii (..., 4) after a step delta."""
         return target + delta
 
-    def free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters are unknown: the centre, and the radius if it is not given."""
-        return np.array([True, True, True, config.target.radius <= 0])
-
     def describe(self, target: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
         return {'centre': dict(zip('xyz', map(float, target[:3]), strict=True)),
                 'radius': float(target[3]), 'radius_std': float(std[3])}
-
-    def tolerances(self, config: Config) -> Array:
-        """Return 1 sigma of the stated radius."""
-        stated = config.target.radius_std if config.target.radius > 0 else 0.0
-        return np.array([0.0] * 3 + [stated])
-
-    def configured(self, config: Config) -> Array:
-        """Return the configured radius, (4,)."""
-        return np.array([0.0] * 3 + [config.target.radius])
 
     def relax(self, config: Config) -> Config | None:
         """Return the configuration with a free radius, None if it is free already."""

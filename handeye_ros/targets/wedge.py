@@ -16,9 +16,8 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Feature, Sample
+from handeye_ros.data import Array, FaceLine, Feature
 from handeye_ros.estimation.problem import (
-    Conditions,
     Estimate,
     linearise,
     Observations,
@@ -29,29 +28,22 @@ from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.lines import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
-from handeye_ros.targets.blocks import FaceTarget
 from handeye_ros.targets.common import (
     add_face,
-    collect,
     nearest_piece,
     ObservationRows,
     some_of,
     SOURCES,
     with_one_piece,
 )
+from handeye_ros.targets.target import FaceTarget
 import numpy as np
 from numpy.typing import NDArray
 
 KINDS = ('face_1', 'face_2')
-LABELS = ('y', 'z', 'ry', 'rz', 'turn', 'angle')
 SHARE = np.array([-0.5, 0.5])  # turn of each face for a change of the angle between them by 1
 MINIMUM = 6  # samples
 SWEEP = 24  # angles tried for the pair of faces about a known edge
-
-
-def _add(rows: ObservationRows, station: int, feature: Feature, source: int) -> None:
-    if isinstance(feature, FaceLine):
-        add_face(rows, station, feature, source, kind=source // SOURCES % len(KINDS))
 
 
 def _pair(observations: Observations) -> NDArray[np.intp]:
@@ -177,16 +169,9 @@ class Wedge(FaceTarget):
 
     name = 'wedge'
     kinds = KINDS
-    labels = LABELS
+    labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
+    features = staticmethod(corner_features)
     minimum = MINIMUM
-
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
-        return corner_features(points, config)
-
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the face lines; the left one counts as face 1 for now."""
-        return collect(samples, _add)
 
     def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""
@@ -198,28 +183,25 @@ class Wedge(FaceTarget):
                 else:
                     yield start
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
-                   ) -> Conditions:
-        """Return the height over its face of points p (..., m, 3) in base, targets (..., 18)."""
-        T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
-        R, offset, turn = T[..., :3, :3], p - T[..., None, :3, 3], target[..., 16:][..., kind]
+    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
+        """Append the conditions of a face line; the left one counts as face 1 for now."""
+        if isinstance(feature, FaceLine):
+            add_face(rows, station, feature, SOURCES * number, kind=number % len(KINDS))
+
+    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
+                  ) -> tuple[Array, Array, Array]:
+        """Return the height over the face of each point."""
+        turn = measures[..., kind]
         c, s = np.cos(turn), np.sin(turn)
-        normal = c[..., None] * R[..., None, :, 1] + s[..., None] * R[..., None, :, 2]
-        along, y, z = np.moveaxis(offset @ R, -1, 0)
+        y, z = local[..., 1], local[..., 2]
         by_turn = c * z - s * y
-        by_target = np.stack(
-            [-c, -s, s * along, -c * along, by_turn, SHARE[kind] * by_turn], axis=-1)
-        return Conditions((offset * normal).sum(axis=-1), normal, by_target)
+        return (c * y + s * z, np.stack([np.zeros_like(c), c, s], axis=-1),
+                np.stack([by_turn, SHARE[kind] * by_turn], axis=-1))
 
     def retract(self, target: Array, delta: Array) -> Array:
-        """Return targets (..., 18) after a step: along and about y and z, turn, and angle."""
-        T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
-        across = T[..., :3, 1:3]
-        step = np.concatenate([np.einsum('...ij,...j->...i', across, delta[..., :2]),
-                               np.einsum('...ij,...j->...i', across, delta[..., 2:4])], axis=-1)
-        pose = se3.perturb(T, step).reshape(*target.shape[:-1], 16)
-        turns = target[..., 16:] + delta[..., 4:5] + SHARE * delta[..., 5:]
-        return np.concatenate([pose, turns], axis=-1)
+        """Return targets (..., 18) after a step: moves, and the turn and angle of both faces."""
+        turns = delta[..., 4:5] + SHARE * delta[..., 5:]
+        return super().retract(target, np.concatenate([delta[..., :4], turns], axis=-1))
 
     def relabel(self, observations: Observations, p: Array, target: Array, config: Config
                 ) -> Observations:
