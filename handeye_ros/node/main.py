@@ -17,6 +17,7 @@ from typing import Any
 from handeye_ros.errors import HandeyeError, InputError
 
 THREADS = 6  # of the executor: three groups of services, two timers, the parameters
+LONGEST_WAIT = 1.0  # s until the executor looks whether ROS was shut down
 SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 USAGE = """\
@@ -99,7 +100,8 @@ def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
         try:
             while rclpy.ok():
                 with suppress(InvalidHandle):  # an entity that another thread destroyed: go on
-                    runner.spin()
+                    # with a timeout: a signal may have come before it could wake the executor
+                    runner.spin_once(timeout_sec=LONGEST_WAIT)
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
         except RCLError:

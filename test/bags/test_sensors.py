@@ -13,7 +13,7 @@ from handeye_ros.data import EdgePoint
 from handeye_ros.profiles.faces import face_features
 import numpy as np
 import pytest
-from ros_clouds import cloud, points, profile, read
+from ros_clouds import cloud, points, read
 
 PAGE = ROOT / 'docs' / 'sensors.md'
 F32, F64, U8, U16, U32 = 7, 8, 2, 4, 6
@@ -57,26 +57,6 @@ def sections() -> dict[str, str]:
         blocks = re.findall(r'^```yaml\n(.*?)^```', text, flags=re.MULTILINE | re.DOTALL)
         found |= {name: blocks[0]} if blocks else {}
     return found
-
-
-def test_every_section_has_its_message() -> None:
-    assert sections().keys() == MESSAGES.keys()
-
-
-@pytest.mark.parametrize('name', MESSAGES)
-def test_the_settings_read_the_message(name: str, tmp_path: Path) -> None:
-    file = tmp_path / 'sensor.yaml'
-    file.write_text(sections()[name])
-    config = configs.load(file)
-    columns, layout, step = MESSAGES[name]
-    made = profile(cloud(columns, layout, step), config.profile)
-    seen = np.isfinite(made.points).all(axis=1)
-    assert not np.isinf(made.points).any()
-    assert (~seen).sum() in (0, 20)
-    np.testing.assert_allclose(made.points[seen, 0], X[seen], atol=1e-6)
-    np.testing.assert_allclose(
-        config.profile.range_sign * made.points[seen, 1] - config.profile.range_sign
-        * made.points[seen, 1][0], DEPTH[seen] - DEPTH[seen][0], atol=1e-6)
 
 
 @pytest.mark.parametrize('name', MESSAGES)

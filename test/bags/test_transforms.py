@@ -26,13 +26,6 @@ def matrix(pose):
     return se3.from_quaternion(pose.translation, pose.quaternion)
 
 
-def test_direct_link():
-    tracker, T = FlangeTracker('base', 'flange'), random_transform()
-    (pose,) = tracker.add([message('base', 'flange', T, 5)], static=False)
-    assert (pose.stamp, pose.parent_frame) == (5, 'base')
-    np.testing.assert_allclose(matrix(pose), T, atol=1e-12)
-
-
 def test_chain_of_joints_and_a_static_tool_flange():
     tracker = FlangeTracker('base', 'flange')
     T_base_a, T_a_b, T_b_flange = (random_transform() for _ in range(3))
@@ -76,16 +69,9 @@ def test_a_clock_that_is_set_back_goes_on():
     assert 60 < len(late) < 80, 'half a second is lost'
 
 
-def test_every_stamp_is_reported_once_and_in_order():
-    tracker, T = FlangeTracker('base', 'flange'), random_transform()
-    stamps = [p.stamp for s in (3, 4, 4, 2, 6)
-              for p in tracker.add([message('base', 'flange', T, s)], static=False)]
-    assert stamps == [3, 4, 6]
-
-
 def test_a_wild_stamp_makes_no_other_late():
     tracker, T = FlangeTracker('/base', 'flange'), random_transform()
-    stamps = [p.stamp for s in (3, 4, 10**18, 6, 1, 7)
+    stamps = [p.stamp for s in (3, 4, 4, 10**18, 6, 1, 7)
               for p in tracker.add([message('base', 'flange', T, s)], static=False)]
     assert stamps == [3, 4, 6, 7]
 
@@ -108,12 +94,8 @@ def test_missing_says_what_was_received():
     assert tracker.missing() == 'all transforms between "base" and "flange" are static'
     tracker.add([message('base', 'flange', random_transform(), 1)], static=False)
     assert tracker.missing() == ''
-
-
-def test_a_loop_ends():
-    tracker = FlangeTracker('base', 'flange')
     loop = [message('a', 'flange', np.eye(4), 1), message('flange', 'a', np.eye(4), 1)]
-    assert tracker.add(loop, static=False) == []
+    assert FlangeTracker('base', 'flange').add(loop, static=False) == []
 
 
 def test_frames_without_end_are_refused_and_those_known_go_on():
