@@ -9,12 +9,13 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import ROOT  # noqa: E402, I100
-from geometry_msgs.msg import Pose, TransformStamped  # noqa: E402
+from geometry_msgs.msg import TransformStamped  # noqa: E402
 from handeye_ros.node.main import own_arguments  # noqa: E402
 from handeye_ros.node.outputs import RepeatedWarnings  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
@@ -28,8 +29,8 @@ from ros_helpers import (  # noqa: E402
     running_node,
     sphere_profile,
 )
-from sensor_msgs.msg import LaserScan  # noqa: E402
 from std_msgs.msg import Empty, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -139,7 +140,14 @@ def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client)
         replay(ROOT / 'bags' / 'sphere')
         client.until(lambda: client._told and client._told[-1]['profiles'] == str(
             len(recording.profiles)), 'all is taken')
-        call = ServiceCaller(client, '/cell/handeye/')
+
+        def call(service: str) -> Any:
+            caller = client.node.create_client(Trigger, f'/cell/handeye/{service}')
+            client.until(caller.service_is_ready, f'{service} is there')
+            future = caller.call_async(Trigger.Request())
+            client.until(future.done, f'{service} answers')
+            return future.result()
+
         assert call('compute_calibration').success
         report = state.until(lambda report: report['state'] == 'current', 'the answer is there')
         early: list[TransformStamped] = []
@@ -157,40 +165,6 @@ def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client)
         assert late_state.until(lambda report: True, 'a state is there')['state'] == 'withdrawn'
         client.state()
         assert not late
-
-
-class ServiceCaller:
-    """Calls the services of a node with another name than the usual one."""
-
-    def __init__(self, client: Client, prefix: str) -> None:
-        self._client, self._prefix = client, prefix
-
-    def __call__(self, service: str):
-        from std_srvs.srv import Trigger
-        caller = self._client.node.create_client(Trigger, f'{self._prefix}{service}')
-        self._client.until(caller.service_is_ready, f'{service} is there')
-        future = caller.call_async(Trigger.Request())
-        self._client.until(future.done, f'{service} answers')
-        return future.result()
-
-
-def test_the_cause_is_in_the_log_and_in_every_answer(tmp_path: Path, client: Client) -> None:
-    scan = client.node.create_publisher(LaserScan, '/scan', 10)
-    pose = client.node.create_publisher(Pose, '/tool', 10)
-    causes = ('it carries sensor_msgs/msg/LaserScan, expected sensor_msgs/msg/PointCloud2; '
-              'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic',
-              'it carries geometry_msgs/msg/Pose, expected geometry_msgs/msg/PoseStamped; '
-              'geometry_msgs/msg/PoseStamped is on /flange_pose: set pose_topic')
-    with running_node(tmp_path, '-p', 'profile_topic:=/scan', '-p', 'pose_topic:=/tool'):
-        assert scan.topic_name == '/scan' and pose.topic_name == '/tool'
-        client.until(lambda: all(cause in client.state()['message'] for cause in causes),
-                     'diagnostics name both causes')
-        for service in ('take_sample', 'compute_calibration'):
-            answer = client.call(service)
-            assert not answer.success
-            assert all(cause in answer.message for cause in causes), answer.message
-    log = (tmp_path / 'node.log').read_text()
-    assert all(cause in log for cause in causes)
 
 
 def test_what_lasts_is_said_again_after_a_while() -> None:

@@ -12,7 +12,9 @@ pytest.importorskip('pinocchio', reason='needs pinocchio')
 
 from command import handeye, ROOT  # noqa: E402, I100
 from handeye_ros.results.calibration_file import read_calibration  # noqa: E402
+from handeye_ros.results.truth_file import true_transform  # noqa: E402
 from handeye_ros.robot.urdf import read_arm  # noqa: E402
+import numpy as np  # noqa: E402
 from ros_helpers import Client, replay, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -27,12 +29,11 @@ def test_the_arm_is_corrected_from_the_stops_of_a_session(tmp_path: Path, client
         assert answer.success, answer.message
         assert client.call('save_calibration').success
     session, = (path for path in (tmp_path / 'sphere').iterdir() if path.is_dir())
-    arms = {}
-    for source in (session, BAG):
-        out = tmp_path / 'arm' / source.name
-        run = handeye('kinematics', source, '--urdf', BAG / 'robot.urdf', '--out', out,
-                      *(['--set', 'target.type=sphere'] if source == BAG else []), cwd=tmp_path)
-        assert run.returncode == 0, run.stderr
-        arms[source] = read_arm(out / 'kinematics.yaml')
-        assert read_calibration(out / 'calibration.yaml').quality.holdout_rms < 6e-5
-    assert arms[session].values == pytest.approx(arms[BAG].values, abs=1e-7)
+    out = tmp_path / 'arm'
+    run = handeye('kinematics', session, '--urdf', BAG / 'robot.urdf', '--out', out, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    calibration = read_calibration(out / 'calibration.yaml')
+    assert calibration.quality.holdout_rms < 6e-5, 'a fifth of that with the arm as stated'
+    X, sigma = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))[:3]
+    assert (np.abs(X - true_transform(BAG))[:3, 3] < 4 * sigma).all()
+    assert len(read_arm(out / 'kinematics.yaml').parameters) == 30

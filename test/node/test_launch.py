@@ -124,17 +124,6 @@ def command(node: Node, folder: Path) -> list[str]:
     return words
 
 
-@pytest.mark.parametrize('file', LAUNCH, ids=lambda file: file.stem)
-def test_every_argument_is_explained(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    arguments, _ = described(file, monkeypatch)
-    assert arguments and all(a.description for a in arguments)
-
-
-def test_the_executables_are_installed() -> None:
-    text = (ROOT / 'setup.py').read_text()
-    assert all(f"'{name} = handeye_ros." in text for name in EXECUTABLES)
-
-
 def test_by_default_only_the_node_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     (node,) = nodes('calibrate', monkeypatch)
     time, file = node.parameters

@@ -19,7 +19,6 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.node import live as lives
-from handeye_ros.node.arrivals import Latest
 from handeye_ros.node.pool import PoolEndedError
 from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.simulate import SCENARIOS, settings, simulate
@@ -318,16 +317,6 @@ def test_malformed_and_lost_messages_are_told_from_one_in_a_hundred_on() -> None
         state_of(live)['poses']['trouble'])
     live.arrivals.lost['profile'] = live.arrivals.counts['profile']
     assert 'were lost on their way' in state_of(live)['profiles']['trouble']
-
-
-def test_stamps_that_come_again_give_no_error() -> None:
-    latest, config = Latest(threading.Lock()), SPHERE.config
-    latest.add([SPHERE.profiles[1]], SPHERE.poses[:1])
-    assert latest.current(config) is None
-    latest.add(poses=[*SPHERE.poses[1:30], *SPHERE.poses[:30]])
-    assert len(latest.current(config).points)
-    latest.clear()
-    assert latest.current(config) is None
 
 
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(

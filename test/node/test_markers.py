@@ -68,16 +68,6 @@ def test_the_samples_lie_on_the_edges_that_are_drawn(plate: Any) -> None:
     assert len({(m.ns, m.id) for m in found.markers}) == len(found.markers)
 
 
-def test_a_large_residual_is_red_and_a_small_one_green(plate: Any) -> None:
-    _, seen, calibration, config = plate
-    marked = [(number, seen[number - 1][1], residual)
-              for number, residual in ((1, 0.0), (2, 1e-2), (3, None))]
-    (samples,) = named(scene.session_markers(marked, calibration, config), 'samples')
-    good, bad, unknown = samples.colors
-    assert good.g > 0.9 > 0.2 > good.r and bad.r > 0.9 > 0.2 > bad.g
-    assert unknown.r == unknown.g == unknown.b
-
-
 def test_the_ellipsoid_is_the_covariance_enlarged_as_it_says(plate: Any) -> None:
     _, seen, calibration, config = plate
     found = scene.session_markers(seen, calibration, config)
@@ -107,8 +97,3 @@ def test_the_profile_of_now_lies_on_the_target(plate: Any) -> None:
     (edges,) = [m for m in named(found, 'feature') if m.type == Marker.SPHERE_LIST]
     session = scene.session_markers([seen[4]], calibration, config)
     np.testing.assert_allclose(places(edges), places(named(session, 'samples')[0]), atol=1e-3)
-
-
-def test_nothing_of_now_without_an_answer(plate: Any) -> None:
-    *_, config = plate
-    assert len(scene.current_markers(None, None, config).markers) == 1

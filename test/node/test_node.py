@@ -21,7 +21,6 @@ from command import PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session import OutputFolders  # noqa: E402
 from handeye_ros.node import params  # noqa: E402
-from rcl_interfaces.srv import GetParameters  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -136,8 +135,8 @@ def test_tf_static_for_a_late_subscriber_and_poses_from_tf(tmp_path: Path, clien
         client.until(lambda: tree.get_subscription_count()
                      and client.profiles.get_subscription_count(), 'the node subscribes')
         client.state()
-        client.send(tree, [transforms_of(pose) for pose in recording.poses], rate=500)
-        client.send(client.profiles, [profile_message(p) for p in recording.profiles], rate=100)
+        client.send(tree, [transforms_of(pose) for pose in recording.poses], rate=1500)
+        client.send(client.profiles, [profile_message(p) for p in recording.profiles], rate=400)
         client.until_counted(poses=len(recording.poses), profiles=len(recording.profiles))
         answer = client.call('compute_calibration')
         assert answer.success, answer.message
@@ -216,14 +215,15 @@ PARAMETERS = """
 """
 
 
-def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path, client: Client) -> None:
-    file = tmp_path / 'parameters.yaml'
+def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
+    file, context = tmp_path / 'parameters.yaml', Context()
     file.write_text(PARAMETERS)
-    with running_node(tmp_path, '--params-file', str(file)):
-        names = ['target.radius', 'target.size', 'use_sim_time']
-        radius, size, sim_time = client.request(
-            GetParameters, 'get_parameters', GetParameters.Request(names=names)).values
-    assert (radius.double_value, len(size.double_array_value), sim_time.bool_value) == (1, 0, True)
+    rclpy.init(args=['--ros-args', '--params-file', str(file)], context=context)
+    try:
+        config, _ = params.declare(Node('handeye', context=context), OutputFolders())
+    finally:
+        rclpy.shutdown(context=context)
+    assert (config.target.type, config.target.radius, config.target.size) == ('sphere', 1.0, ())
 
 
 @pytest.mark.thorough
@@ -269,12 +269,14 @@ def test_a_best_effort_robot_is_heard_and_a_wrong_type_reported(
         tmp_path: Path, client: Client) -> None:
     poses = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
     client.node.create_publisher(PointStamped, '/scan', RELIABLE)
+    cause = ('(it carries geometry_msgs/msg/PointStamped, expected sensor_msgs/msg/PointCloud2; '
+             'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic)')
     with running_node(tmp_path, '-p', 'pose_topic:=/robot/pose', '-p', 'profile_topic:=/scan'):
         client.until(poses.get_subscription_count, 'the node subscribes')
         client.state()
         client.send(poses, [pose_message(10**18 + i) for i in range(5)], rate=20)
         client.until(lambda: client.state()['poses'] != '0', 'a pose is counted')
-        client.until(lambda: (
-            '(it carries geometry_msgs/msg/PointStamped, expected sensor_msgs/msg/PointCloud2; '
-            'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic)')
-            in client.state()['message'], 'it says what is there')
+        client.until(lambda: cause in client.state()['message'], 'it says what is there')
+        assert all(cause in client.call(service).message
+                   for service in ('take_sample', 'compute_calibration'))
+    assert cause in (tmp_path / 'node.log').read_text()

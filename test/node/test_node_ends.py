@@ -21,7 +21,6 @@ from ros_helpers import (  # noqa: E402
     Client,
     pose_message,
     ROOT,
-    running_node,
     sphere_profile,
 )
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -105,13 +104,3 @@ def test_without_a_place_for_logs(module: str) -> None:
     assert run.returncode == 2
     assert run.stderr.startswith('ROS does not start: it has no place for its logs')
     assert run.stderr.count('\n') == 1
-
-
-@pytest.mark.parametrize('number', [
-    pytest.param(signal.SIGINT, marks=pytest.mark.thorough), signal.SIGTERM])
-def test_the_node_ends_cleanly(tmp_path: Path, client: Client, number: int) -> None:
-    with running_node(tmp_path) as process:
-        client.state()
-        process.send_signal(number)
-        assert process.wait(PATIENCE) == 0
-    assert 'Traceback' not in (tmp_path / 'node.log').read_text()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 import json
 from pathlib import Path
 import socket
@@ -37,19 +37,6 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-@contextmanager
-def opened(tmp_path: Path, client: Client, width: int) -> Iterator[Any]:
-    """Give a browser that looks at a node which was fed the bag."""
-    port = free_port()
-    with chromium(width, 900) as browser, running_node(
-            tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}'):
-        client.connect()
-        browser.get(f'http://127.0.0.1:{port}/')
-        replay(BAG)
-        wait(browser, "document.querySelectorAll('#samples li').length >= 17", 'all samples')
-        yield browser
-
-
 def wait(browser: Any, condition: str, what: str) -> None:
     end = time.monotonic() + PATIENCE
     while not browser.execute_script(f'return {condition}'):
@@ -78,41 +65,77 @@ def press(browser: Any, selector: str, message: str) -> str:
     return words(browser, 'message')
 
 
-def test_a_calibration_by_clicking(tmp_path: Path, client: Client) -> None:
-    with opened(tmp_path, client, 1280) as browser:
-        press(browser, '#take', 'sample')
-        press(browser, '[data-sample="5"]', 'sample 5 is left out')
-        wait(browser, "document.querySelectorAll('#samples .out').length === 1", 'its line')
-        assert 'x, y, z = ' in press(browser, '#compute', 'laser in flange')
-        saved = press(browser, '#save', 'wrote ')
-        path = tmp_path / 'plate' / 'calibration.yaml'
-        assert str(path) in saved
-        wait(browser, "document.getElementById('answer-x')", 'the figures')
-        found = read_calibration(path)
-        rows = browser.execute_script("return [...document.querySelectorAll('#figures tbody tr')]"
-                                      '.map(r => [...r.cells].map(c => c.textContent))')
-        # the page, the report and the command line say the same, figure by figure
-        assert rows[:6] == [list(row) for row in table.transform_rows(found)]
-        text = report.html(found, Evidence(()))
-        assert all(figure in text for row in rows[:6] for figure in row[1:3])
-        quality = found.quality
-        assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],
-                            ['left out', f'{1e3 * quality.holdout_rms:.3f}', '', 'mm'],
-                            ['samples used', str(quality.samples_used), '', '']]
-        press(browser, '[data-sample="5"]', 'sample 5 is back')
-        anew = ("[...document.querySelectorAll('#figures tbody tr')].at(-1).cells[1].textContent "
-                f"=== '{quality.samples_used + 1}'")  # it is soon computed again by itself
-        wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')"
-             f' || {anew}', 'the answer is told to be outdated, or computed anew')
-        lines = "document.querySelectorAll('#samples li').length"
-        count = browser.execute_script(f'return {lines}')
-        undone(browser)
-        wait(browser, f'{lines} === {count - 1}', 'one sample less')
-        downloaded(browser)
-        cleared(browser)
-        went_on(browser, count - 1)
-        assert complaints(browser) == []
-    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+@contextmanager
+def opened(tmp_path: Path, client: Client, width: int) -> Iterator[Any]:
+    """Give a browser that looks at a node which was fed the bag."""
+    port = free_port()
+    with chromium(width, 900) as browser, node_with_page(tmp_path, port):
+        shown(browser, port, client)
+        yield browser
+
+
+def node_with_page(tmp_path: Path, port: int) -> AbstractContextManager[Any]:
+    return running_node(tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}')
+
+
+def shown(browser: Any, port: int, client: Client) -> None:
+    """Let a browser look at a node, and feed this the bag."""
+    client.connect()
+    browser.get(f'http://127.0.0.1:{port}/')
+    replay(BAG)
+    wait(browser, "document.querySelectorAll('#samples li').length >= 17", 'all samples')
+
+
+def test_a_calibration_by_clicking_goes_on_after_a_restart(tmp_path: Path, client: Client) -> None:
+    port = free_port()
+    with chromium(1280, 900) as browser:
+        with node_with_page(tmp_path, port):
+            shown(browser, port, client)
+            count = calibrated(browser, tmp_path)
+            assert complaints(browser) == []
+        assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+        with node_with_page(tmp_path, port):
+            client.state()
+            browser.get(f'http://127.0.0.1:{port}/')
+            complaints(browser)  # of the time without a node
+            went_on(browser, count)
+            cleared(browser)
+            assert complaints(browser) == []
+        assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+def calibrated(browser: Any, tmp_path: Path) -> int:
+    """Compute, save, undo and download; return how many samples are left."""
+    press(browser, '#take', 'sample')
+    press(browser, '[data-sample="5"]', 'sample 5 is left out')
+    wait(browser, "document.querySelectorAll('#samples .out').length === 1", 'its line')
+    assert 'x, y, z = ' in press(browser, '#compute', 'laser in flange')
+    saved = press(browser, '#save', 'wrote ')
+    path = tmp_path / 'plate' / 'calibration.yaml'
+    assert str(path) in saved
+    wait(browser, "document.getElementById('answer-x')", 'the figures')
+    found = read_calibration(path)
+    rows = browser.execute_script("return [...document.querySelectorAll('#figures tbody tr')]"
+                                  '.map(r => [...r.cells].map(c => c.textContent))')
+    # the page, the report and the command line say the same, figure by figure
+    assert rows[:6] == [list(row) for row in table.transform_rows(found)]
+    text = report.html(found, Evidence(()))
+    assert all(figure in text for row in rows[:6] for figure in row[1:3])
+    quality = found.quality
+    assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],
+                        ['left out', f'{1e3 * quality.holdout_rms:.3f}', '', 'mm'],
+                        ['samples used', str(quality.samples_used), '', '']]
+    press(browser, '[data-sample="5"]', 'sample 5 is back')
+    anew = ("[...document.querySelectorAll('#figures tbody tr')].at(-1).cells[1].textContent "
+            f"=== '{quality.samples_used + 1}'")  # it is soon computed again by itself
+    wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')"
+         f' || {anew}', 'the answer is told to be outdated, or computed anew')
+    lines = "document.querySelectorAll('#samples li').length"
+    count = browser.execute_script(f'return {lines}')
+    undone(browser)
+    wait(browser, f'{lines} === {count - 1}', 'one sample less')
+    downloaded(browser)
+    return count - 1
 
 
 def undone(browser: Any) -> None:
