@@ -5,10 +5,16 @@ from __future__ import annotations
 
 import array
 from collections.abc import Iterator
+import json
+import os
+from pathlib import Path
+import re
+import socket
 import subprocess
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from contract import listed, offered  # noqa: E402, I100
