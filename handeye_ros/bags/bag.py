@@ -8,7 +8,6 @@ file, from which it is read again when a stop uses it.
 """
 from __future__ import annotations
 
-from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,14 +15,13 @@ from functools import cached_property
 from itertools import accumulate
 import math
 from pathlib import Path
-from typing import overload
 
 from handeye_ros import se3
 from handeye_ros.bags.messages import (
     joints_from_cdr,
+    pose_from_cdr,
     ProfileReader,
     returns_of,
-    row_of_pose,
     split,
     transforms_from_cdr,
 )
@@ -40,35 +38,6 @@ import numpy as np
 
 MOST_MALFORMED = 0.5  # largest fraction of malformed messages in a scan
 LAST = 2 ** 63 - 1  # ns; largest stamp
-
-
-class Poses(Sequence[TimedPose]):
-    """Poses in rows (n, 7) of position and quaternion, with little memory for hours of them."""
-
-    def __init__(self, stamps: Sequence[int], rows: Array, frame: str) -> None:
-        """frame: the parent of all."""
-        self._stamps, self._rows, self._frame = array('q', stamps), rows, frame
-
-    def __len__(self) -> int:
-        """Return the number of poses."""
-        return len(self._stamps)
-
-    @overload
-    def __getitem__(self, index: int) -> TimedPose: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[TimedPose]: ...
-
-    def __getitem__(self, index: int | slice) -> TimedPose | Sequence[TimedPose]:
-        """Return a pose, or some."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        row = self._rows[index]
-        return TimedPose(self._stamps[index], row[:3], row[3:], self._frame)
-
-    def __iter__(self) -> Iterator[TimedPose]:
-        """Yield the poses in their order."""
-        return (self[index] for index in range(len(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,8 +269,8 @@ class _PoseSource:
         """config: names the source; arm: see read."""
         self._config = config
         self._arm = read_arm(Path(config.kinematics)) if config.kinematics and not arm else arm
-        self._rows = array('d')
-        self._frames: dict[str, None] = {}  # in their order
+        self._poses: list[TimedPose] = []
+        self._joints: list[list[float]] = []
         self._moving: list[list[tuple[str, TimedPose]]] = []
         self._static: list[list[tuple[str, TimedPose]]] = []
         if self._arm:
@@ -313,15 +282,13 @@ class _PoseSource:
             self.topics = [_Topic('pose_topic', config.pose_topic, POSE, self._take_pose)]
 
     def _take_pose(self, raw: Raw) -> int:
-        row = row_of_pose(raw.data)
-        self._rows.extend(row.values)
-        self._frames[row.frame] = None
-        return row.stamp
+        self._poses.append(pose_from_cdr(raw.data))
+        return self._poses[-1].stamp
 
     def _take_joints(self, raw: Raw) -> int:
         assert self._arm
         stamp, values = _joint_values(self._arm, raw.data)
-        self._rows.extend(values)
+        self._joints.append(values)
         return stamp
 
     def _take_moving(self, raw: Raw) -> int:
@@ -340,14 +307,15 @@ class _PoseSource:
         topic.require(reader)
         order, stamps = topic.ordered(reader.warnings)
         if self._arm:
-            chain = self._arm.chain
-            rows = np.frombuffer(self._rows, float).reshape(-1, len(chain.measured))[order]
-            joints, T = _forward(self._arm, rows)
-            return Poses(stamps, np.hstack([T[:, :3, 3], se3.quaternion(T)]), chain.base), joints
-        if len(self._frames) > 1:
-            raise two_frames('pose', *list(self._frames)[:2])
-        rows = np.frombuffer(self._rows, float).reshape(-1, 7)[order]
-        return Poses(stamps, rows, *self._frames), None
+            joints, T = _forward(self._arm, np.array(self._joints)[order])
+            base = self._arm.chain.base
+            return [TimedPose(*one, base) for one in zip(
+                stamps, T[:, :3, 3], se3.quaternion(T), strict=True)], joints
+        frames = dict.fromkeys(pose.parent_frame for pose in self._poses)
+        if len(frames) > 1:
+            raise two_frames('pose', *list(frames)[:2])
+        return [pose if pose.stamp == stamp else replace(pose, stamp=stamp) for pose, stamp in zip(
+            map(self._poses.__getitem__, order), stamps, strict=True)], None
 
     def _of_tree(self, reader: Reader) -> list[TimedPose]:
         tracker = FlangeTracker(self._config.base_frame, self._config.robot_effector_frame)

@@ -116,32 +116,13 @@ def text_from_cdr(data: bytes) -> str:
     return str(_read('String', data, _Cdr.text))
 
 
-class PoseRow(NamedTuple):
-    """A pose as numbers: stamp, parent frame, and position and quaternion x y z w."""
-
-    stamp: int
-    frame: str
-    values: tuple[float, ...]
-
-    def pose(self) -> TimedPose:
-        """Return the pose."""
-        return TimedPose(self.stamp, np.array(self.values[:3]), np.array(self.values[3:]),
-                         self.frame)
-
-
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises UnusableMessageError."""
-    return row_of_pose(data).pose()
-
-
-def row_of_pose(data: bytes) -> PoseRow:
-    """Return the pose in a geometry_msgs/PoseStamped as numbers; UnusableMessageError."""
     try:
         order = _order(data)
         length, = struct.unpack_from(f'{order}I', data, 12)
         seconds, nanoseconds, _, frame, *values = _pose_struct(order, length).unpack_from(data)
-        return _checked('PoseStamped', seconds * NS + nanoseconds, frame_name(_text(frame)),
-                        values)
+        return _pose('PoseStamped', seconds * NS + nanoseconds, frame_name(_text(frame)), values)
     except (struct.error, ValueError) as error:
         raise UnusableMessageError(f'PoseStamped message not used: damaged message: {error}'
                                    ) from error
@@ -155,7 +136,7 @@ def _pose_struct(order: str, length: int) -> struct.Struct:
     return struct.Struct(f'{order}4xiII{length}s{-(12 + length) % 8}x7d')
 
 
-def _checked(kind: str, stamp: int, frame: str, values: list[float]) -> PoseRow:
+def _pose(kind: str, stamp: int, frame: str, values: list[float]) -> TimedPose:
     """Return a pose with a quaternion of unit length and qw >= 0; raises UnusableMessageError."""
     norm, farthest = math.hypot(*values[3:]), max(map(abs, values[:3]))
     if not math.isfinite(norm + sum(values[:3])):
@@ -168,7 +149,7 @@ def _checked(kind: str, stamp: int, frame: str, values: list[float]) -> PoseRow:
         raise UnusableMessageError(f'{kind} message not used: quaternion of length {norm:.4g}, '
                                    'expected 1')
     scale = (-1.0 if values[6] < 0 else 1.0) / norm
-    return PoseRow(stamp, frame, (*values[:3], *(value * scale for value in values[3:])))
+    return TimedPose(stamp, np.array(values[:3]), scale * np.array(values[3:]), frame)
 
 
 def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
@@ -185,7 +166,7 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     good, malformed = [], None
     for stamp, parent, child, values in _read('TFMessage', data, parse):
         try:
-            good.append((child, _checked('TransformStamped', stamp, parent, values).pose()))
+            good.append((child, _pose('TransformStamped', stamp, parent, values)))
         except UnusableMessageError as error:
             malformed = error
     if malformed and not good:

@@ -217,22 +217,12 @@ class SessionFiles:
         self._types |= types
         return file
 
-    def restart(self, config: Config) -> str:
-        """Begin another session; return a note about the previous one; UnwritableError."""
-        if self.path is None:
-            return ''
-        previous = self.path, self._files, self._types, self._lock
-        self.path, self._files, self._types, self._lock = None, [], {}, None
-        try:
-            # the new session exists at once, so that `last` names it
-            self.append(Event(CONFIGURED, config))
-        except UnwritableError:
-            self.close()
-            self.path, self._files, self._types, self._lock = previous
-            raise
-        if previous[3] is not None:
-            os.close(previous[3])
-        return f'; they are kept in {previous[0]}'
+    def restarted(self, config: Config) -> SessionFiles:
+        """Return the files of another session, which exists at once; raises UnwritableError."""
+        other = SessionFiles(self._parent)
+        other.append(Event(CONFIGURED, config))  # so that `last` names it
+        self.close()
+        return other
 
     def sync(self) -> None:
         """Sync metadata.yaml; no service waits for it, as the files hold the same data."""
@@ -477,33 +467,19 @@ def _event_of(messages: Iterable[Raw], file: Path) -> Event:
     texts = {raw.topic: text_from_cdr(raw.data) for raw in messages}
     if not {CONFIGURATION, OUTCOME} <= set(texts):
         raise SessionError(file, 'does not say what happened')
-    values, config = _content(texts[OUTCOME], file), _content(texts[CONFIGURATION], file)
-    settings = config.get('config')
-    if not isinstance(settings, dict):
-        raise SessionError(file, 'holds no configuration')
-    known = flatten(Config())
-    settings = {key: value for key, value in settings.items() if key in known}
     try:
+        values, content = json.loads(texts[OUTCOME]), json.loads(texts[CONFIGURATION])
+        for form in (values['format'], content['format']):
+            if int(form.removeprefix(FORMAT)) > NEWEST:
+                raise SessionError(file, f'is of the format {form}, newer than this version of '
+                                   'handeye_ros knows: update the package')
+        known = flatten(Config())
+        settings = {key: value for key, value in content['config'].items() if key in known}
         return Event(str(values['event']), with_values(Config(), settings, str(file)),
                      int(values['number']), int(values['began']), bool(values['taken']),
                      str(values['text']), str(values['refused']))
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise SessionError(file, f'holds an event that is not understood ({error!r})') from error
-
-
-def _content(text: str, path: object) -> dict[str, Any]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise SessionError(path, f'holds a record that is no JSON ({error})') from error
-    form = str(content.get('format')) if isinstance(content, dict) else 'None'
-    number = form.removeprefix(FORMAT)
-    if not number.isdecimal() or form == number:
-        raise SessionError(path, f'is of the format "{form}", expected {FORMAT}{NEWEST}')
-    if int(number) > NEWEST:
-        raise SessionError(path, f'is of the format {form}, newer than this version of '
-                           'handeye_ros knows: update the package')
-    return dict(content)
 
 
 def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Config, Stored | None]:

@@ -156,7 +156,6 @@ class LiveSession:
         self.extremes = np.zeros((0, 2))
         self.derived = Derived(pipeline.advise((), config))
         self._deriving = self._outdated = self._requested = False
-        self._failed: object = None  # basis of a derivation whose process ended
 
         self.calibration: Calibration | None = None
         self.missing = self.withdrawn = self.file = ''
@@ -519,7 +518,11 @@ class LiveSession:
         return self._ask(self._clear)
 
     def _clear(self) -> str:
-        note, count = self.files.restart(self.config), self._forget('the samples were cleared')
+        note = ''
+        if self.files.path:
+            note = f'; they are kept in {self.path}'
+            self.files = self.files.restarted(self.config)
+        count = self._forget('the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
     def _forget(self, why: str) -> int:
@@ -618,12 +621,8 @@ class LiveSession:
         self._deriving = False
         try:
             derived = done.result()
-        except ENDED as error:
-            derived = Derived(self.derived.advice, no_review=str(error))
-            if self._failed != basis:  # one more try
-                self._failed = basis
-                self._derive()
-                return
+        except ENDED:
+            derived = Derived(self.derived.advice, no_review=str(PoolEndedError()))
         if basis[0] == self._cleared:
             self.derived = replace(derived, basis=basis)
         self._derive()  # if the samples have changed meanwhile
@@ -667,9 +666,7 @@ class LiveSession:
         self._works.remove(COMPUTED)
         try:
             calibration = computed.result()
-        except ENDED:  # no refusal: the previous answer stays, and there is one more try
-            self._outdated = self._failed != COMPUTED
-            self._failed = COMPUTED
+        except ENDED:  # no refusal: the previous answer stays
             answered.set_exception(PoolEndedError())
         except HandeyeError as error:
             if cleared == self._cleared:
@@ -696,7 +693,7 @@ class LiveSession:
         inputs += [{'session': self.path}] * bool(self.path)
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})
-        self._solved, self._failed = _identities(session), None
+        self._solved = _identities(session)
         self.withdrawn = self.missing = self.file = ''
 
     def _refuse(self, error: HandeyeError) -> None:
