@@ -13,8 +13,6 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from handeye_ros.bags.session import read_session  # noqa: E402, I100
-from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
     pose_message,
@@ -69,16 +67,6 @@ def filled(disk: Path) -> Path:
     return filler
 
 
-def set_noise(client: Client, value: float) -> None:
-    parameter = Parameter('noise.sensor', value=value).to_parameter_msg()
-    request = SetParameters.Request(parameters=[parameter])
-    assert client.request(SetParameters, 'set_parameters', request).results[0].successful
-
-
-def count_stored(folder: Path) -> int:
-    return sum(event.taken for event, _ in read_session(folder).stops.values())
-
-
 def refused(client: Client, words: str) -> None:
     answer = client.call('take_sample')
     assert (answer.success, words in answer.message) == (False, True), answer.message
@@ -121,25 +109,3 @@ def test_what_is_not_stored_is_not_taken(tmp_path: Path, client: Client, disk: P
         assert process.poll() is None
     log = (tmp_path / 'node.log').read_text()
     assert 'Traceback' not in log and 'No space left on device' in log
-
-
-def test_what_is_used_is_stored_also_after_a_change_of_settings(
-        tmp_path: Path, client: Client, disk: Path) -> None:
-    options = [text.replace(':=manual', ':=still') for text in SPHERE]
-    with running_node(tmp_path, *options, '-p', f'output_dir:={disk}'):
-        client.connect()
-        stand_still(client, 1)
-        stand_still(client, 2)  # the first is over: stored whole
-        client.until(lambda: client.state()['samples'] == '1', 'the first stop is a sample')
-        folder = next((disk / 'sphere').iterdir())
-        filler = filled(disk)
-        stand_still(client, 3)
-        client.until(lambda: 'No space left' in client.state()['message'], 'the disk is full')
-        set_noise(client, 4e-5)
-        client.call('compute_calibration')  # extracts again, and refuses so few samples
-        taken = int(client.state()['samples'])
-        assert taken == count_stored(folder)
-        filler.unlink()
-        set_noise(client, 3e-5)
-        client.call('compute_calibration')
-        assert int(client.state()['samples']) == count_stored(folder) > taken

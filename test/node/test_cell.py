@@ -100,34 +100,6 @@ def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Pat
                       'a sample is left out')
 
 
-def sweep(client: Client, start: int, seconds: float) -> None:
-    """Publish a robot that moves, and what its sensor sees; 20 of each in a second."""
-    for k in range(round(20 * seconds)):
-        client.poses.publish(pose_message(start + k * NS // 20, (2e-3 * k, 0.0, 0.0)))
-        client.profiles.publish(sphere_profile(start + k * NS // 20 + 1))
-
-
-@pytest.mark.thorough
-def test_a_kill_during_a_pass_loses_no_pass_before_it(tmp_path: Path, client: Client,
-                                                      home: Path) -> None:
-    samples, here = Reports(client, '/handeye/samples'), ('-p', 'output_dir:=""')
-    moving = (*SPHERE[:-1], 'sampling.mode:=moving')
-    with running_node(tmp_path, *moving, *here) as process:
-        client.connect()
-        sweep(client, 10**18, 5.0)
-        report = samples.until(lambda report: len(report['samples']) == 2, 'two passes are over')
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    with running_node(tmp_path, '-p', 'session:=last', *here):
-        again = samples.until(lambda t: t['session'] == report['session'], 'it goes on')
-        assert again['mode'] == 'moving'
-        assert [s['number'] for s in again['samples']] == [1, 2]
-        client.connect()
-        sweep(client, 10**18 + 20 * NS, 5.0)
-        samples.until(lambda report: [s['number'] for s in report['samples']] == [1, 2, 3, 4],
-                      'two more passes are over')
-
-
 @pytest.mark.thorough
 def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client) -> None:
     from handeye_ros.bags.bag import read

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-import shlex
 import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
@@ -148,16 +147,6 @@ def test_every_key_that_is_set_exists(monkeypatch: pytest.MonkeyPatch) -> None:
     assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
 
 
-def test_rviz_gets_the_layout_in_the_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, rviz = nodes('calibrate', monkeypatch, rviz='true', namespace='cell')
-    assert (rviz.package, rviz.executable, rviz.namespace) == ('rviz2', 'rviz2', 'cell')
-    assert rviz.arguments[0] == '-d' and Path(rviz.arguments[1]).is_file()
-    layout = yaml.safe_load(Path(rviz.arguments[1]).read_text())
-    shown = {display['Topic']['Value'] for display in layout['Visualization Manager']['Displays']
-             if 'Topic' in display}
-    assert dict(rviz.remappings) == {topic: topic.lstrip('/') for topic in shown}
-
-
 @pytest.mark.thorough
 @pytest.mark.ros
 def test_a_bag_is_calibrated_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -187,49 +176,3 @@ def test_a_bag_is_calibrated_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp
         assert answer.success, answer.message
         assert call('save_calibration').success
     assert (tmp_path / 'saved' / 'mine' / 'calibration.yaml').is_file()
-
-
-def test_publish_takes_paths_with_blanks(monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = ['/a/calibration.yaml', '/with blank/b']
-    (node,) = nodes('publish', monkeypatch, calibrations=shlex.join(paths), namespace='cell')
-    assert (node.executable, node.namespace, node.arguments) == ('publish', 'cell', paths)
-
-
-def test_scan_sets_keys_that_exist_and_hands_on_the_options(monkeypatch: pytest.MonkeyPatch
-                                                            ) -> None:
-    (node,) = nodes('scan', monkeypatch, calibration='/with blank/result', use_sim_time='true',
-                    profile_topic='/scan', pose_source='tf', base_frame='base_link',
-                    options='--std --range 0.15 0.2')
-    assert (node.name, node.executable) == ('handeye_scan', 'scan')
-    assert node.arguments == ['/with blank/result', '--set', 'profile_topic=/scan', '--set',
-                              'pose_source=tf', '--set', 'robot_base_frame=base_link',
-                              '--std', '--range', '0.15', '0.2']
-    assert node.parameters == [{'use_sim_time': True}]
-    set_here = [word for word in node.arguments if '=' in word]
-    assert config.with_assignments(config.Config(), set_here).pose_source == 'tf'
-
-
-@pytest.mark.thorough
-@pytest.mark.ros
-def test_a_bag_is_scanned_in_a_namespace(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip('rclpy', reason='needs rclpy')
-    from command import running
-    from handeye_ros.results.calibration_file import write_calibration
-    from moving_scan import calibration
-    from ros_helpers import Client
-    from sensor_msgs.msg import PointCloud2
-    write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    started = nodes('scan', monkeypatch, calibration=str(tmp_path), namespace='cell', rate='20',
-                    bag=str(ROOT / 'bags' / 'plate'), profile_topic='/profile',
-                    pose_topic='/flange_pose', options='--std')
-    got: list[PointCloud2] = []
-    with ExitStack() as stack:
-        client = Client()
-        stack.callback(client.close)
-        client.node.create_subscription(PointCloud2, '/cell/handeye_scan/points', got.append, 100)
-        for each in started:
-            stack.enter_context(running(command(each, tmp_path), cwd=ROOT,
-                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
-        client.until(lambda: sum(cloud.width for cloud in got) > 1000, 'points came')
-    assert [field.name for field in got[0].fields][:3] == ['x', 'y', 'z']
-    assert 'std' in [field.name for field in got[0].fields]

@@ -14,7 +14,6 @@ import threading
 from cells import recorded
 from command import PATIENCE
 from handeye_ros import pipeline, se3, targets
-from handeye_ros.bags.session import OutputFolders
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, HandeyeError, InputError
@@ -168,19 +167,6 @@ def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
     assert status['state'] == 'outdated' and '1 removed and 1 added' in status['text']
 
 
-def test_another_setting_takes_no_sample_of_where_the_robot_stands() -> None:
-    live = fed()
-    live.compute_calibration()
-    count, before = len(live.copied().outcomes), live.calibration
-    shifted = later([*SPHERE.poses, *SPHERE.profiles], 1000)
-    begun = min(item.stamp for item in shifted) + 8 * 10**8  # too short to be judged by itself
-    feed(live, [item for item in shifted if item.stamp <= begun])
-    changed(live, noise__sensor=2 * live.config.noise.sensor)
-    assert live.calibration is not before and len(live.copied().outcomes) == count
-    live.compute_calibration()
-    assert len(live.copied().outcomes) == count + 1
-
-
 def test_cleared_and_refused_answers_are_withdrawn() -> None:
     live = fed(set_to(SPHERE.config, limits__rotation=1e-6))
     with pytest.raises(DataError) as error:
@@ -240,14 +226,6 @@ def test_how_long_the_robot_must_still_stand_is_told() -> None:
         live.add_poses([TimedPose(stamp, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))])
     with pytest.raises(DataError, match=r'but for 0\.\d s: wait 0\.\d s more'):
         live.take_sample()
-
-
-def test_a_result_lies_below_the_namespace(monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setenv('ROS_HOME', str(tmp_path))
-    config = SPHERE.config
-    assert OutputFolders().parent(config) == tmp_path / 'handeye_ros'
-    assert OutputFolders('/cell1/left').parent(config) == tmp_path / 'handeye_ros/cell1/left'
-    assert OutputFolders('/cell1').parent(replace(config, output_dir='/data')) == Path('/data')
 
 
 # -- streams that are disturbed
@@ -487,14 +465,3 @@ def test_take_tells_that_stops_do_not_count_while_a_gauge_is_scanned() -> None:
     live.verify_start()
     with pytest.raises(DataError, match='stops do not count, points are taken while the robot m'):
         live.take_sample()
-
-
-def test_another_routine_ends_a_verification() -> None:
-    live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04))
-    feed(live, items_of(PARTS[0]))
-    live.compute_calibration()
-    count = len(live.copied().outcomes)
-    live.verify_start()
-    live.configure(set_to(live.config, verify__routine=''))
-    feed(live, items_of(PARTS[1]))
-    assert len(live.copied().outcomes) > count

@@ -78,6 +78,11 @@ def node_with_page(tmp_path: Path, port: int) -> AbstractContextManager[Any]:
     return running_node(tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}')
 
 
+def served(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(('127.0.0.1', port)) == 0
+
+
 def shown(browser: Any, port: int, client: Client) -> None:
     """Let a browser look at a node, and feed this the bag."""
     client.connect()
@@ -95,7 +100,7 @@ def test_a_calibration_by_clicking_goes_on_after_a_restart(tmp_path: Path, clien
             assert complaints(browser) == []
         assert 'Traceback' not in (tmp_path / 'node.log').read_text()
         with node_with_page(tmp_path, port):
-            client.state()
+            client.until(lambda: served(port), 'the page is there')
             browser.get(f'http://127.0.0.1:{port}/')
             complaints(browser)  # of the time without a node
             went_on(browser, count)
