@@ -184,25 +184,21 @@ def _listed(path: Path, base: Job) -> Iterable[Job]:
 
 
 @contextmanager
-def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboard: bool = False
-              ) -> Iterator[Any]:
-    """
-    Give a Dask client: of a cluster on this machine (`local`), or of an existing one.
-
-    workers, memory: of this machine, 0: one for each core; the memory that each may use.
-    Raises InputError.
-    """
-    import dask
-    from distributed import Client, LocalCluster
+def client_of(scheduler: str) -> Iterator[Any]:
+    """Give a Dask client of a cluster on this machine (`local`), or of one; raises InputError."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError(f'batch needs {error.name}, which is not installed: pip install '
+                         '"handeye_ros[batch]"') from error
     with ExitStack() as stack:
+        address: Any = scheduler
         if scheduler == 'local':
             stack.enter_context(dask.config.set(LOCAL))
             address = stack.enter_context(LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
-                memory_limit=memory, silence_logs=50,
-                dashboard_address=f'127.0.0.1:{8787 if dashboard else 0}'))
-        else:
-            address = scheduler
+                n_workers=len(os.sched_getaffinity(0)), threads_per_worker=1, silence_logs=50,
+                dashboard_address='127.0.0.1:0'))
         try:
             client = Client(address, timeout=60 if scheduler == 'local' else 5)
         except (OSError, ValueError) as error:
@@ -212,28 +208,14 @@ def client_of(scheduler: str, *, workers: int = 0, memory: str = 'auto', dashboa
         yield stack.enter_context(client)
 
 
-def require_dask(memory: str) -> None:
-    """Raise InputError without Dask, and for what is no size of memory."""
-    try:
-        from dask.utils import parse_bytes
-        import distributed  # noqa: F401 - only whether it is there
-        parse_bytes(0 if memory == 'auto' else memory)
-    except ImportError as error:
-        raise InputError(f'batch needs {error.name}, which is not installed: pip install '
-                         '"handeye_ros[batch]"') from error
-    except ValueError as error:
-        raise InputError(f'"{memory}" is no size of memory: give one such as 2GB or 500MB, or '
-                         'auto') from error
-
-
-def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, client: Callable[[], Any]
+def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
             ) -> Iterator[Row]:
     """
     Yield the row of each job: of the unchanged at once, of the others when they are done.
 
-    verb: runs the words of a command in a process, and returns its exit code; client: gives a
-    context of a Dask client, where there is something to compute. A worker that ends costs only
-    its own job. At last the worst answers of `solve` get their report.
+    verb: runs the words of a command in a process, and returns its exit code; scheduler: its
+    address, asked where there is something to compute. A worker that ends costs only its own
+    job. At last the worst answers of `solve` get their report. Raises InputError.
     """
     rows = [row for row in (unchanged(job, out) for job in jobs) if row]
     yield from rows
@@ -241,8 +223,8 @@ def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, client: Callable[[], Any
     pending = [job for job in jobs if job.label not in done]
     if not pending:
         return
-    from distributed import as_completed
-    with client() as workers:
+    with client_of(scheduler) as workers:
+        from distributed import as_completed
         by_future = dict(zip(workers.map(partial(run, out=out, verb=verb), pending, pure=False),
                              pending, strict=True))
         for future, result in as_completed(by_future, with_results=True, raise_errors=False):

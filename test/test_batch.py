@@ -15,7 +15,7 @@ import threading
 import time
 
 from command import assert_refused, handeye, PATIENCE, ROOT
-from handeye_ros.batch import CRASHED, Job, jobs_of, run, unchanged, write_table
+from handeye_ros.batch import CRASHED, Job, jobs_of, rows_of, run, unchanged, write_table
 from handeye_ros.errors import DataError, InputError
 import pytest
 
@@ -28,11 +28,6 @@ def pretended(words: list[str]) -> int:
     text = bag.read_text()
     if text == 'kill':
         os._exit(9)
-    if text == 'memory':
-        held = []
-        while True:  # a step each 10 ms: what ends it is the limit of the worker
-            held.append(bytearray(8_000_000))
-            time.sleep(0.01)
     if text == 'crash':
         raise ZeroDivisionError('a fault')
     if text == 'refuse':
@@ -50,23 +45,21 @@ class Quiet(SimpleHTTPRequestHandler):
 
 
 def test_each_job_costs_itself_and_is_computed_once(tmp_path):
-    from handeye_ros.batch import client_of, rows_of
     texts = {f'good{k}': f'{k}.0e-05' for k in range(6)}
-    texts |= {'killing': 'kill', 'memory': 'memory', 'crashing': 'crash', 'refused': 'refuse'}
+    texts |= {'killing': 'kill', 'crashing': 'crash', 'refused': 'refuse'}
     for name, text in texts.items():
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], Job('', '', 'solve'))
     assert [job.label for job in jobs] == sorted(texts)
-    workers = partial(client_of, 'local', workers=2, memory='500MB')
-    rows = {row['label']: row for row in rows_of(jobs, out, pretended, workers)}
+    rows = {row['label']: row for row in rows_of(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
-        'killing': CRASHED, 'memory': CRASHED, 'crashing': CRASHED, 'refused': 3}
+        'killing': CRASHED, 'crashing': CRASHED, 'refused': 3}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
-    assert all('worker' in rows[name]['cause'].lower() for name in ('killing', 'memory'))
+    assert 'worker' in rows['killing']['cause'].lower()
     assert rows['good5']['residual_rms'] == 5e-5
     (tmp_path / 'good3.mcap').write_text('1.0')
     again = {job.label for job in jobs if unchanged(job, out) is None}
-    assert again == {'good3', 'killing', 'memory'}
+    assert again == {'good3', 'killing'}
     write_table([*rows.values()], out)
     with (out / 'results.csv').open() as stream:
         assert [row['label'] for row in csv.DictReader(stream)] == sorted(rows)
@@ -174,7 +167,7 @@ def test_an_interrupt_says_how_far_it_came_and_a_second_run_goes_on(tmp_path):
 
 @pytest.mark.once
 @pytest.mark.parametrize(('words', 'sentence'), [
-    (('--out', 'a.mcap'), 'cannot write'), (('--out', 'out', '--memory', 'lots'), '"lots" is no'),
+    (('--out', 'a.mcap'), 'cannot write'),
     (('--out', 'out', '--set', 'foo=1'), 'unknown key "foo"'),
     (('--out', 'out', '--scheduler', 'tcp://127.0.0.1:9'), 'no Dask scheduler answers')])
 def test_a_fault_of_all_jobs_is_said_at_once(words, sentence, tmp_path):

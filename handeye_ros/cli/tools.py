@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -64,17 +63,11 @@ def batch(
     scheduler: Annotated[str, typer.Option(
         help='local: one process for each core of this machine; or the address of a Dask '
         'scheduler, such as tcp://host:8786.')] = 'local',
-    memory: Annotated[str, typer.Option(
-        help='What each local worker may use, such as 2GB; auto: its part of this machine.'
-        )] = 'auto',
-    dashboard: Annotated[bool, typer.Option(
-        '--dashboard', help='Show the page of Dask at port 8787 (local).')] = False,
 ) -> None:
     """Run a verb on many recordings; again: on the new ones."""
     from handeye_ros import batch as batches
     if verb not in VERBS:
         raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
-    batches.require_dask(memory)
     jobs = batches.jobs_of(sources, batches.Job(
         '', '', verb, batches.words_of(args, Path()), str(config.absolute()) if config else '',
         tuple(assignments)))
@@ -82,11 +75,10 @@ def batch(
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
     rows: list[Row] = []
-    workers = partial(batches.client_of, scheduler, memory=memory, dashboard=dashboard)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with advancing(f'{len(jobs)} recordings') as progress:
-            for row in batches.rows_of(jobs, out, run_verb, workers):
+            for row in batches.rows_of(jobs, out, run_verb, scheduler):
                 rows.append(row)
                 progress(len(rows) / len(jobs))
         batches.write_table(rows, out)

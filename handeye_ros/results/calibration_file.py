@@ -29,7 +29,6 @@ HEADER = """\
 """
 
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
-ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -169,16 +168,3 @@ def _sample(section: Section) -> SampleReport:
     residual = section.number('residual') if section.has('residual') else None
     return SampleReport(section.get('stamp', int), section.get('used', bool),
                         section.get('edge', str, ''), residual, section.get('reason', str, ''))
-
-
-def equal(a: Calibration, b: Calibration) -> bool:
-    """Return whether two calibrations are equal, except for the rounding of a quaternion."""
-    return all((
-        np.allclose(a.T_flange_sensor, b.T_flange_sensor, rtol=0, atol=ROUNDING),
-        np.array_equal(a.T_flange_sensor[:3, 3], b.T_flange_sensor[:3, 3]),
-        np.array_equal(a.covariance, b.covariance),
-        (a.name, a.method, a.parent_frame, a.child_frame)
-        == (b.name, b.method, b.parent_frame, b.child_frame),
-        (a.quality, a.samples, a.time_offset) == (b.quality, b.samples, b.time_offset),
-        (_plain(a.target), _plain(a.provenance)) == (_plain(b.target), _plain(b.provenance)),
-    ))
