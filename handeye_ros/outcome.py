@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import __version__, se3
-from handeye_ros.checks.measures import notes_of, reported_blocks, time_offset_of
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import (
     Array,
@@ -22,6 +21,7 @@ from handeye_ros.data import (
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
+from handeye_ros.notes import notes_of, reported_parameters, time_offset_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,7 +65,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
 def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
     described = solution.problem.method.describe(solution.estimate.target, solution.target_std)
-    described |= reported_blocks(solution) | {'joint': _joint(solution)}
+    described |= reported_parameters(solution) | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
     notes = [*notes_of(solution, config), *filter(None, [_other_surfaces(solution)])]
     return described | ({'note': '; '.join(notes)} if notes else {})

@@ -14,12 +14,7 @@ from pathlib import Path
 
 from handeye_ros import targets
 from handeye_ros.checks.causes import explained, require_agreement
-from handeye_ros.checks.measures import (
-    believable_shape,
-    believable_size,
-    offset_notes,
-    require_one_scale,
-)
+from handeye_ros.checks.measures import believable_shape, believable_size, require_one_scale
 from handeye_ros.checks.moved import moved_slightly
 from handeye_ros.checks.refusals import (
     missing_motion,
@@ -41,6 +36,7 @@ from handeye_ros.estimation.search import robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted
 from handeye_ros.guidance import advice
+from handeye_ros.notes import offset_notes
 from handeye_ros.outcome import calibration_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session

@@ -18,6 +18,7 @@ from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.problem import Target
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
+from handeye_ros.notes import lost_edges
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -242,18 +243,6 @@ def require_edges(solution: Solution) -> None:
             f'{lost_edges(solution)}; an answer that leaves out so many cannot be trusted: check '
             'target.size, that the edges are straight and that the laser crosses no other edges, '
             'or calibrate from the plane alone (target.type plane)', reason='edges')
-
-
-def lost_edges(solution: Solution) -> str:
-    """Return in words the edges that the answer does not use, '' if it uses all."""
-    if not len(solution.unused):
-        return ''
-    shown = int(solution.whole.subset(solution.used).shows_essential.sum())
-    part, estimate = solution.whole.subset(solution.unused), solution.estimate
-    where = part.method.elsewhere(part.observations, part.points_in_base(estimate.X),
-                                  estimate.target, part.config)
-    return (f'the edges of {len(solution.unused)} of the {shown} samples that show one lie on '
-            'none of the target' + (f': {where}' if where else ''))
 
 
 def require_left_out(left_out: float, residual: float, limit: float) -> None:

@@ -1,0 +1,171 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What an answer says beside the transform: nuisance parameters, and remarks in words."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+import math
+from typing import Any
+
+from handeye_ros.config import Config
+from handeye_ros.data import CLOCK_DRIFT, ROTATION_LAG, TIME_OFFSET, TimeOffset
+from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock
+from handeye_ros.estimation.solve import Solution
+import numpy as np
+
+CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+SMALLEST_BEND = 3e-5  # m, told
+LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    The first parameter of a block of nuisance parameters: its value and 1 sigma.
+
+    contradiction: of the value from the data alone with the stated one, in sigmas of both;
+    evidence: of the value from the data alone, in its sigmas.
+    """
+
+    block: ParameterBlock
+    value: float
+    std: float
+    contradiction: float
+    evidence: float
+
+
+def parameters(solution: Solution) -> dict[str, Parameter]:
+    """Return the first parameter of each block of a solution, by the name of the block."""
+    found, first = dict[str, Parameter](), solution.unknowns
+    for block in solution.blocks:
+        n = float(solution.nuisance[first - solution.unknowns])
+        p = min(float(solution.covariance[first, first]), 1 - 1e-9)  # of a prior variance of 1
+        alone, variance = n / (1 - p), p / (1 - p)
+        stated = 1 / solution.noise.scales.get(block.name, 1.0)
+        found[block.name] = Parameter(block, n * block.std, p ** 0.5 * block.std,
+                                      alone / math.sqrt(stated + variance),
+                                      alone / math.sqrt(max(variance, 1e-300)))
+        first += block.count
+    return found
+
+
+def reported_parameters(solution: Solution) -> dict[str, Any]:
+    """Return the reported nuisance parameters: values of single ones, scales of others."""
+    report: dict[str, Any] = {}
+    every = parameters(solution.conservative or solution).values()
+    for one in every:
+        if one.block.report and one.block.count == 1:
+            report |= {one.block.report: one.block.origin + one.value,
+                       f'{one.block.report}_std': one.std}
+    for block in (one.block for one in every):
+        if block.report and block.count > 1:
+            report[block.report] = math.hypot(report.get(block.report, 0.0), block.std)
+    return report
+
+
+def time_offset_of(solution: Solution) -> TimeOffset | None:
+    """Return the time offset (s) to add to received stamps, None without samples in motion."""
+    offset = _clocks(solution, TIME_OFFSET)
+    return offset and TimeOffset(solution.problem.config.time_offset + offset.value, offset.std)
+
+
+def _clocks(solution: Solution, name: str) -> TimeOffset | None:
+    """Return value and 1 sigma of a parameter of the clocks, None without it."""
+    best = parameters(solution).get(name)
+    if best is None:
+        return None
+    wide = parameters(solution.conservative or solution)[name]
+    return TimeOffset(best.value, math.hypot(wide.std, wide.value - best.value))
+
+
+def notes_of(solution: Solution, config: Config) -> list[str]:
+    """Return the remarks on an answer in words: clocks, laser line, target, edges."""
+    return [*offset_notes(solution), *_bend_notes(solution), *_measure_notes(solution, config),
+            *_edge_notes(solution)]
+
+
+def offset_notes(solution: Solution) -> list[str]:
+    """Return notes on the time offset and the lag of the rotation."""
+    offset, lag = _clocks(solution, TIME_OFFSET), _clocks(solution, ROTATION_LAG)
+    if offset is None:
+        return []
+    notes = []
+    if offset.std > 0.5 * solution.problem.config.time_offset_std:
+        notes.append('the motion says nothing of the time offset, which is as time_offset and '
+                     'time_offset_std state it: sweep across the target, with changes of speed')
+    elif offset.std > 5e-4:  # s
+        notes.append(f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
+                     f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
+    if lag and abs(lag.value) > max(CONTRADICTION * lag.std, 3e-4):
+        notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
+                     'position: a scan with this calibration allows for it')
+    drift = _clocks(solution, CLOCK_DRIFT)
+    if drift and abs(drift.value) > max(CONTRADICTION * drift.std, LARGE_DRIFT):
+        notes.append('the clocks of profiles and poses drift apart by '
+                     f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '
+                     'offset is that of the middle of this recording: synchronise the clocks')
+    return notes
+
+
+def _bend_notes(solution: Solution) -> Iterator[str]:
+    """Yield the note on a laser line that is bent out of its plane, if the data show that."""
+    bend = parameters(solution.conservative or solution).get(LINE_BEND)
+    if bend and abs(bend.evidence) > CONTRADICTION and abs(bend.value) > SMALLEST_BEND:
+        yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
+               f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
+               'the transform is that of the plane which fits it best')
+
+
+def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
+    """Yield the notes on measures of the target that contradict the configuration."""
+    problem, target = solution.problem, solution.estimate.target
+    stated, labels = replace(problem, config=config).tolerances, problem.method.labels
+    best = parameters(solution)
+    for name, one in parameters(solution.conservative or solution).items():
+        k = one.block.parameter
+        if k is None or one.block.count > 1:
+            continue
+        freed, estimated = problem.tolerances[k] > stated[k], float(target[k - len(labels)])
+        if freed or abs(one.contradiction) > NOTED_CONTRADICTION:
+            first = min(config.target.size, key=lambda size: abs(size - estimated)) if (
+                freed) else estimated - best[name].value
+            yield _measure_note(name, first, estimated, one.std)
+    given_up = problem.method.free(problem.config) & ~problem.method.free(config)
+    for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
+        first, estimated = float(problem.method.configured(config)[i]), target[i - len(labels)]
+        std = float(solution.target_std[i])
+        if abs(estimated - first) > NOTED_CONTRADICTION * math.hypot(std, stated[i]):
+            yield _measure_note(labels[i], first, float(estimated), std)
+
+
+def _measure_note(label: str, stated: float, estimated: float, std: float) -> str:
+    unit, scale = ('degrees', math.degrees(1)) if 'angle' in label else ('mm', 1e3)
+    return (f'the {label.replace("_", " ")} of the target is {estimated * scale:.3f} +- '
+            f'{std * scale:.3f} {unit}, not the configured {stated * scale:.3f}: the answer uses '
+            'the estimate')
+
+
+def _edge_notes(solution: Solution) -> Iterator[str]:
+    """Yield the edges that the answer does not use, and those never seen."""
+    method, lost = solution.problem.method, lost_edges(solution)
+    if lost:
+        yield lost
+    used = {method.kinds[k] for k in set(solution.problem.observations.kind)}
+    known, seen = ({name.partition('_')[0] for name in names if name in method.essential}
+                   for names in (method.essential, used))
+    for edge in sorted(known - seen):
+        yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
+               'line if the target has one edge only')
+
+
+def lost_edges(solution: Solution) -> str:
+    """Return in words the edges that an answer does not use, '' if it uses all."""
+    if not len(solution.unused):
+        return ''
+    shown = int(solution.whole.subset(solution.used).shows_essential.sum())
+    part, estimate = solution.whole.subset(solution.unused), solution.estimate
+    where = part.method.elsewhere(part.observations, part.points_in_base(estimate.X),
+                                  estimate.target, part.config)
+    return (f'the edges of {len(solution.unused)} of the {shown} samples that show one lie on '
+            'none of the target' + (f': {where}' if where else ''))
