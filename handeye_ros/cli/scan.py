@@ -49,9 +49,9 @@ def scan(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put profiles into the base: a cloud of points."""
-    from handeye_ros.scanning.cloud_files import cloud_writer, header_of
+    from handeye_ros.scanning.cloud import cloud_writer, require_format
     from handeye_ros.scanning.scan import Scanner, ScanOptions
-    header_of(out)
+    require_format(out)
     answer, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
     scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
@@ -109,8 +109,7 @@ def seam(
 ) -> None:
     """Find the seam in a cloud, and tool frames along it."""
     from handeye_ros import units
-    from handeye_ros.scanning import seam_files
-    from handeye_ros.scanning.seam import find_seam, tool_frames
+    from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     import numpy as np
     low, high = np.reshape(units.limits(box, '--box', FAR), (3, 2)).T
     gap = units.length(widest, '--widest', 0.1, 1e-4)
@@ -121,13 +120,13 @@ def seam(
     with doing('looking for the seam'):
         result = find_seam(points, gap, towards, line, begin)
         frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
-    seam_files.write(out, result, frames, frame)
+    write(out, result, frames, frame)
     if bag:
         import time
 
         from handeye_ros.bags.bag_write import write_path
         write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
-    for sentence in seam_files.sentences(result, frames):
+    for sentence in sentences(result, frames):
         typer.echo(sentence)
     typer.echo(f'wrote {out.absolute()}')
 
@@ -136,7 +135,7 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
            ) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag, and their frame."""
     from handeye_ros.errors import InputError
-    from handeye_ros.scanning.cloud_files import FORMATS, read_cloud
+    from handeye_ros.scanning.cloud import FORMATS, read_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     import numpy as np
     if path.suffix.lower() in FORMATS:

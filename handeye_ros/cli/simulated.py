@@ -12,7 +12,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.data import Array
 from handeye_ros.results import truth_file
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.scanning.cloud_files import cloud_writer
+from handeye_ros.scanning.cloud import cloud_writer
 from handeye_ros.simulate import (
     arm,
     FAULTS,

@@ -21,7 +21,7 @@ from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import DataError
 from handeye_ros.frames import in_mount, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
-from handeye_ros.scanning.cloud_files import Points
+from handeye_ros.scanning.cloud import Points
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,7 +82,6 @@ class Scanner:
         self.count = ScanCount()
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._intensity: bool | None = None  # whether the driver publishes it
-        self._variance = variance_polynomial(calibration, config.noise)
         self._filled = set[int]()  # cubes that have their point
 
     @property
@@ -108,11 +107,9 @@ class Scanner:
         self.count.without_pose += len(profiles) - len(used)
         T = in_mount(flange.T_base_flange[flange.inside], self.config
                      ) @ self.calibration.T_flange_sensor
-        variances = np.broadcast_to(self._variance, (len(used), 3, 3))
-        if self.options.std and used:
-            variances = self._variance + pose_variances(
-                self.calibration.T_flange_sensor, track.std(stamps[flange.inside]))
-        pieces = [self._of_profile(*item) for item in zip(used, T, variances, strict=True)]
+        pose_stds = (track.std(stamps[flange.inside]) if self.options.std and used else
+                     np.zeros((len(used), 2)))
+        pieces = [self._of_profile(*item) for item in zip(used, T, pose_stds, strict=True)]
         cloud = np.concatenate([np.empty(0, self.dtype), *pieces])
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
 
@@ -149,7 +146,7 @@ class Scanner:
                  *(['std'] if self.options.std else [])]
         return np.dtype([(name, '<f4') for name in names])
 
-    def _of_profile(self, profile: Profile, T_base_sensor: Array, variance: Array) -> Points:
+    def _of_profile(self, profile: Profile, T_base_sensor: Array, pose_std: Array) -> Points:
         keep = self._within_limits(profile.points)
         points = profile.points[keep]
         axes = unit_vectors(profile.axes)
@@ -161,7 +158,8 @@ class Scanner:
             cloud['intensity'] = (np.nan if profile.intensity is None
                                   else profile.intensity[keep])
         if self.options.std:
-            cloud['std'] = point_std(variance, points @ axes[[0, 2]].T)
+            cloud['std'] = point_std(self.calibration, self.config.noise,
+                                     points @ axes[[0, 2]].T, pose_std)
         return cloud
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
@@ -188,46 +186,22 @@ def _incidence(x: Array, z: Array) -> Array:
     return np.asarray(np.arctan2(np.abs(z[last] - z[first]), np.abs(x[last] - x[first])))
 
 
-def variance_polynomial(calibration: Calibration, noise: NoiseConfig) -> Array:
+def point_std(calibration: Calibration, noise: NoiseConfig, points: Array, pose_std: Array
+              ) -> Array:
     """
-    Return the matrix V (3, 3) with variance [x z 1] V [x z 1]'.
+    Return 1 sigma (n,) of points (n, 2) of the sensor plane in the base, as a length (m).
 
-    The variance is the mean squared length of the position's error (m^2), that is the trace of
-    its covariance: of the calibration (6x6), of the range, and of single poses.
+    Its square is the mean squared length of the position's error, the trace of its covariance:
+    of the calibration (6x6), of the range, of single poses (noise), and of the track of the poses
+    (pose_std (2,), per axis, m and rad).
     """
-    lever = _lever(calibration.T_flange_sensor)
-    C = calibration.covariance
-    V = _lever_variance(lever, C[3:, 3:])
+    X, C = calibration.T_flange_sensor, calibration.covariance
+    lever = points @ X[:3, [0, 2]].T
     # E|dt + dr x l|^2 = tr(C_tt) + 2 l . E[dt x dr] + l' (tr(C_rr) I - C_rr) l
     twist = np.array([C[1, 5] - C[2, 4], C[2, 3] - C[0, 5], C[0, 4] - C[1, 3]])
-    V[2] += twist @ lever
-    V[:, 2] += twist @ lever
-    V[2, 2] += np.trace(C[:3, :3]) + noise.sensor ** 2
-    robot = np.array([[noise.robot_translation, noise.robot_rotation]])
-    return np.asarray(V + pose_variances(calibration.T_flange_sensor, robot)[0])
-
-
-def pose_variances(T_flange_sensor: Array, std: Array) -> Array:
-    """Return V (n, 3, 3) as variance_polynomial, for poses with std (n, 2) per axis (m, rad)."""
-    lever = _lever(T_flange_sensor)
-    lever[:, 2] += T_flange_sensor[:3, 3]
-    V = std[:, 1, None, None] ** 2 * _lever_variance(lever, np.eye(3))
-    V[:, 2, 2] += 3 * std[:, 0] ** 2
-    return np.asarray(V)
-
-
-def _lever(T: Array) -> Array:
-    """Return the matrix (3, 3) that maps (x, z, 1) to the rotated sensor point R s."""
-    return np.column_stack([T[:3, 0], T[:3, 2], np.zeros(3)])
-
-
-def _lever_variance(lever: Array, C: Array) -> Array:
-    return np.asarray(lever.T @ (np.trace(C) * np.eye(3) - C) @ lever)
-
-
-def point_std(V: Array, points: Array) -> Array:
-    """Return 1 sigma (n,) of points (n, 2) of the sensor plane, as a length."""
-    x, z = points.T
-    square = (V[0, 0] * x + 2 * (V[0, 1] * z + V[0, 2])) * x + (
-        V[1, 1] * z + 2 * V[1, 2]) * z + V[2, 2]
+    square = np.trace(C[:3, :3]) + 2 * lever @ twist + noise.sensor ** 2
+    square += ((lever @ (np.trace(C[3:, 3:]) * np.eye(3) - C[3:, 3:])) * lever).sum(axis=1)
+    from_flange = ((lever + X[:3, 3]) ** 2).sum(axis=1)
+    for translation, rotation in ((noise.robot_translation, noise.robot_rotation), pose_std):
+        square += 3 * translation ** 2 + 2 * rotation ** 2 * from_flange
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A seam in a cloud, and the tool frames along it, after Wu 2017.
+A seam in a cloud, the tool frames along it, and their files, after Wu 2017.
 
 The two edges are sampled in pairs, the centre line is midway between them (eq. 6) and a space
 curve is fitted to it (eq. 7). n is its tangent, o is opposite to the normals of the sheets,
@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
+from handeye_ros.output import write_whole
 from handeye_ros.published import wu2017
 from handeye_ros.scanning.curves import Curve, spline, through
 from handeye_ros.scanning.seam_edges import course, spacing_of
@@ -25,7 +27,12 @@ from handeye_ros.scanning.seam_sheets import rims_of, sheets_of
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+import yaml
 
+FORMAT = 'handeye_ros/seam/1'
+NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
+COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual', 'std')
+NEARBY = 0.01  # m along the seam: sections within it give the residual at a frame
 WIDEST = 0.012  # m between the edges of a seam
 POINTS = 400_000  # largest number of points of a cloud that are used
 FEWEST = 500  # smallest number
@@ -37,7 +44,7 @@ UNCLEAR = 10.0  # largest scatter of the sections, in sigmas of the points, or o
 @dataclass(frozen=True, eq=False)
 class Seam:
     """
-    A seam: paired edges (k, 3), root (k, 3), its curve, and its cloud.
+    A seam: paired edges (k, 3), root (k, 3), and its curve.
 
     kind: v, butt, lap or fillet; line: the line of the curve: centre, root, first or second edge;
     normals: (k, 3), out of the part, mean of those of the sheets; residuals: (k,) of the sections
@@ -53,7 +60,6 @@ class Seam:
     normals: Array
     residuals: Array
     curve: Curve
-    points: Array
     noise: float
     spacing: float
     others: int
@@ -97,35 +103,37 @@ def find_seam(points: Array, widest: float = WIDEST,
             np.linalg.norm(sections.root[[0, -1]] - start, axis=1)) == 1:
         sections = sections.reversed()
     line = line if line != 'auto' else 'root' if rough.kind in ('v', 'fillet') else 'centre'
-    first, second, root, normals, residuals, std = _smoothed(sections, line)
+    lines, residuals, std = _smoothed(sections, line)
     spread = float(np.sqrt((residuals ** 2).mean()))
     if max(sections.noise, spread) > max(UNCLEAR * sheets.noise, spacing):
         raise DataError(f'the sections of the seam scatter by {mm(max(sections.noise, spread))}, '
                         f'and the points by {mm(sheets.noise)}: this is not a uniform seam; cut '
                         'it out with --box, or scan more densely')
-    lines = {'first': first, 'second': second, 'root': root,
-             'centre': wu2017.centre_line(first, second)}
-    return Seam(rough.kind, line, first, second, root, normals, residuals,
-                through(lines[line]), points, sections.noise, spacing, rough.others, std)
+    return Seam(rough.kind, line, lines['first'], lines['second'], lines['root'],
+                lines['normals'], residuals, through(lines[line]), sections.noise, spacing,
+                rough.others, std)
 
 
-def _smoothed(sections: Edges, line: str) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return edges, root, normals (k, 3), residuals (k,) and std (k, 2), evenly spaced."""
+def _smoothed(sections: Edges, line: str) -> tuple[dict[str, Array], Array, Array]:
+    """Return edges, root, centre and normals (k, 3), evenly spaced, residuals (k,), std (k, 2)."""
     normals = sections.normals.sum(axis=1)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    count = max(int((sections.ends[1] - sections.ends[0]) / SAMPLES_EACH), 8)
-    grid = np.linspace(*sections.ends, count)
     curves = {name: spline(sections.lengths, values) for name, values in (
         ('first', sections.first), ('second', sections.second), ('root', sections.root),
-        ('centre', wu2017.centre_line(sections.first, sections.second)))}
-    first, second, root, _ = (curve.position(grid) for curve in curves.values())
-    turning = spline(sections.lengths, normals)  # not beyond the sections, where it is uncertain
-    normals = turning.position(np.clip(grid, sections.lengths[0], sections.lengths[-1]))
-    raw = np.array([np.interp(sections.lengths, grid, column) for column in root.T]).T
+        ('centre', wu2017.centre_line(sections.first, sections.second)), ('normals', normals))}
+    count = max(int((sections.ends[1] - sections.ends[0]) / SAMPLES_EACH), 8)
+    grid = np.linspace(*sections.ends, count)
+    # the normals not beyond the sections, where they are uncertain
+    within = np.clip(grid, sections.lengths[0], sections.lengths[-1])
+    lines = {name: curve.position(within if name == 'normals' else grid)
+             for name, curve in curves.items()}
+    lines['centre'] = wu2017.centre_line(lines['first'], lines['second'])
+    raw = np.array([np.interp(sections.lengths, grid, column) for column in lines['root'].T]).T
     distance = np.linalg.norm(raw - sections.root, axis=1)
     resolution = sections.resolution[list(curves).index(line)]
-    std = np.column_stack([np.hypot(curves[line].std(grid), resolution), turning.std(grid)])
-    return first, second, root, normals, np.interp(grid, sections.lengths, distance), std
+    std = np.column_stack([np.hypot(curves[line].std(grid), resolution),
+                           curves['normals'].std(grid)])
+    return lines, np.interp(grid, sections.lengths, distance), std
 
 
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
@@ -154,3 +162,64 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
         T = wu2017.tool_frame(n, orthogonal / np.linalg.norm(orthogonal), p)
         frames.append(se3.transform(T[:3, :3] @ tilt, p))
     return ToolFrames(lengths, np.array(frames))
+
+
+def measures(seam: Seam, frames: ToolFrames) -> Array:
+    """
+    Return (m, 4) at each frame: gap, mismatch, residual and 1 sigma of its position (m).
+
+    Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
+    distance of the sections nearby from the line.
+    """
+    positions = np.linspace(0.0, seam.curve.length, len(seam.normals))
+    across = seam.second - seam.first
+    mismatch = (across * seam.normals).sum(axis=1)
+    tangent = np.gradient(seam.root, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    along_sheets = across - mismatch[:, None] * seam.normals
+    along_sheets -= (across * tangent).sum(axis=1)[:, None] * tangent
+    nearby = np.abs(positions - frames.lengths[:, None]) <= NEARBY
+    residual = np.sqrt((nearby * seam.residuals ** 2).sum(axis=1) / nearby.sum(axis=1))
+    return np.column_stack([*(np.interp(frames.lengths, positions, v) for v in (
+        np.linalg.norm(along_sheets, axis=1), np.abs(mismatch))), residual, np.interp(
+            frames.lengths, positions, seam.std[:, 0])])
+
+
+def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
+    """
+    Write seam.csv and seam.yaml: arc length, pose and measures of each frame (m).
+
+    Raises UnwritableError.
+    """
+    rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
+                            se3.quaternion(frames.T_base_tool), measures(seam, frames)])
+    write_whole(folder / 'seam.csv', '\n'.join([
+        ','.join(COLUMNS), *(','.join(f'{v:.9f}' for v in row) for row in rows), '']))
+    content = {
+        'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
+        'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
+        'residual': seam.residual, 'spacing': seam.spacing,
+        'frames': [{'length': row[0], 'position': row[1:4], 'quaternion': row[4:8],
+                    **dict(zip(COLUMNS[8:], row[8:], strict=True))} for row in rows.tolist()]}
+    write_whole(folder / 'seam.yaml', yaml.safe_dump(content, sort_keys=False, width=100,
+                                                     default_flow_style=None))
+
+
+def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
+    """Return the sentences on a seam."""
+    gap, mismatch, _, std = 1e3 * measures(seam, frames).T
+    begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
+    lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
+             f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
+             f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
+             f'{mismatch.max():.2f} mm; its sections scatter by {seam.residual * 1e3:.3f} mm',
+             f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
+             f'{seam.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm (1 sigma) or '
+             'better']
+    if max(begins, ends) > 1e-6:
+        lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
+                     f'{ends * 1e3:.1f} mm: the line is too uncertain there')
+    if seam.others:
+        lines.append(f'{seam.others} other edges that face each other (steps, corners) are not '
+                     'taken for the seam; cut one out with --box to have it')
+    return lines

@@ -4,7 +4,7 @@
 The two edges of a seam, by sections across its rough course.
 
 On each side a polynomial is fitted to the section of the sheet; the edge is its most likely end
-(seam_sheets.end_of). The foot of a lap lies on the lower sheet under the rim, even where the wall
+(_end_of). The foot of a lap lies on the lower sheet under the rim, even where the wall
 hides it. The root of a fillet is the intersection of the sheets; that of a V is midway between
 its lower edges.
 """
@@ -18,11 +18,18 @@ from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
 from handeye_ros.scanning.seam_edges import Course, interrupted, position_text
-from handeye_ros.scanning.seam_sheets import column_resolution, end_of, Rims, sheet_through, Sheets
+from handeye_ros.scanning.seam_sheets import Rims, Sheets
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.spatial import cKDTree
+from scipy.special import log_ndtr
 
+FEWEST = 12  # points of a side of a section
+SHORT = 0.365  # mean bias of the most likely end for few points, times the density
+INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
+FREQUENCIES = np.linspace(0.5, 5.0, 226)  # of columns, per spacing
+IRREGULAR, REGULAR = 0.15, 0.35  # largest periodicity of random points; smallest of columns
 WIDTH = 24.0  # spacings: width of a sheet's section, at least
 NARROWEST = 6e-3  # m: the same
 MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
@@ -96,6 +103,11 @@ class _Line:
         tangent = self.curve.advance(clipped)
         return self.curve.position(clipped) + (t - clipped) * tangent, tangent
 
+    def moved(self, curve: Curve) -> _Line:
+        """Return the same pairs along another curve of the same lengths."""
+        return replace(self, curve=curve, points=curve.position(
+            np.clip(self.t, curve.first, curve.last)))
+
 
 def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Course,
           spacing: float) -> Edges:
@@ -105,25 +117,39 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
     Raises DataError.
     """
     line = _line(rims, rough, spacing)
+    found = _edges_along(line, points, tree, sheets, rims, rough.kind, spacing)
+    if rough.kind in ('v', 'fillet'):  # out of a corner the rough course may bend at its ends
+        line = line.moved(spline(found.lengths, found.root))
+        found = _edges_along(line, points, tree, sheets, rims, rough.kind, spacing)
+    return found
+
+
+def _edges_along(line: _Line, points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, kind: str,
+                 spacing: float) -> Edges:
+    """Return the edges by sections across a line; raises DataError."""
     step = max(1e-3, 3 * spacing)
-    first, last = line.curve.first - OVERHANG, line.curve.last + OVERHANG
+    first, last = line.t[0] - OVERHANG, line.t[-1] + OVERHANG
     lengths = np.arange(first + 0.5 * step, last, step)
-    degree = 1 if rough.kind in ('v', 'fillet') else 2
+    degree = 1 if kind in ('v', 'fillet') else 2
     sections: list[tuple[float, _Side, _Side]] = []
     for t in lengths:
         a, b = (_side(points, tree, sheets, rims, line, side, t, step, spacing, degree)
                 for side in (0, 1))
         if a is not None and b is not None:
             sections.append((float(t), a, b))
-    has_section = np.isin(lengths, [t for t, _, _ in sections])
-    _require_whole(has_section, [line.position(float(t))[0] for t in lengths], step)
+    seen = [t for t, _, _ in sections] or [float(lengths[0]), float(lengths[-1])]
+    missing = np.append(np.diff(seen) - step, 0.0)
+    worst = int(np.argmax(missing))
+    if not sections or missing[worst] > MISSING:
+        raise interrupted(float(missing[worst]),
+                          line.position(0.5 * (seen[worst] + seen[worst + 1]))[0])
     (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
     filled = [(t, a, b) for t, a, b in sections
               if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
     gap = np.median([(a.end - b.end) @ (b.outwards - a.outwards)
                      / np.linalg.norm(b.outwards - a.outwards) for _, a, b in filled])
     meeting = {'fillet': np.inf, 'v': MET * spacing * (gap < ROOT_GAP * spacing)}
-    joint = partial(_joint, rough.kind, meeting.get(rough.kind, 0.0))
+    joint = partial(_joint, kind, meeting.get(kind, 0.0))
     rows = np.array([joint(a, b) for _, a, b in filled])
     return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
                  rows[:, 3:], float(np.median([s.noise for _, *sides in filled for s in sides])),
@@ -174,16 +200,16 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
     if np.isin(labels, rims.label[rows_of_other]).any():  # one sheet on both sides
         separation = np.median((rims.points[rows_of_side] - rims.points[rows_of_other]) @ inwards)
         limit = min(0.5 * abs(float(separation)), BEYOND)
-    resolution = column_resolution(b, spacing, MARGIN)
+    resolution = _column_resolution(b, spacing, MARGIN)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
-    fitted = sheet_through(b, height, MARGIN * spacing, degree)
+    fitted = _sheet_through(b, height, MARGIN * spacing, degree)
     if fitted is None:
         return None
     sheet, noise = fitted
     on_sheet = np.abs(height - np.polyval(sheet, b)) < TOLERANCE * noise
     inner = on_sheet & (b > MARGIN * spacing)
-    end = -end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
+    end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
     if abs(end) > BEYOND:
         return None
     slope = np.polyval(np.polyder(sheet), end)
@@ -192,6 +218,61 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
                  -(inwards + slope * upright) / np.hypot(1, slope),
                  (upright - mean * inwards) / np.hypot(1, mean), noise,
                  (float(along[on_sheet].min()), float(along[on_sheet].max())), resolution)
+
+
+def _sheet_through(b: Array, height: Array, margin: float, degree: int
+                  ) -> tuple[Array, float] | None:
+    """Return the polynomial through the sheet at b > margin, and the residual scatter."""
+    beside: NDArray[np.bool_] = np.asarray(b > margin)
+    if beside.sum() < FEWEST or np.ptp(b[beside]) < margin:
+        return None
+    sheet, noise = np.zeros(3), np.inf
+    for cut in (np.inf, 3.0, 3.0):
+        distance = np.abs(height - np.polyval(sheet, b))
+        used = beside & (distance <= cut * noise)
+        if used.sum() < FEWEST:
+            return None
+        sheet = np.polyfit(b[used], height[used], degree)
+        noise = 1.4826 * float(np.median(np.abs(height[used] - np.polyval(sheet, b[used]))))
+        noise = max(noise, 1e-6)
+    return sheet, noise
+
+
+def _end_of(b: Array, noise: float, density: float) -> float:
+    """
+    Return the most likely end of points b (n,), uniform below it with a density (1/m).
+
+    noise: 1 sigma of the points along b (m).
+    """
+    def excess(end: float) -> float:
+        scaled = (end - b) / noise
+        ratio = np.exp(-0.5 * scaled ** 2 - log_ndtr(scaled)) / np.sqrt(2 * np.pi)
+        return float(ratio.sum() / noise - density)
+
+    last = float(b.max())
+    low, high = last - 5 * noise, last + 5 * noise + 10 / max(density, 1.0)
+    if excess(low) < 0 or excess(high) > 0:
+        return last
+    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
+
+
+def _column_resolution(b: Array, spacing: float, margin: float) -> float:
+    """
+    Return 1 sigma (m) of an end anywhere between two columns.
+
+    b: (n,) across the seam from its edge, of the points of many profiles (m); those within margin
+    spacings are left out. If the columns follow the seam, their distance is a period of b; else
+    the position of the end between columns differs from profile to profile.
+    """
+    inner = b[(b > margin * spacing) & (b < INNER * spacing)] / spacing
+    if len(inner) < FEWEST:
+        return 0.0
+    periodic = np.abs(np.exp(2j * np.pi * np.outer(FREQUENCIES, inner)).mean(axis=1))
+    first = int(np.argmax(periodic > 0.8 * periodic.max()))
+    while first + 1 < len(periodic) and periodic[first + 1] > periodic[first]:
+        first += 1
+    regularity = np.clip((periodic[first] - IRREGULAR) / (REGULAR - IRREGULAR), 0.0, 1.0)
+    return float(regularity * spacing / FREQUENCIES[first] / np.sqrt(12))
 
 
 def _axes(rims: Rims, rows_of_side: NDArray[np.intp], rows_of_other: NDArray[np.intp],
@@ -233,16 +314,3 @@ def _resolution(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> A
     change = np.stack([joint(further[0], b), joint(a, further[1])]) - joint(a, b)
     lines = np.concatenate([change[:, :3], change[:, :2].mean(axis=1, keepdims=True)], axis=1)
     return np.asarray(np.sqrt((lines ** 2).sum(axis=(0, 2))))
-
-
-def _require_whole(has_section: NDArray[np.bool_], positions: list[Array], step: float
-                   ) -> None:
-    """Raise for a seam with large missing parts."""
-    rows = np.flatnonzero(has_section)
-    if not len(rows):
-        raise interrupted(len(has_section) * step, positions[len(positions) // 2])
-    gaps = np.diff(rows) - 1
-    worst = int(np.argmax(gaps)) if len(gaps) else 0
-    if len(gaps) and gaps[worst] * step > MISSING:
-        raise interrupted(float(gaps[worst] * step),
-                          positions[int(rows[worst] + gaps[worst] // 2 + 1)])

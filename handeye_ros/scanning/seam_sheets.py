@@ -16,17 +16,10 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.special import log_ndtr
 
-FEWEST = 12  # points of a side of a section
-SHORT = 0.365  # mean bias of the most likely end for few points, times the density
-INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
-FREQUENCIES = np.linspace(0.5, 5.0, 226)  # of columns, per spacing
-IRREGULAR, REGULAR = 0.15, 0.35  # largest periodicity of random points; smallest of columns
 NEIGHBOURS = 32
 REACH = 3.5  # spacings: radius of the neighbourhood of a point
 LINKED = 10  # neighbours, near and far, that are compared with a point
@@ -37,61 +30,6 @@ SMALLEST = 60  # points of a sheet
 THINNEST = 0.25  # spacings: smallest standard deviation across a sheet; less is a single profile
 FREE_ANGLE = 2.2  # rad without neighbours: an edge
 CHUNK = 20_000
-
-
-def sheet_through(b: Array, height: Array, margin: float, degree: int
-                  ) -> tuple[Array, float] | None:
-    """Return the polynomial through the sheet at b > margin, and the residual scatter."""
-    beside: NDArray[np.bool_] = np.asarray(b > margin)
-    if beside.sum() < FEWEST or np.ptp(b[beside]) < margin:
-        return None
-    sheet, noise = np.zeros(3), np.inf
-    for cut in (np.inf, 3.0, 3.0):
-        distance = np.abs(height - np.polyval(sheet, b))
-        used = beside & (distance <= cut * noise)
-        if used.sum() < FEWEST:
-            return None
-        sheet = np.polyfit(b[used], height[used], degree)
-        noise = 1.4826 * float(np.median(np.abs(height[used] - np.polyval(sheet, b[used]))))
-        noise = max(noise, 1e-6)
-    return sheet, noise
-
-
-def end_of(b: Array, noise: float, density: float) -> float:
-    """
-    Return the most likely end of points b (n,), uniform below it with a density (1/m).
-
-    noise: 1 sigma of the points along b (m).
-    """
-    def excess(end: float) -> float:
-        scaled = (end - b) / noise
-        ratio = np.exp(-0.5 * scaled ** 2 - log_ndtr(scaled)) / np.sqrt(2 * np.pi)
-        return float(ratio.sum() / noise - density)
-
-    last = float(b.max())
-    low, high = last - 5 * noise, last + 5 * noise + 10 / max(density, 1.0)
-    if excess(low) < 0 or excess(high) > 0:
-        return last
-    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
-
-
-def column_resolution(b: Array, spacing: float, margin: float) -> float:
-    """
-    Return 1 sigma (m) of an end anywhere between two columns.
-
-    b: (n,) across the seam from its edge, of the points of many profiles (m); those within margin
-    spacings are left out. If the columns follow the seam, their distance is a period of b; else
-    the position of the end between columns differs from profile to profile.
-    """
-    inner = b[(b > margin * spacing) & (b < INNER * spacing)] / spacing
-    if len(inner) < FEWEST:
-        return 0.0
-    periodic = np.abs(np.exp(2j * np.pi * np.outer(FREQUENCIES, inner)).mean(axis=1))
-    first = int(np.argmax(periodic > 0.8 * periodic.max()))
-    while first + 1 < len(periodic) and periodic[first + 1] > periodic[first]:
-        first += 1
-    regularity = np.clip((periodic[first] - IRREGULAR) / (REGULAR - IRREGULAR), 0.0, 1.0)
-    return float(regularity * spacing / FREQUENCIES[first] / np.sqrt(12))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.results.evidence import config_of
 from handeye_ros.sampling.trajectory import track_of
-from handeye_ros.scanning.cloud_files import cloud_writer, read_cloud
-from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions, variance_polynomial
+from handeye_ros.scanning.cloud import cloud_writer, read_cloud
+from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
 import numpy as np
 from plyfile import PlyData, PlyElement
@@ -122,7 +122,7 @@ def test_the_std_of_a_point_is_that_of_many_trials():
         p = X[:3, :3] @ (s + [0, 0, rng.normal() * 3e-5]) + X[:3, 3]
         trials.append(turn @ T[:3, :3] @ p + T[:3, 3] + rng.normal(size=3) * 4e-5)
     scatter = np.sqrt(np.var(trials, axis=0).sum())
-    result = point_std(variance_polynomial(cal, noise), point[None])[0]
+    result = point_std(cal, noise, point[None], np.zeros(2))[0]
     assert result == pytest.approx(scatter, rel=0.04)
 
 
