@@ -33,7 +33,13 @@ from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cd
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import AnyProfile, Array, RawProfile, Reject
-from handeye_ros.errors import BagError, SessionError, UnusableMessageError, UnwritableError
+from handeye_ros.errors import (
+    BagError,
+    InputError,
+    SessionError,
+    UnusableMessageError,
+    UnwritableError,
+)
 from handeye_ros.output import folder_name
 from handeye_ros.robot.model import Arm, Chain
 from handeye_ros.sampling.session import judged, Outcome, Session
@@ -59,7 +65,6 @@ NOTHING = Stop(0)
 SOURCE = "the node's parameters"
 
 
-@dataclass(frozen=True)
 class OutputFolders:
     """
     The folders of a node: <name> in output_dir, by default $ROS_HOME/handeye_ros/<namespace>.
@@ -67,13 +72,16 @@ class OutputFolders:
     ROS_HOME is ~/.ros by default.
     """
 
-    namespace: str = '/'
+    def __init__(self, namespace: str = '/') -> None:
+        """Own no folder yet."""
+        self._namespace = namespace
+        self._own: dict[Path, int] = {}  # their locks
 
     def parent(self, config: Config) -> Path:
         """Return the folder above the folders of names, absolute; raises UnwritableError."""
         home = os.environ.get('ROS_HOME') or '~/.ros'
         parent = Path(config.output_dir) if config.output_dir else (
-            Path(home) / 'handeye_ros' / self.namespace.strip('/'))
+            Path(home) / 'handeye_ros' / self._namespace.strip('/'))
         try:
             return parent.expanduser().absolute()
         except RuntimeError as error:
@@ -82,6 +90,21 @@ class OutputFolders:
     def folder(self, config: Config) -> Path:
         """Return the folder of the name, absolute; raises UnwritableError and BadValueError."""
         return self.parent(config) / folder_name(config)
+
+    def own(self, config: Config) -> Path:
+        """Return the folder of the name, for results; raises InputError if another node has it."""
+        folder = self.folder(config)
+        if folder not in self._own:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                self._own[folder] = _claimed(folder)
+            except BlockingIOError as error:
+                raise InputError(f'another running node saves its results in {folder}: set name '
+                                 'or output_dir of this one, so that neither replaces those of '
+                                 'the other') from error
+            except OSError as error:
+                raise UnwritableError(folder, error.strerror or str(error)) from error
+        return folder
 
 
 @dataclass(frozen=True)
@@ -160,7 +183,7 @@ class SessionFiles:
         self._lock: int | None = None
         if stored:
             try:
-                self._lock = claimed(stored.path)
+                self._lock = _claimed(stored.path)
                 _write_metadata(stored.path, self._files, self._types)
             except BlockingIOError as error:
                 raise SessionError(stored.path, 'is in use by another node: end that node first, '
@@ -239,11 +262,11 @@ class SessionFiles:
             with suppress(FileExistsError):
                 folder.mkdir()
                 _sync(parent)
-                return folder, claimed(folder)
+                return folder, _claimed(folder)
         raise FileExistsError(f'{parent / stamp} is there already')
 
 
-def claimed(folder: Path) -> int:
+def _claimed(folder: Path) -> int:
     """Lock a folder until the process ends; raises BlockingIOError if another has, OSError."""
     lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
     try:

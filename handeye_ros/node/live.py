@@ -19,18 +19,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-import sys
 from threading import Lock
-import traceback
 from typing import Any, TypeVar
 
 from handeye_ros import pipeline
 from handeye_ros.bags.session import (
-    claimed,
     CONFIGURED,
     Event,
     OutputFolders,
@@ -39,13 +36,13 @@ from handeye_ros.bags.session import (
 )
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
-from handeye_ros.errors import DataError, FeatureError, HandeyeError, InputError, UnwritableError
+from handeye_ros.errors import DataError, FeatureError, HandeyeError, InputError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.guidance.score import extremes
 from handeye_ros.node.arrivals import Arrivals, Latest
-from handeye_ros.node.pool import ENDED, Pool, PoolEndedError, trim_memory
+from handeye_ros.node.pool import ENDED, Pool, PoolEndedError, trim_memory, Worker
 from handeye_ros.node.state import calibration_summary
 from handeye_ros.output import folder_name, write_whole
 from handeye_ros.results import calibration_file, exports
@@ -142,13 +139,13 @@ class LiveSession:
         self.arrivals, self.latest = Arrivals(), Latest(self.lock)
         self._skipped = 0  # number of dropped stops
 
-        self._worker: ThreadPoolExecutor | None = None
-        self._woken = self._ended = False
+        self.worker = Worker(changed)
+        self._woken = False
         self._works: list[str] = []  # that are running, in words
         self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
         self._unstored: set[int] = set()  # numbers of stops that could not be stored
         self._settings = self._cleared = 0  # how often they were changed, or all was cleared
-        self._evaluation_trouble = self._store_trouble = self._failure = ''
+        self._evaluation_trouble = self._store_trouble = ''
 
         self.attempt: dict[str, Any] | None = None
         self.last: Outcome | None = None
@@ -161,7 +158,6 @@ class LiveSession:
         self.missing = self.withdrawn = self.file = ''
         self._solved: frozenset[tuple[int, ...]] = frozenset()  # samples of the answer
         self._saved: tuple[object, str] = None, ''  # what was saved, and the message
-        self._claims: dict[Path, int] = {}  # locks of folders of results
         self._verifying: VerificationSession | None = None
         self.verdict = ''
 
@@ -209,60 +205,24 @@ class LiveSession:
 
     def start(self) -> None:
         """Start the worker, and the processes, to finish their imports before the first stop."""
-        self._worker = ThreadPoolExecutor(1, 'worker')
+        self.worker.start()
         for pool in (self.evaluator, self.solver):
             pool.submit(trim_memory)
         self._wake()
 
     def stop(self) -> None:
         """End the worker and the processes."""
-        self._ended = True
-        self.evaluator.stop()
-        self.solver.stop()
-        if self._worker:
-            self._worker.shutdown(wait=False, cancel_futures=True)
-
-    def _later(self, work: Callable[..., object], *args: Any) -> None:
-        """Have the worker do something, and publish; without a worker it is done at once."""
-        if self._worker is None:
-            work(*args)
-            self._changed()
-        elif not self._ended:
-            with suppress(RuntimeError):  # it has ended meanwhile
-                self._worker.submit(self._report, work, *args)
-
-    def _report(self, work: Callable[..., object], *args: Any) -> None:
-        """Do something, and publish what has changed; its failure is published too."""
-        try:
-            work(*args)
-            self._changed()
-            self._failure = ''
-        except Exception as error:  # noqa: BLE001 - the worker must go on
-            if not self._ended:
-                self._failure = str(error) if isinstance(error, HandeyeError) else (
-                    f'the work on the samples failed, which should not happen: {error!r}; see the '
-                    'log, and please report it')
-                print(traceback.format_exc(), file=sys.stderr, flush=True)
+        self.worker.stop(self.evaluator, self.solver)
 
     def _ask(self, work: Callable[..., Result], *args: Any) -> Result:
         """Return the result of something that the worker does; raises its exceptions."""
-        if self._worker is None:
-            return work(*args)
-        try:
-            answered = self._worker.submit(work, *args)
-            self._wake()
-        except RuntimeError as error:
-            raise PoolEndedError from error
-        try:
-            return answered.result()
-        except CancelledError as error:
-            raise PoolEndedError from error
+        return self.worker.ask(self._wake, work, *args)
 
     def _wake(self) -> None:
         """Have the worker look for what is due."""
-        if self._worker and not self._woken:
+        if self.worker.runs and not self._woken:
             self._woken = True
-            self._later(self._go_on)
+            self.worker.later(self._go_on)
 
     def _go_on(self) -> None:
         """Evaluate what is due, stop by stop: who has asked meanwhile waits for one stop only."""
@@ -319,7 +279,7 @@ class LiveSession:
     @property
     def troubles(self) -> tuple[str, ...]:
         """Return why samples cannot be stored or computed with, one sentence each."""
-        return tuple(filter(None, (self._store_trouble, self._failure)))
+        return tuple(filter(None, (self._store_trouble, self.worker.failure)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -358,7 +318,7 @@ class LiveSession:
         try:
             result = self.evaluator.run(function, *args)
         except PoolEndedError as error:
-            if self._ended:
+            if self.worker.ended:
                 raise
             self._evaluation_trouble = f'{error}; the node itself has evaluated the stop'
             return function(*args)  # the sample must not be lost
@@ -615,7 +575,8 @@ class LiveSession:
             future = self.solver.submit(derive, samples, excluded, self.config, self.extremes,
                                         refused)
             self._deriving = True
-            future.add_done_callback(lambda done: self._later(self._put_derived, done, basis))
+            future.add_done_callback(
+                lambda done: self.worker.later(self._put_derived, done, basis))
 
     def _put_derived(self, done: Future[Derived], basis: tuple[Any, ...]) -> None:
         self._deriving = False
@@ -658,7 +619,7 @@ class LiveSession:
         computed = self.solver.submit(pipeline.calibrate_session, samples, config)
         self._works.append(COMPUTED)
         computed.add_done_callback(
-            lambda done: self._later(self._put_answer, done, answered, session, cleared))
+            lambda done: self.worker.later(self._put_answer, done, answered, session, cleared))
         return answered
 
     def _put_answer(self, computed: Future[Calibration], answered: Future[str], session: Session,
@@ -719,7 +680,7 @@ class LiveSession:
         if calibration is None:
             raise DataError('there is no calibration to save: call ~/compute_calibration first, '
                             'and check that it succeeds')
-        folder = self._own_folder(config)
+        folder = self.folders.own(config)
         wanted = calibration, folder, config.save.formats
         before, text = self._saved
         if not self.file or before != wanted or not Path(self.file).is_file():
@@ -730,21 +691,6 @@ class LiveSession:
         note = (f'; {COMPUTED} again: save it again after that'
                 if COMPUTED in self._works else '')
         return f'{text}{self.changes(self.copied())}{note}'
-
-    def _own_folder(self, config: Config) -> Path:
-        """Return the folder of results; raises InputError if another node saves there too."""
-        folder = self.folders.folder(config)
-        if folder not in self._claims:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                self._claims[folder] = claimed(folder)
-            except BlockingIOError as error:
-                raise InputError(f'another running node saves its results in {folder}: set name '
-                                 'or output_dir of this one, so that neither replaces those of '
-                                 'the other') from error
-            except OSError as error:
-                raise UnwritableError(folder, error.strerror or str(error)) from error
-        return folder
 
     # verification: stops give no samples until its result
 
@@ -821,7 +767,7 @@ class LiveSession:
         self.verdict = sentence(result)
         config = self.config
         poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
-        file = self._own_folder(config) / f'verification_{result.routine}.yaml'
+        file = self.folders.own(config) / f'verification_{result.routine}.yaml'
         previous = exports.set_aside(file.parent, [file.name], {file.name})
         write_whole(file, yaml_text(
             replace(result, inputs=(config.profile_topic, poses))))

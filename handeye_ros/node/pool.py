@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Processes for long computations.
+Who works for a session: one thread, and processes for long computations.
 
 Python runs one thread at a time: solves and the evaluation of stops would slow down streams and
 services. A process is started when it is first needed, and again after it has ended.
@@ -9,14 +9,21 @@ services. A process is started when it is first needed, and again after it has e
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
+from concurrent.futures import (
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 import ctypes
 import multiprocessing
 import os
 import signal
 import sys
 import threading
+import traceback
 from typing import Any, TypeVar
 
 from handeye_ros.errors import HandeyeError
@@ -32,6 +39,77 @@ class PoolEndedError(HandeyeError):
     def __init__(self) -> None:
         super().__init__('the process that computes ended before it had an answer (killed, or out '
                          'of memory?): call the service again; this restarts the process')
+
+
+class Worker:
+    """
+    One thread that does things one after the other; before start() they are done at once.
+
+    failure: why the last thing failed, '' if it did not; ended: whether stop() was called.
+    """
+
+    def __init__(self, changed: Callable[[], object]) -> None:
+        """Start no thread yet; changed: called after each thing that was done later."""
+        self._changed = changed
+        self._executor: ThreadPoolExecutor | None = None
+        self.failure, self.ended = '', False
+
+    @property
+    def runs(self) -> bool:
+        """Return whether there is a thread."""
+        return self._executor is not None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._executor = ThreadPoolExecutor(1, 'worker')
+
+    def stop(self, *pools: Pool) -> None:
+        """End the thread, and the processes that it may wait for."""
+        self.ended = True
+        for pool in pools:
+            pool.stop()
+        if self._executor:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def later(self, work: Callable[..., object], *args: Any) -> None:
+        """Do something, and then call changed."""
+        if self._executor is None:
+            work(*args)
+            self._changed()
+        elif not self.ended:
+            with suppress(RuntimeError):  # it has ended meanwhile
+                self._executor.submit(self._report, work, *args)
+
+    def _report(self, work: Callable[..., object], *args: Any) -> None:
+        try:
+            work(*args)
+            self._changed()
+            self.failure = ''
+        except Exception as error:  # noqa: BLE001 - the thread must go on
+            if not self.ended:
+                self.failure = str(error) if isinstance(error, HandeyeError) else (
+                    f'the work on the samples failed, which should not happen: {error!r}; see the '
+                    'log, and please report it')
+                print(traceback.format_exc(), file=sys.stderr, flush=True)
+
+    def ask(self, afterwards: Callable[[], object], work: Callable[..., Result], *args: Any
+            ) -> Result:
+        """
+        Return the result of something; raises its exceptions, and PoolEndedError at the end.
+
+        afterwards: called when the thread has been asked.
+        """
+        if self._executor is None:
+            return work(*args)
+        try:
+            answered = self._executor.submit(work, *args)
+        except RuntimeError as error:
+            raise PoolEndedError from error
+        afterwards()
+        try:
+            return answered.result()
+        except CancelledError as error:
+            raise PoolEndedError from error
 
 
 class Pool:
