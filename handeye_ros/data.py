@@ -222,6 +222,11 @@ class Arc:
     radius: float
     raw: Array
 
+    @property
+    def circle(self) -> Array:
+        """Return the circle as (x, z, radius)."""
+        return np.append(self.centre, self.radius)
+
 
 Feature: TypeAlias = FaceLine | EdgePoint | Arc
 

@@ -130,6 +130,7 @@ def require_fit(solution: Solution) -> None:
             f'samples and poses contradict each other by {mm(misfit.rms)} RMS (limits.residual '
             f'is {mm(limits.residual)}), and no known convention error explains it: check the '
             'poses (frames, convention, units), whether the clocks of sensor and robot agree, '
+            'whether every sample shows the target itself and no clamp or second plate, '
             'target.type, profile.unit, profile.axes and profile.range_sign', reason='misfit')
     if misfit.share > LARGEST_DROPPED_SHARE:
         raise UnexplainedError(

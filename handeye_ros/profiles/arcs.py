@@ -17,6 +17,7 @@ from handeye_ros.profiles.circles import (
     arc_points,
     FEWEST_FITTED,
     fit_circle,
+    off_circle,
     REFIT_WIDTHS,
 )
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
@@ -101,8 +102,7 @@ def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Conf
         if len(rows) < FEWEST_FITTED:
             break
         circle = fit_circle(points.take(rows, axis=0), steps=1)
-        x, z = (points[rows[0]:rows[-1] + 1] - circle[:2]).T
-        off = np.abs(np.sqrt(x * x + z * z) - circle[2])
+        off = np.abs(off_circle(points[rows[0]:rows[-1] + 1], circle))
         middle = len(off) // 2
         scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
         if not NOISIER * noise < scale < most:
@@ -123,14 +123,13 @@ def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config
     arc = normal_points(points.take(rows, axis=0))
     if _wanders(arc, noise, config):
         raise FeatureError('no arc of the sphere in the profile, only something like it')
-    if 0 < LARGEST_SHARE * radius < arc.radius:
+    if 0 < LARGEST_SHARE * radius < arc.radius or arc.radius < SMALLEST_SHARE * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
-                           'more than the sphere')
-    if arc.radius < SMALLEST_SHARE * radius:
-        raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
-                           'too little for the sphere')
-    angle = _covered_angle(arc)
-    sagitta = arc.radius * (1 - np.cos(angle / 2))
+                           f'which does not fit the sphere of {mm(radius)}')
+    # angle and sagitta from its ends
+    chord = float(np.linalg.norm(arc.points[-1] - arc.points[0]))
+    angle = 2 * math.asin(min(chord / (2 * arc.radius), 1.0))
+    sagitta = arc.radius * (1 - math.cos(angle / 2))
     if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ANGLE or (
             sagitta < LEAST_SAGITTA * TOLERANCE_SIGMAS * noise):
         raise FeatureError('the arc of the sphere in the profile is too short')
@@ -145,9 +144,7 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
 
     The residuals of a corner, or of two surfaces that a circle touches, are correlated too.
     """
-    x, z = (arc.raw - arc.centre).T
-    off = np.sqrt(x * x + z * z) - arc.radius
-    of_bins = np.sqrt(((arc.points - arc.centre) ** 2).sum(axis=1)) - arc.radius
+    off, of_bins = off_circle(arc.raw, arc.circle), off_circle(arc.points, arc.circle)
     scatter, slow = float(off @ off) / len(off), float(of_bins @ of_bins) / len(of_bins)
     white = min(BELIEVED_SCATTER * config.noise.sensor,
                 MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
@@ -163,8 +160,8 @@ def _is_corner(arc: Arc) -> bool:
     A circle in a corner, or through two surfaces, also has many points near it. But two lines do
     not fit a true arc, whose halves are curved.
     """
-    x, z = (arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)] - arc.centre).T
-    off = np.sqrt(x * x + z * z) - arc.radius
+    some = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
+    off, (x, z) = off_circle(some, arc.circle), (some - arc.centre).T
     to_x, to_z = float(np.add.reduce(x)), float(np.add.reduce(z))
     length = max(math.hypot(to_x, to_z), TINY)
     u, v = (to_x * z - to_z * x) / length, (to_x * x + to_z * z) / length
@@ -192,12 +189,11 @@ def normal_points(raw: Array) -> Arc:
     parts of the arc, so they are not taken for noise that averages out.
     """
     circle = fit_circle(raw)
-    x, z = raw[:, 0] - circle[0], raw[:, 1] - circle[1]
-    distance = np.sqrt(x * x + z * z)
+    x, z = (raw - circle[:2]).T
     middle = np.array([x.mean(), z.mean()])
     angle = np.arctan2(middle[0] * z - middle[1] * x, middle[0] * x + middle[1] * z)
     order = np.argsort(angle)
-    angle, residual = angle[order], distance[order] - circle[2]
+    angle, residual = angle[order], off_circle(raw[order], circle)
     bins = min(NORMAL_POINTS, len(raw) // 3)
     radius, count = bin_means(residual, bins)
     turn = bin_means(angle, bins)[0] + np.arctan2(middle[1], middle[0])
@@ -216,9 +212,3 @@ def _variance(residual: Array, of_bins: Array, size: float) -> float:
     coarse = float(of_bins @ of_bins) / max(len(of_bins) - 3, 1)
     coarse = coarse if coarse > SURELY_MORE * white else white
     return max(fine * len(of_bins) / len(blocks), coarse)
-
-
-def _covered_angle(arc: Arc) -> float:
-    first, last = arc.points[0] - arc.centre, arc.points[-1] - arc.centre
-    cosine = first @ last / np.linalg.norm(first) / np.linalg.norm(last)
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))

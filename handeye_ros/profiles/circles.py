@@ -58,6 +58,12 @@ def _solved(A: Array, b: Array) -> list[float]:
     return solution
 
 
+def off_circle(points: Array, circle: Array) -> Array:
+    """Return the distances (n,) of points (n, 2) outside of a circle, negative inside."""
+    x, z = (points - circle[:2]).T
+    return np.asarray(np.sqrt(x * x + z * z) - circle[2])
+
+
 def arc_points(points: Array, circle: Array, tolerance: float,
                widths: Sequence[float] = WIDTHS) -> NDArray[np.bool_]:
     """

@@ -18,6 +18,7 @@ from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points
+from handeye_ros.profiles.circles import off_circle
 from handeye_ros.profiles.lines import combined_line, on_line
 from handeye_ros.sampling.stops import decoded, evenly, NS, Stop
 from handeye_ros.sampling.stream import interpolate
@@ -250,10 +251,10 @@ def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[n
 def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     """Return one arc from all points of the profiles of a station."""
     centres = np.array([a.centre for a in arcs])
-    centre, radius = np.median(centres, axis=0), np.median([a.radius for a in arcs])
+    middle = np.median([a.circle for a in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
-    away = np.array([_scatter(a, centre, radius) for a in arcs])
-    own = float(np.median([_scatter(a, a.centre, a.radius) for a in arcs]))
+    away = np.array([_scatter(a, middle) for a in arcs])
+    own = float(np.median([_scatter(a, a.circle) for a in arcs]))
     good = away < min(LARGEST_DISAGREEMENT, own + max(3.0 * own, SMALLEST_DISAGREEMENT))
     if good.sum() < LEAST_AGREEING * len(arcs):
         raise _disagreeing('where the sphere is',
@@ -265,10 +266,9 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     return replace(arc, raw=arc.raw[rows])
 
 
-def _scatter(arc: Arc, centre: Array, radius: float) -> float:
-    """Return the RMS distance of the points of an arc from its circle."""
-    off = np.linalg.norm(arc.raw - centre, axis=1) - radius
-    return float(np.sqrt((off ** 2).mean()))
+def _scatter(arc: Arc, circle: Array) -> float:
+    """Return the RMS distance of the points of an arc from a circle."""
+    return float(np.sqrt((off_circle(arc.raw, circle) ** 2).mean()))
 
 
 def _disagreeing(what: str, apart: float) -> FeatureError:
