@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 from handeye_ros.config import (
@@ -26,7 +25,6 @@ import pytest
 import yaml
 
 KEYS = {p.key: p for p in parameters()}
-NUMBERS = [p for p in KEYS.values() if type(p.default) in (int, float)]
 
 
 def values_of(parameter: Parameter) -> st.SearchStrategy[object]:
@@ -72,41 +70,35 @@ def test_values_put_in_come_out_again(values: dict[str, object]) -> None:
         k: v for k, v in rest.items() if k not in given}
 
 
-@pytest.mark.parametrize('key', KEYS)
-def test_every_default_passes_its_own_limits(key: str) -> None:
-    values = flatten(Config())  # without those that must be set
+@pytest.mark.parametrize('parameter', KEYS.values(), ids=lambda p: p.key)
+def test_every_default_passes_its_limits_and_every_number_has_a_range_with_ends(
+        parameter: Parameter) -> None:
+    key, values = parameter.key, flatten(Config())  # without those that must be set
     assert all(flatten(with_values(Config(), {k: values[k]}, 'test'))[k] == values[k]
                for k in {key} & values.keys())
-    assert KEYS[key].description.endswith('.')
-
-
-@pytest.mark.parametrize('parameter', NUMBERS, ids=lambda p: p.key)
-def test_every_number_has_a_range_with_ends(parameter: Parameter) -> None:
-    low, high = parameter.minimum, parameter.maximum
+    assert parameter.description.endswith('.')
+    low, high, kind = parameter.minimum, parameter.maximum, type(parameter.default)
+    if kind not in (int, float):
+        return
     assert low is not None and high is not None and low < high
-    kind = type(parameter.default)
     for inside in (low, high):
-        assert flatten(with_values(Config(), {parameter.key: kind(inside)}, 't'))
+        assert flatten(with_values(Config(), {key: kind(inside)}, 't'))
     for outside in (low - 1, high + 1):
-        with pytest.raises(BadValueError, match=parameter.key):
-            with_values(Config(), {parameter.key: kind(outside)}, 't')
+        with pytest.raises(BadValueError, match=key):
+            with_values(Config(), {key: kind(outside)}, 't')
 
 
 @pytest.mark.parametrize(('key', 'meant'), [
     ('noise.sensr', 'noise.sensor'), ('sampling.stil_time', 'sampling.still_time'),
     ('targettype', 'target.type'), ('Limits.Residual', 'limits.residual'),
-    ('unit', 'profile.unit')])
+    ('unit', 'profile.unit'), ('zzzzzz', '')])
 def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
     with pytest.raises(UnknownKeyError) as caught:
         with_values(Config(), {key: 1.0}, 'plate.yaml')
-    assert str(caught.value) == f'unknown key "{key}" in plate.yaml; did you mean "{meant}"?'
+    hint = f'; did you mean "{meant}"?' if meant else ''
+    assert str(caught.value).startswith(f'unknown key "{key}" in plate.yaml{hint}')
+    assert ('did you mean' in str(caught.value)) == bool(meant)
     assert caught.value.exit_code == 2
-
-
-def test_a_key_like_none_suggests_none() -> None:
-    with pytest.raises(UnknownKeyError) as caught:
-        with_values(Config(), {'zzzzzz': 1.0}, 'plate.yaml')
-    assert 'did you mean' not in str(caught.value)
 
 
 @pytest.mark.parametrize(('key', 'value', 'expected'), [
@@ -155,55 +147,7 @@ def test_a_whole_number_is_good_for_a_float() -> None:
     assert config.sampling.still_time == 1.0 and type(config.sampling.still_time) is float
 
 
-def test_a_configuration_is_not_changed_by_putting_in() -> None:
-    config = Config()
-    other = with_values(config, {'noise.sensor': 1e-4}, 'test')
-    assert config == Config() != other
-    with pytest.raises(FrozenInstanceError):
-        config.name = 'x'  # type: ignore[misc]
-
-
-# -- files
-
-
-@pytest.mark.parametrize('node', ['/**', 'handeye', '/handeye'])
-def test_a_ros_parameter_file_is_read(tmp_path: Path, node: str) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text(f'"{node}":\n  ros__parameters:\n    use_sim_time: true\n    name: my_plate\n'
-                    '    noise: {sensor: 1.0e-5}\n    noise.robot_translation: 0.0001\n'
-                    '    target:\n      size: [0.2, 0.15]\n')
-    config = load(path)
-    assert config.name == 'my_plate' and config.target.size == (0.2, 0.15)
-    assert config.noise.sensor == 1e-5 and config.noise.robot_translation == 1e-4
-    assert config.noise.distortion == Config().noise.distortion
-
-
-def test_the_section_of_the_node_goes_beyond_that_of_all(tmp_path: Path) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text('/**:\n  ros__parameters: {name: all, pose_topic: p}\n'
-                    'handeye:\n  ros__parameters: {name: mine}\n'
-                    'other:\n  ros__parameters: {name: theirs, whatever: 1}\n')
-    assert (load(path).name, load(path).pose_topic) == ('mine', 'p')
-
-
-def test_a_file_is_put_into_a_given_configuration(tmp_path: Path) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text('/**: {ros__parameters: {name: new}}')
-    base = with_values(Config(), {'name': 'old', 'limits.residual': 0.5}, 'test')
-    assert load(path, base) == with_values(base, {'name': 'new'}, 'test')
-
-
-@pytest.mark.parametrize('text', [
-    '', 'name: plate', '/**: {name: plate}', '- 1', 'a: {b: {c: 1}}',
-    '/**:\n  ros__parameters:\n', '/**: [1, 2]', '"just words"'])
-def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text(text)
-    with pytest.raises(InputError, match='ros__parameters'):
-        load(path)
-
-
-@pytest.mark.parametrize('text', [
+VALID = [(text, {'name': 'new'}) for text in (
     '/**: {ros__parameters: {name: new}}',
     'handeye: {ros__parameters: {name: new}}',
     '/cell_1/handeye: {ros__parameters: {name: new}}',
@@ -211,32 +155,56 @@ def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
     '/**/handeye: {ros__parameters: {name: new}}',
     '/cell_1/*: {ros__parameters: {name: new}}',
     '/**: {ros__parameters: {name: new}}\n/my_node: {ros__parameters: {name: other}}',
-    '/driver: {ros__parameters: {port: 3}}\n/handeye: {ros__parameters: {name: new}}'])
-def test_the_section_of_the_node_is_found_by_any_name(tmp_path: Path, text: str) -> None:
+    '/driver: {ros__parameters: {port: 3}}\n/handeye: {ros__parameters: {name: new}}')]
+VALID += [
+    ('/**:\n  ros__parameters: {name: all, pose_topic: p}\n'  # the node's own go beyond them
+     'handeye:\n  ros__parameters: {name: mine}\n'
+     'other:\n  ros__parameters: {name: theirs, whatever: 1}\n',
+     {'name': 'mine', 'pose_topic': 'p'}),
+    ('"/**":\n  ros__parameters:\n    use_sim_time: true\n    noise: {sensor: 1.0e-5}\n'
+     '    noise.robot_translation: 0.0001\n    target:\n      size: [0.2, 0.15]\n',
+     {'noise.sensor': 1e-5, 'noise.robot_translation': 1e-4, 'target.size': [0.2, 0.15]}),
+    # as `ros2 param dump` prints it: empty lists without a type are null there
+    ('/handeye:\n  ros__parameters:\n    name: cell\n    output_dir: /tmp/results\n'
+     '    qos_overrides:\n      /clock:\n        subscription: {depth: 1}\n'
+     '    start_type_description_service: true\n    target: {size: null}\n'
+     '    use_sim_time: false\n', {'name': 'cell', 'output_dir': '/tmp/results'}),
+    (yaml.safe_dump({'/cell/left': {'ros__parameters': {**flatten(Config()), 'name': 'new'}}}),
+     {'name': 'new'})]  # of a renamed node
+
+
+@pytest.mark.parametrize(('text', 'values'), VALID)
+def test_a_parameter_file_is_put_into_a_configuration(
+        tmp_path: Path, text: str, values: dict[str, object]) -> None:
     path = tmp_path / 'c.yaml'
     path.write_text(text)
-    assert load(path) == with_values(Config(), {'name': 'new'}, 'test')
+    assert load(path) == with_values(Config(), values, 'test')
+    base = with_values(Config(), {'limits.points': 0.5}, 'test')
+    if 'limits' not in text:
+        assert load(path, base) == with_values(base, values, 'test')
 
 
-@pytest.mark.parametrize(('text', 'match'), [
+@pytest.mark.parametrize(('content', 'words'), [
+    *((text, 'ros__parameters') for text in (
+        '', 'name: plate', '/**: {name: plate}', '- 1', 'a: {b: {c: 1}}',
+        '/**:\n  ros__parameters:\n', '/**: [1, 2]', '"just words"')),
+    *((f'/**: {{ros__parameters: {wrong}}}', 'c.yaml') for wrong in ('[1, 2]', 'text', '5')),
+    *((content, 'c.yaml') for content in ('a: [1', b'\xff\xfe\x00', 'a: b: c', None)),
     ('/a: {ros__parameters: {name: a}}\n/b: {ros__parameters: {name: b}}',
      '/a, /b, and none of them is "handeye"'),
     ('/camera: {ros__parameters: {target: {type: sphere}}}', '/camera, and none'),
     ('/1/handeye: {ros__parameters: {name: a}}\n/2/handeye: {ros__parameters: {name: b}}',
-     'keep those of one')])
-def test_a_file_without_a_section_for_the_node_is_refused(
-        tmp_path: Path, text: str, match: str) -> None:
+     'keep those of one'),
+    ('/**: {ros__parameters: {1: 2}}', '"1"'),
+    ('/**: {ros__parameters: {sampling: {still: 1.0}}}',
+     r'"sampling.still" in .*c.yaml; did you mean')])
+def test_a_file_of_another_form_is_refused(
+        tmp_path: Path, content: str | bytes | None, words: str) -> None:
     path = tmp_path / 'c.yaml'
-    path.write_text(text)
-    with pytest.raises(InputError, match=match):
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError, match=words):
         load(path)
-
-
-def test_the_dump_of_a_renamed_node_is_read(tmp_path: Path) -> None:
-    path = tmp_path / 'c.yaml'
-    values = {**flatten(Config()), 'name': 'new'}
-    path.write_text(yaml.safe_dump({'/cell/left': {'ros__parameters': values}}))
-    assert load(path) == Config(name='new')
 
 
 @pytest.mark.parametrize(('make', 'named'), [
@@ -258,59 +226,10 @@ def test_a_configuration_can_be_made_in_code() -> None:
     assert [type(length) for length in made.target.size] == [float, float]
 
 
-def test_a_dump_of_the_node_is_read(tmp_path: Path) -> None:
-    """As `ros2 param dump` prints it: empty lists without a type are null there."""
-    path = tmp_path / 'c.yaml'
-    path.write_text('/handeye:\n  ros__parameters:\n    name: cell\n    noise: {sensor: 3e-5}\n'
-                    '    output_dir: /tmp/results\n    qos_overrides:\n      /clock:\n'
-                    '        subscription: {depth: 1}\n    start_type_description_service: true\n'
-                    '    target: {size: null}\n    use_sim_time: false\n')
-    assert load(path) == with_values(Config(), {
-        'name': 'cell', 'noise.sensor': 3e-5, 'output_dir': '/tmp/results'}, 'test')
-
-
 @given(st.floats(1e-9, 0.01))
 def test_a_number_in_a_text_is_the_number(value: float) -> None:
     written = with_values(Config(), {'noise.sensor': repr(value)}, 'test')
     assert written == with_values(Config(), {'noise.sensor': value}, 'test')
-
-
-@pytest.mark.parametrize('content', [b'a: [1', b'\xff\xfe\x00', b'a: b: c'])
-def test_a_file_that_is_no_yaml_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_bytes(content)
-    with pytest.raises(InputError, match='c.yaml'):
-        load(path)
-
-
-@pytest.mark.parametrize('parameters', ['[1, 2]', 'text', '5'])
-def test_parameters_that_are_no_mapping_are_refused(tmp_path: Path, parameters: str) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text(f'/**: {{ros__parameters: {parameters}}}')
-    with pytest.raises(InputError, match='c.yaml'):
-        load(path)
-
-
-def test_keys_that_are_no_text_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text('/**: {ros__parameters: {1: 2}}')
-    with pytest.raises(UnknownKeyError, match='"1"'):
-        load(path)
-
-
-def test_a_file_names_itself_with_its_unknown_key(tmp_path: Path) -> None:
-    path = tmp_path / 'c.yaml'
-    path.write_text('/**: {ros__parameters: {sampling: {still: 1.0}}}')
-    with pytest.raises(UnknownKeyError, match=r'"sampling.still" in .*c.yaml; did you mean'):
-        load(path)
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='nowhere.yaml'):
-        load(tmp_path / 'nowhere.yaml')
-
-
-# -- key=value
 
 
 @pytest.mark.parametrize(('text', 'key', 'value'), [
@@ -322,6 +241,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     ('samples.exclude=[3, 7]', 'samples.exclude', [3, 7]),
     ('samples.exclude=[]', 'samples.exclude', []),
     ('name=a=b', 'name', 'a=b'),
+    ('name="2024"', 'name', '2024'),
     ('name=', 'name', ''),
     ('pose_topic=', 'pose_topic', None),
     ('target.size=[0.2, 0.15]', 'target.size', [0.2, 0.15]),
@@ -335,14 +255,6 @@ def test_assignments_are_read_as_yaml(text: str, key: str, value: object) -> Non
             with_assignments(Config(), [text])
         return
     assert flatten(with_assignments(Config(), [text]))[key] == value
-
-
-def test_a_name_that_reads_like_a_number_can_be_given_in_quotes() -> None:
-    assert with_assignments(Config(), ['name="2024"']).name == '2024'
-
-
-def test_a_later_assignment_wins() -> None:
-    assert with_assignments(Config(), ['name=a', 'name=b']).name == 'b'
 
 
 @pytest.mark.parametrize('text', ['noise.sensor', '', 'name=[', 'noise.sensor=abc', 'nme=x'])

@@ -9,7 +9,7 @@ from handeye_ros.data import Array
 from handeye_ros.profiles.segment import noise_level, straight_segments
 from hypothesis import given
 import numpy as np
-from profiles import any_points, COLUMNS, drawn, face, gap_up_to, NOISE, PITCH, roof, step_up_to, X
+from profiles import any_points, COLUMNS, drawn, face, NOISE, X
 import pytest
 
 
@@ -57,16 +57,6 @@ def test_gross_outliers_do_not_move_a_line(share: float) -> None:
             assert np.abs(found.offset + found.slope * ends - face(ends)).max() < 5e-5
 
 
-def test_lost_points_inside_do_not_part_a_line() -> None:
-    points = drawn(face)
-    points[100:160] = np.nan  # a hole of nearly 4 mm
-    points[::7] = np.nan
-    found, = segments(points)
-    assert not np.isnan(points[found.rows]).any()
-    assert found.first <= 2 and found.last >= COLUMNS - 3
-    assert np.abs(found.slope - np.tan(0.1)) < 2e-3
-
-
 @pytest.mark.parametrize('lost', [np.nan, np.inf, -np.inf])
 def test_every_value_that_is_not_finite_is_no_return(lost: float) -> None:
     points = drawn(face)
@@ -75,54 +65,12 @@ def test_every_value_that_is_not_finite_is_no_return(lost: float) -> None:
     assert not np.isin(found.rows, [*range(300, 310), *range(400, 405)]).any()
 
 
-def test_the_parts_of_a_step_are_two_lines() -> None:
-    near, far = segments(drawn(lambda x: np.where(x < 0.003, face(x), face(x) + 0.005)))
-    assert X[near.last] == pytest.approx(0.003, abs=3 * PITCH)
-    assert X[far.first] == pytest.approx(0.003, abs=3 * PITCH)
-    assert far.height(0.0) - near.height(0.0) == pytest.approx(0.005, abs=2e-5)
-
-
-def test_a_roof_is_two_lines_that_meet() -> None:
-    left, right = segments(drawn(roof(0.004)))
-    crossing = (left.offset - right.offset) / (right.slope - left.slope)
-    assert crossing == pytest.approx(0.004, abs=2e-5)
-
-
 def test_what_stands_in_front_of_a_face_parts_it() -> None:
     def height(x: Array) -> Array:
         return np.where(np.abs(x) < 0.002, face(x) - 0.004, face(x))
     left, middle, right = segments(drawn(height))
     assert left.last < middle.first < middle.last < right.first
     assert left.slope == pytest.approx(right.slope, abs=3e-3)
-
-
-def test_mixed_points_at_a_step_belong_to_no_line() -> None:
-    points = drawn(step_up_to(0.0))
-    middle = COLUMNS // 2
-    points[middle, 1] = face(X[middle]) + 0.005
-    for found in segments(points):
-        assert middle not in found.rows
-
-
-@pytest.mark.parametrize('seed', range(5))
-def test_speckle_of_a_rough_surface_only_adds_noise(seed: int) -> None:
-    # correlated over four columns, three times the range noise
-    rng = np.random.default_rng(seed)
-    speckle = np.convolve(rng.normal(size=COLUMNS + 3), np.ones(4) / 2, 'valid') * 3 * NOISE
-    points = drawn(gap_up_to(-0.01), seed)
-    points[:, 1] += speckle
-    found = max(segments(points), key=lambda s: len(s.rows))
-    assert np.abs(found.height(0.005) - face(0.005)) < 5e-5
-    assert X[found.first] == pytest.approx(-0.01, abs=6 * PITCH)
-
-
-def test_columns_may_run_backwards() -> None:
-    points = drawn(step_up_to(0.005))
-    forth, back = segments(points), segments(points[::-1])
-    assert len(forth) == len(back) == 2
-    for a, b in zip(forth, back[::-1], strict=True):
-        assert (a.first, a.last) == (COLUMNS - 1 - b.last, COLUMNS - 1 - b.first)
-        assert a.slope == pytest.approx(b.slope) and a.offset == pytest.approx(b.offset)
 
 
 def test_few_points_are_no_line() -> None:
