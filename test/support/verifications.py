@@ -8,6 +8,7 @@ import importlib.util
 from pathlib import Path
 
 from handeye_ros.config import Config
+from handeye_ros.data import Calibration, Quality
 from handeye_ros.simulate import gauges
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
@@ -18,6 +19,12 @@ ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
 bench = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(bench)
+
+
+def stated(X, name='plate', provenance=None, offset=None, target=None):
+    """Return a calibration with the uncertainty of the bench."""
+    return Calibration(name, name, 'flange', 'laser', X, np.diag(bench.STD ** 2), target or {},
+                       Quality(0, 0, 0.0, 0.0, '', 0.0), (), provenance or {}, offset)
 
 
 def measured(name, seed=0, **values):

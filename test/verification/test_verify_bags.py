@@ -4,15 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import importlib.util
-from pathlib import Path
 
 from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.bags import bag_write
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten
-from handeye_ros.data import Calibration, Quality
 from handeye_ros.errors import InputError
 from handeye_ros.results import verification_file
 from handeye_ros.results.calibration_file import write_calibration
@@ -24,12 +21,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
+from verifications import bench, stated
 import yaml
-
-ROOT = Path(__file__).parents[2]
-spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
-bench = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(bench)
 
 WRONG = np.array([6e-4, -6e-4, 6e-4, 5e-3, 5e-3, 5e-3])  # 1 mm and 0.5 degrees
 
@@ -51,7 +44,7 @@ def within(result):
     return result['region'] <= chi2.ppf(0.95, result['freedom'])
 
 
-def verdicts(name: str, seed: int, folder: Path):
+def verdicts(name, seed, folder):
     """Return what `handeye verify` says of a right calibration, and of a wrong one."""
     rng = np.random.default_rng(seed)
     made = bench.RENDERED[name](rng)
@@ -60,10 +53,8 @@ def verdicts(name: str, seed: int, folder: Path):
         bag_write.write(bag, part.profiles, part.poses)
     X = se3.perturb(made.T_flange_sensor, bench.STD * rng.normal(size=6))
     for T, file in ((X, 'right'), (se3.perturb(X, WRONG), 'wrong')):
-        write_calibration(Calibration(
-            file, 'plate', 'flange', 'laser', T, np.diag(bench.STD ** 2), {},
-            Quality(0, 0, 0.0, 0.0, '', 0.0), (),
-            {'config': flatten(Config(noise=bench.NOISE))}), folder / f'{file}.yaml')
+        write_calibration(stated(T, provenance={'config': flatten(Config(noise=bench.NOISE))}),
+                          folder / f'{file}.yaml')
         run = CliRunner().invoke(command(), [
             'verify', name, *map(str, bags), '--calibration', str(folder / f'{file}.yaml'),
             '--out', str(folder / 'told.yaml'), *options(name, made)])
@@ -71,19 +62,19 @@ def verdicts(name: str, seed: int, folder: Path):
         yield yaml.safe_load((folder / 'told.yaml').read_text())
 
 
-def test_every_routine_has_recordings() -> None:
+def test_every_routine_has_recordings():
     assert bench.RENDERED.keys() == ROUTINES.keys()
 
 
 @pytest.mark.parametrize('name', bench.RENDERED)
-def test_on_bags(tmp_path: Path, name: str) -> None:
+def test_on_bags(tmp_path, name):
     right, wrong = verdicts(name, 2, tmp_path)
     assert within(right), right
     assert right['verdict'] == 'pass', right['reasons']
     assert wrong['verdict'] == 'fail'
 
 
-def test_the_report_shows_verifications(tmp_path: Path) -> None:
+def test_the_report_shows_verifications(tmp_path):
     *_, result = verdicts('sphere', 2, tmp_path)
     found = verification_file.verified(verification_file.read(tmp_path / 'told.yaml'))
     assert found.title == f'sphere: {result["verdict"].upper()}, {result["stations"]} stations'
