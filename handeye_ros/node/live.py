@@ -24,6 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
+import time
 from typing import Any, TypeVar
 
 from handeye_ros import pipeline
@@ -49,7 +50,7 @@ from handeye_ros.results import calibration_file, exports
 from handeye_ros.sampling.features import result_of, sample_of
 from handeye_ros.sampling.session import judged, Outcome, Session, silent_poses
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.verification.decision import sentence, Verification, yaml_text
+from handeye_ros.verification.decision import sentence, time_of, Verification, yaml_text
 from handeye_ros.verification.session import VerificationSession
 import numpy as np
 
@@ -769,8 +770,11 @@ class LiveSession:
         poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
         file = self.folders.own(config) / f'verification_{result.routine}.yaml'
         previous = exports.set_aside(file.parent, [file.name], {file.name})
-        write_whole(file, yaml_text(
-            replace(result, inputs=(config.profile_topic, poses))))
+        verified = config.verify.calibration
+        write_whole(file, yaml_text(replace(
+            result, inputs=(config.profile_topic, poses), created=time_of(time.time_ns()),
+            calibration_file=calibration_file.input_values(Path(verified).expanduser())
+            if verified else {})))
         text = f'{self.verdict}; {exports.Saved((file,), previous)}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))

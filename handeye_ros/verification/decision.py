@@ -310,10 +310,9 @@ def sentence(verification: Verification) -> str:
     content = values(verification)
     figures = []
     for name, (measured, nominal, deviation, U, claimed) in rows_of(content):
-        figures.append(f'{name} {measured}')
-        figures[-1] += f' ± {U} (k = {K:g})' if U else ''
-        figures[-1] += f', nominal {nominal}, off by {deviation}' if nominal else ''
-        figures[-1] += f', and the calibration claims {claimed} (1 sigma)' if claimed else ''
+        claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
+        figures.append(f'{name} {measured}' + (f' ± {U} (k = {K:g}{claims})' if U else '')
+                       + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
     surface = [verification.surface] if verification.surface else []
     return '; '.join((title_of(content), *verification.reasons, *surface, *figures))
 

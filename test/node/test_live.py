@@ -455,6 +455,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert str(written) in text
     report = yaml.safe_load(written.read_text())
     assert (report['verdict'], report['stations']) == ('pass', 6)
+    assert report['created'] and not report['calibration_file']  # it is the answer, no file
     assert not state_of(live)['session']['notes']
 
 
