@@ -189,14 +189,24 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))
     found = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
-    values = _all_values(_known(config), found.problem.pose_values.tolist())
-    at, paired, rejects = Pairing.of(samples).at(*values), [], []
-    for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True):
-        if inside:
-            paired.append(replace(sample, T_base_flange=T, offsets=values))
-        else:
-            rejects.append(Reject(sample.stamp, NO_POSES))
+    inside = _poses_at(samples, found, config).inside
+    if not inside.all():  # profiles in gaps between the poses pull the offset
+        part = problem.subset(np.flatnonzero(inside)).with_pose_values(found.problem.pose_values)
+        found = _refined(part, found.estimate)
+    at = _poses_at(samples, found, config)
+    offsets = _all_values(_known(config), found.problem.pose_values.tolist())
+    paired = [replace(sample, T_base_flange=T, offsets=offsets)
+              for sample, T, is_inside in zip(samples, at.T_base_flange, at.inside, strict=True)
+              if is_inside]
+    rejects = [Reject(sample.stamp, NO_POSES)
+               for sample, is_inside in zip(samples, at.inside, strict=True) if not is_inside]
     return Synchronised(paired, rejects, found.estimate)
+
+
+def _poses_at(samples: Sequence[Sample], fit: Linear, config: Config) -> Instants:
+    """Return the flange at each sample by the clocks of a fit."""
+    values = _all_values(_known(config), fit.problem.pose_values.tolist())
+    return Pairing.of(samples).at(*values)
 
 
 def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
