@@ -17,7 +17,6 @@ from typing import Any, Self
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
-from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
 from handeye_ros.estimation.least_squares import groups
 import numpy as np
@@ -155,17 +154,6 @@ class Target(ABC):
     @abstractmethod
     def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
         """Return the features of one profile (n, 2); raises FeatureError without them."""
-
-    def extract_each(self, profiles: Sequence[Array], config: Config
-                     ) -> Sequence[tuple[Feature, ...] | DataError]:
-        """Return for each profile its features or the error."""
-        found: list[tuple[Feature, ...] | DataError] = []
-        for points in profiles:
-            try:
-                found.append(self.extract(points, config))
-            except FeatureError as error:
-                found.append(error)
-        return found
 
     @abstractmethod
     def observe(self, samples: Sequence[Sample]) -> Observations:

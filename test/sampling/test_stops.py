@@ -1,12 +1,13 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Stations from streams of poses and profiles: where the robot stood, and what gave no sample."""
+"""Stops from streams of poses and profiles: where the robot stood, and what is kept of it."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
-from handeye_ros.config import Config, with_values
-from handeye_ros.data import EdgePoint
+from handeye_ros.config import Config, ProfileConfig, with_values
+from handeye_ros.data import EdgePoint, Profile, RawProfile
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.stops import LONGEST, MOST_PROFILES, NS
 import numpy as np
@@ -129,3 +130,38 @@ def test_a_stop_near_an_earlier_one_brings_nothing_new() -> None:
         add(by_hand, item)
     with pytest.raises(DataError, match='6 mm .* from sample 1'):
         taken(by_hand)
+
+
+def never(data: bytes, config: ProfileConfig) -> Profile:
+    raise AssertionError('nothing is read')
+
+
+def raw(stamp: int, size: int) -> RawProfile:
+    return RawProfile(stamp, 'laser', partial(bytes, size), never, ProfileConfig(), size)
+
+
+def test_the_oldest_are_dropped_first_and_counted() -> None:
+    kept = ProfileBuffer(1000)
+    for stamp in range(26):
+        kept.add([raw(stamp, 100)])
+    assert [p.stamp for p in kept.items] == list(range(16, 26))
+    assert kept.dropped == 16 and 'the oldest of their stops' in kept.warning
+
+
+def test_what_lies_in_a_file_takes_no_memory() -> None:
+    kept = ProfileBuffer(1000)
+    kept.add(raw(stamp, 0) for stamp in range(5000))
+    kept.add([Profile(5000, 'laser', np.zeros((9, 2)))])
+    assert len(kept.items) == 5001 and not kept.warning
+
+
+@given(st.lists(st.tuples(st.integers(0, 400), st.integers(0, 30), st.integers(0, 30)),
+                max_size=60))
+def test_the_sum_is_that_of_what_is_kept(steps: list[tuple[int, int, int]]) -> None:
+    kept = ProfileBuffer(1000)
+    for stamp, (size, behind, ahead) in enumerate(steps):
+        kept.add([raw(stamp, size)])
+        assert sum(p.held for p in kept.items) <= 1000
+        kept.keep(stamp - behind, stamp - behind + ahead)
+        assert kept._bytes == sum(p.held for p in kept.items)
+        assert all(stamp - behind <= p.stamp <= stamp - behind + ahead for p in kept.items)
