@@ -9,7 +9,9 @@ from functools import partial
 from handeye_ros.config import Config, ProfileConfig, with_values
 from handeye_ros.data import EdgePoint, Profile, RawProfile
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.stops import LONGEST, MOST_PROFILES, NS
+from handeye_ros.sampling.stops import LONGEST, MOST_PROFILES, NS, ProfileBuffer
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from streams import add, BAD, CONFIG, GOOD, played, pose, profiles, START, stops, taken
