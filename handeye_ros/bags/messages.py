@@ -458,7 +458,7 @@ class ProfileReader:
     Receives the serialised clouds of one topic in order; their points are read on demand.
 
     A sensor publishes thousands of profiles while the robot moves, and a stop uses a few hundred.
-    A message of a new size is checked, and the points (wrong unit or axis) a few times per second;
+    A message of a new size is checked, and the points (wrong unit or axis) once a second;
     after an unusable message, those of every message until the next usable one.
     """
 

@@ -88,6 +88,8 @@ def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     with ros():
         try:
+            # first: a signal while the node is made must find what it can wake
+            runner = executor() if executor else SingleThreadedExecutor()
             node = make()
         except (InvalidHandle, RCLError) as error:
             if not rclpy.ok():  # ended by a signal
@@ -95,9 +97,8 @@ def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
             reason = ' '.join(str(error).split())[:120]
             raise InputError(f'the node cannot use its topics ({reason}): check pose_topic and '
                              'profile_topic; each needs its own') from error
-        runner = executor() if executor else SingleThreadedExecutor()
-        runner.add_node(node)
         try:
+            runner.add_node(node)
             while rclpy.ok():
                 with suppress(InvalidHandle):  # an entity that another thread destroyed: go on
                     # with a timeout: a signal may have come before it could wake the executor
