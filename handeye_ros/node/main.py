@@ -12,11 +12,13 @@ from contextlib import contextmanager, suppress
 import os
 import signal
 import sys
+import threading
 from typing import Any
 
 from handeye_ros.errors import HandeyeError, InputError
 
 THREADS = 6  # of the executor: three groups of services, two timers, the parameters
+LONGEST_END = 10.0  # s from a signal to the end, whatever hangs
 LONGEST_WAIT = 1.0  # s until the executor looks whether ROS was shut down
 SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
@@ -68,10 +70,13 @@ def main() -> int:
         return 0
 
     def stop(node: Any) -> None:
+        # Python waits for all threads; what was acknowledged is on the disk
+        end = threading.Timer(LONGEST_END, os._exit, (0,))
+        end.daemon = True
+        end.start()
         working = node.live.working
         node.stop()
-        if working:  # Python would wait for the thread that solves
-            sys.stdout.flush()
+        if working:
             os._exit(0)
     return exit_code(lambda: spin(HandeyeNode, lambda: MultiThreadedExecutor(THREADS), stop))
 

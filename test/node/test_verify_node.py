@@ -64,7 +64,7 @@ def test_start_stops_result(tmp_path: Path, client: Client) -> None:
         result = client.call('verify_result')
         assert result.success, result.message
         assert result.message.startswith('sphere: PASS, 6 stations; radius '), result.message
-        assert '(k = 2; the calibration claims ' in result.message
+        assert ' nominal 40.0000 mm, off by ' in result.message
         assert client.state()['samples'] == str(STOPS)
     written = yaml.safe_load((tmp_path / 'sphere' / 'verification_sphere.yaml').read_text())
     assert written['verdict'] == 'pass'
