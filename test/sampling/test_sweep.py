@@ -13,6 +13,7 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.evidence import agreements
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
+from handeye_ros.sampling.sweep import synchronised
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
@@ -116,6 +117,18 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     assert abs(found.target['clock_drift'] + drift) < 4 * found.target['clock_drift_std'] < 1e-4
     assert 'drift apart by -' in found.target['note']
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+
+
+def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> None:
+    made = simulate(sweep('sphere', 0.02), np.random.default_rng(0))
+    first, cuts = made.poses[0].stamp, np.cumsum(np.random.default_rng(100).uniform(0.8, 2, 40))
+    poses = [pose for pose in made.poses
+             if not ((0 <= (pose.stamp - first) / NS - cuts)
+                     & ((pose.stamp - first) / NS - cuts < 0.2)).any()]
+    config = config_of(sweep('sphere', 0.02))
+    found = synchronised(pipeline.gather(made.profiles, poses, config).samples, config)
+    assert 10 < len(found.rejects) < 0.2 * len(found.samples)
+    assert abs(found.samples[0].offsets[0] - 0.02) < 5e-4
 
 
 def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model() -> None:
