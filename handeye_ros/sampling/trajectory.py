@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 from handeye_ros import se3
@@ -100,8 +101,10 @@ class Trajectory:
 
     def _by_piece(self, stamps: NDArray[np.int64]
                   ) -> Iterator[tuple[_Piece, NDArray[np.bool_]]]:
-        begins = np.array([piece.first for piece in self.pieces])
-        which = np.maximum(np.searchsorted(begins, stamps, side='right') - 1, 0)
+        # of a stamp in a gap the piece with the nearest end
+        middles = np.array([before.last + (after.first - before.last) // 2
+                            for before, after in pairwise(self.pieces)], dtype=np.int64)
+        which = np.searchsorted(middles, stamps)
         for k, piece in enumerate(self.pieces):
             if (chosen := which == k).any():
                 yield piece, chosen

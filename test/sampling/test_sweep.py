@@ -64,6 +64,10 @@ def test_no_pose_is_reported_outside_of_the_poses_or_in_a_gap() -> None:
     at = found.at(np.array([-0.1, 0.0, 3.9, 4.2, 4.6, 9.98, 10.1]) * NS)
     assert at.inside.tolist() == [False, True, True, False, True, True, False]
     assert np.isfinite(at.T_base_flange).all()
+    near_an_end = found.at(np.array([4.02, 4.5]) * NS - np.array([0, NS // 100]))
+    expected, _ = true_motion(np.array([4.0, 4.5]))
+    off = near_an_end.T_base_flange[:, :3, 3] - expected[:, :3, 3]
+    assert np.linalg.norm(off, axis=1).max() < 0.01 and not near_an_end.inside.any()
 
 
 def test_a_rest_during_a_sweep_is_one_pass() -> None:
@@ -129,6 +133,10 @@ def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> Non
     found = synchronised(pipeline.gather(made.profiles, poses, config).samples, config)
     assert 10 < len(found.rejects) < 0.2 * len(found.samples)
     assert abs(found.samples[0].offsets[0] - 0.02) < 5e-4
+    answer = pipeline.calibrate(made.profiles, poses, config)
+    delta = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+    assert np.linalg.norm(delta[:3]) < 5e-5
+    assert answer.quality.weakest_std < 1e-4
 
 
 def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model() -> None:
