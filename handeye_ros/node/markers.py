@@ -33,6 +33,7 @@ AXIS = 0.03  # m, of a drawn frame
 ELLIPSOID = 0.02  # m, the largest drawn half axis of the uncertainty
 DOT, LINE, TEXT = 0.003, 0.001, 0.012  # m
 ARM = 0.2  # m from the flange to the target, for the stated noise at the target
+IDENTITY = np.eye(4)
 WORST = 3.0  # times the stated noise: residuals drawn red
 
 Drawn = tuple[int, Sample, float | None]
@@ -149,22 +150,18 @@ def _pairs(line: Array) -> Array:
 
 def _points(name: str, color: ColorRGBA, points: Array, size: float,
             colors: Sequence[ColorRGBA] = ()) -> Marker:
-    marker = _marker(name, Marker.SPHERE_LIST, color, (size, size, size))
-    marker.points, marker.colors = _messages(points), list(colors)
+    marker = _marker(name, Marker.SPHERE_LIST, color, (size, size, size), points)
+    marker.colors = list(colors)
     return marker
 
 
 def _lines(name: str, color: ColorRGBA, points: Array, width: float = LINE) -> Marker:
-    marker = _marker(name, Marker.LINE_LIST, color, (width, 0.0, 0.0))
-    marker.points = _messages(points)
-    return marker
+    return _marker(name, Marker.LINE_LIST, color, (width, 0.0, 0.0), points)
 
 
 def _text(name: str, text: str, position: Array, color: ColorRGBA) -> Marker:
-    marker = _marker(name, Marker.TEXT_VIEW_FACING, color, (0.0, 0.0, TEXT))
-    marker.text = text
-    set_fields(marker.pose.position, 'xyz', position + [0.0, 0.0, TEXT])
-    return marker
+    T = se3.transform(np.eye(3), position + [0.0, 0.0, TEXT])
+    return _marker(name, Marker.TEXT_VIEW_FACING, color, (0.0, 0.0, TEXT), T=T, text=text)
 
 
 def _ellipsoid(name: str, color: ColorRGBA, centre: Array, axes: Array) -> Marker:
@@ -172,21 +169,19 @@ def _ellipsoid(name: str, color: ColorRGBA, centre: Array, axes: Array) -> Marke
     lengths = np.linalg.norm(axes, axis=0)
     R = axes / np.maximum(lengths, 1e-12)
     R[:, 2] = np.cross(R[:, 0], R[:, 1])
-    marker = _marker(name, Marker.SPHERE, color, np.maximum(2 * lengths, 1e-6))
-    set_fields(marker.pose.position, 'xyz', centre)
-    set_fields(marker.pose.orientation, 'xyzw', se3.quaternion(se3.transform(R, centre)))
-    return marker
+    return _marker(name, Marker.SPHERE, color, np.maximum(2 * lengths, 1e-6),
+                   T=se3.transform(R, centre))
 
 
-def _marker(name: str, kind: int, color: ColorRGBA, scale: Iterable[float]) -> Marker:
-    marker = Marker(type=kind, action=Marker.ADD, color=color, ns=name)
-    marker.pose.orientation.w = 1.0
+def _marker(name: str, kind: int, color: ColorRGBA, scale: Iterable[float],
+            points: Iterable[Array] = (), T: Array = IDENTITY, text: str = '') -> Marker:
+    """Return a marker at T (4, 4)."""
+    marker = Marker(type=kind, action=Marker.ADD, color=color, ns=name, text=text)
+    marker.points = [set_fields(Point(), 'xyz', point) for point in points]
     set_fields(marker.scale, 'xyz', scale)
+    set_fields(marker.pose.position, 'xyz', T[:3, 3])
+    set_fields(marker.pose.orientation, 'xyzw', se3.quaternion(T))
     return marker
-
-
-def _messages(points: Array) -> list[Point]:
-    return [set_fields(Point(), 'xyz', point) for point in points]
 
 
 def set_fields(msg: Any, names: str, values: Iterable[float]) -> Any:
