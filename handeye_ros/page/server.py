@@ -37,6 +37,7 @@ WORKERS = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
 LONGEST_BODY = 5.0  # s until the body of a request must be there
 PATIENCE = 10.0  # s until a client must accept an event, and the server must start
+LONGEST_REST = 1.0  # s until the rest of a body that nobody waits for must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
 KINDS = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
@@ -113,7 +114,8 @@ class PageServer:
         app.router.add_get('/read/{name}', self._read)
         app.router.add_get('/{name}', self._file)
         app.router.add_post('/act/{name}', self._act)
-        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0)
+        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0,
+                                     lingering_time=LONGEST_REST)
         await self._runner.setup()
         await web.TCPSite(self._runner, self._address, self.port).start()
         self._gathering = self._loop.create_task(self._gather())
