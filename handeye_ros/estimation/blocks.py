@@ -55,7 +55,9 @@ class ParameterBlock:
     transform. Parameters that are not only corrections of the residuals: parameter: index of the
     target's parameter, pose_values: which values of the pose model; value: (k,) at present.
     least, largest: bounds of the variance over the configured one. report: key in the answer, ''
-    for none; origin: added to the reported value of one parameter.
+    for none; origin: added to the reported value of one parameter. functions: (n, r) at the
+    stations; then the parameters are the coefficients of these functions, axis by axis, and
+    columns are (m, axes).
     """
 
     name: str
@@ -70,11 +72,13 @@ class ParameterBlock:
     largest: float = 400.0  # 20 times the sigma
     report: str = ''
     origin: float = 0.0
+    functions: Array | None = None
 
     @property
     def count(self) -> int:
         """Return the number of its parameters."""
-        return int(self.columns.shape[1])
+        every = 1 if self.functions is None else self.functions.shape[1]
+        return int(self.columns.shape[1] * every)
 
 
 Blocks = Iterable[ParameterBlock]
@@ -120,9 +124,8 @@ def robot_smooth(linear: Linear) -> Blocks:
     n, smooth = len(problem.poses), problem.smooth
     axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
-    columns = np.einsum('ma,mk->mak', linear.by_pose @ axes, smooth[problem.observations.station])
-    yield ParameterBlock('robot_smooth', columns.reshape(len(columns), -1) * size, size, twists,
-                         _motions_of_smooth, report='robot_position_error')
+    yield ParameterBlock('robot_smooth', linear.by_pose @ axes * size, size, twists,
+                         _motions_of_smooth, report='robot_position_error', functions=smooth)
 
 
 def _motions_of_smooth(linear: Linear) -> Array:
@@ -230,4 +233,4 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
 
 SOURCES: tuple[Source, ...] = (
     stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_model,
-    robot_smooth)
+    robot_smooth)  # the only one with functions is the last, see Derivatives

@@ -7,8 +7,13 @@ In an inverse, a direction that the data do not show keeps a large, finite varia
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
 from handeye_ros.data import Array
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh, lapack
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
@@ -103,3 +108,74 @@ def inverse_roots(covariance: Array) -> Array:
     size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # many points: rank 6
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + size * np.eye(
         covariance.shape[1]))))
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """
+    Derivatives (m, p) by c parameters, and by the coefficients of a sum of functions along a axes.
+
+    Row i changes by local[i, c + l] * functions[station[i], j] with coefficient j along axis l.
+    With thousands of stations, products of these factors are many times as fast as of the dense
+    matrix. local: (m, c + a); functions: (n, k) at the stations; p = c + a * k, axis by axis;
+    rows: row numbers (s, count) of stations with equally many; station: (m,).
+    """
+
+    local: Array
+    functions: Array
+    axes: int
+    rows: Sequence[NDArray[np.intp]]
+    station: NDArray[np.intp]
+
+    @cached_property
+    def dense(self) -> Array:
+        """Return the matrix (m, p)."""
+        c = self.local.shape[1] - self.axes
+        summed = self.local[:, c:, None] * self.functions[self.station][:, None]
+        return np.concatenate([self.local[:, :c], summed.reshape(len(summed), -1)], axis=1)
+
+    @cached_property
+    def gram(self) -> Array:
+        """Return the product (p, p) of the transposed matrix and the matrix."""
+        a, k = self.axes, self.functions.shape[1]
+        c, own = self.local.shape[1] - a, self.local[:, :-a or None]
+        N = np.zeros((c + a * k, c + a * k))
+        N[:c, :c] = own.T @ own
+        for rows in self.rows:
+            local, f = self.local[rows], self.functions[self.station[rows[:, 0]]]
+            by_axes = np.swapaxes(local, 1, 2) @ local[..., c:]
+            N[:c, c:] += (by_axes[:, :c].reshape(len(f), c * a).T @ f).reshape(c, a * k)
+            pairs = (f[:, :, None] * f[:, None]).reshape(len(f), k * k)
+            both = (by_axes[:, c:].reshape(len(f), a * a).T @ pairs).reshape(a, a, k, k)
+            N[c:, c:] += both.swapaxes(1, 2).reshape(a * k, a * k)
+        N[c:, :c] = N[:c, c:].T
+        return N
+
+    def gradient(self, r: Array) -> Array:
+        """Return the product (p,) of the transposed matrix with r (m,)."""
+        by_row = self.local * r[:, None]
+        c, at_station = by_row.shape[1] - self.axes, np.zeros((len(self.functions), self.axes))
+        np.add.at(at_station, self.station, by_row[:, c:])
+        return np.append(by_row[:, :c].sum(axis=0), at_station.T @ self.functions)
+
+    def times(self, x: Array) -> Array:
+        """Return the product (m,) of the matrix with x (p,)."""
+        c = self.local.shape[1] - self.axes
+        by_axes = self.functions @ x[c:].reshape(self.axes, self.functions.shape[1]).T
+        change = (self.local[:, c:] * by_axes[self.station]).sum(axis=1)
+        return np.asarray(self.local[:, :c] @ x[:c] + change)
+
+    def propagated(self, covariance: Array, rows: NDArray[np.intp]) -> Array:
+        """Return J C J' (s, count, count) of the rows of s stations, C (p, p) a covariance."""
+        a, k = self.axes, self.functions.shape[1]
+        c, local, f = self.local.shape[1] - a, self.local[rows], self.functions[
+            self.station[rows[:, 0]]]
+        # the covariance (s, c + a, c + a) of the change along each axis at each station
+        at = np.empty((len(rows), c + a, c + a))
+        at[:, :c, :c] = covariance[:c, :c]
+        at[:, :c, c:] = (f @ covariance[:c, c:].reshape(c * a, k).T).reshape(len(f), c, a)
+        at[:, c:, :c] = np.swapaxes(at[:, :c, c:], 1, 2)
+        pairs = (f[:, :, None] * f[:, None]).reshape(len(f), k * k)
+        both = covariance[c:, c:].reshape(a, k, a, k).swapaxes(1, 2).reshape(a * a, k * k)
+        at[:, c:, c:] = (pairs @ both.T).reshape(len(f), a, a)
+        return np.asarray(local @ at @ np.swapaxes(local, 1, 2))

@@ -67,6 +67,9 @@ class Whitening:
 
     def __call__(self, values: Array) -> Array:
         """Return values (m, ...) whitened to unit covariance."""
+        if len(self.rows) == 1:  # all rows, in their order
+            own = values.reshape(*self.rows[0].shape, -1)
+            return np.asarray((self.factors[0] @ own).reshape(values.shape))
         white = np.empty_like(values)
         for rows, factor in zip(self.rows, self.factors, strict=True):
             own = values[rows]

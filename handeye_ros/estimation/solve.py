@@ -29,6 +29,7 @@ from handeye_ros.estimation.blocks import (
 from handeye_ros.estimation.least_squares import leave_own_out
 from handeye_ros.estimation.linalg import (
     covariance_of,
+    Derivatives,
     FREE,
     from_information,
     from_rows,
@@ -59,7 +60,7 @@ class Solution:
     linear: the used stations with the labels of their observations, linearised; priors: blocks
     with their configured sigmas; r: (m,) whitened residuals with all parameters of blocks at 0; A:
     (m, u + q) whitened derivatives by u unknowns (first six: X) and by q parameters in configured
-    sigmas; gram: A'A, empty with fewer residuals than parameters.
+    sigmas.
 
     whole: the problem with all stations and observations; used: (n,) indices of those used;
     dropped: squared residual of the others; contaminated: probability that one of few used
@@ -72,8 +73,7 @@ class Solution:
     priors: tuple[ParameterBlock, ...]
     whitening: Whitening
     r: Array
-    A: Array
-    gram: Array
+    A: Derivatives
     whole: Problem
     used: NDArray[np.intp]
     dropped: Mapping[int, float] = field(default_factory=dict)
@@ -92,12 +92,15 @@ class Solution:
             if block.value is not None:  # they are in the estimate or the poses
                 residuals = residuals - block.columns @ (block.value / block.std)
         white = whitening(linear, noise)
-        own = white(np.column_stack([linear.jacobian[:, linear.problem.columns],
+        problem = linear.problem
+        own = white(np.column_stack([linear.jacobian[:, problem.columns],
                                      *(b.columns for b in blocks), residuals]))
-        A = np.ascontiguousarray(own[:, :-1])
-        gram = A.T @ A if len(A) >= A.shape[1] else np.empty((0, 0))
-        return cls(linear, noise, blocks, white, own[:, -1], A, gram, linear.problem,
-                   np.arange(len(linear.problem.poses)))
+        functions, axes = np.empty((len(problem.poses), 0)), 0
+        if blocks and blocks[-1].functions is not None:
+            functions, axes = blocks[-1].functions, blocks[-1].columns.shape[1]
+        A = Derivatives(own[:, :-1], functions, axes, white.rows, problem.observations.station)
+        return cls(linear, noise, blocks, white, own[:, -1], A, problem,
+                   np.arange(len(problem.poses)))
 
     @property
     def problem(self) -> Problem:
@@ -134,11 +137,11 @@ class Solution:
     def _solved(self) -> tuple[Array, Array]:
         """Return the step of all parameters (u + q,), and their covariance C, (5)."""
         if self.noise.lumped:  # the search ends where no step is left
-            return np.zeros(self.unknowns), covariance_of(self.A)
-        priors = self.A.shape[1] - self.unknowns
-        if not len(self.gram):
+            return np.zeros(self.unknowns), covariance_of(self.A.dense)
+        priors = len(self.scales) - self.unknowns
+        if len(self.r) < len(self.scales):
             return from_rows(self.columns, self.r, priors)
-        return from_information(self.gram, self.A.T @ self.r, self.scales, priors)
+        return from_information(self.A.gram, self.A.gradient(self.r), self.scales, priors)
 
     @property
     def covariance(self) -> Array:
@@ -153,12 +156,12 @@ class Solution:
     @cached_property
     def columns(self) -> Array:
         """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
-        return self.A * self.scales
+        return self.A.dense * self.scales
 
     @cached_property
     def white(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        return np.asarray(self.r + self.columns @ self._solved[0])
+        return np.asarray(self.r + self.A.times(self.scales * self._solved[0]))
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -186,9 +189,7 @@ class Solution:
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
-        J = self.columns[rows]
-        by_covariance = (J.reshape(rows.size, -1) @ self.covariance).reshape(J.shape)
-        return np.asarray(by_covariance @ np.swapaxes(J, 1, 2))
+        return self.A.propagated(self.covariance * self.scales * self.scales[:, None], rows)
 
     def factors(self, believed: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at believed, (7)."""
@@ -273,7 +274,7 @@ class Solution:
     def information(self) -> Array:
         """Return the (u + q, u + q) information of residuals and priors."""
         prior = np.append(np.zeros(self.unknowns), np.ones(len(self.nuisance)))
-        return np.asarray(self.columns.T @ self.columns + np.diag(prior))
+        return np.asarray(self.A.gram * self.scales * self.scales[:, None] + np.diag(prior))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -284,7 +285,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.A[:, :self.unknowns]
+        J = self.A.local[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.stations:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
@@ -408,7 +409,7 @@ class Solution:
         robot's smooth error as estimated from the other folds.
         """
         of_row, u = fold[self.problem.observations.station], self.unknowns
-        steps = np.empty((fold.max() + 1, self.A.shape[1]))
+        steps = np.empty((fold.max() + 1, len(self.scales)))
         for k in range(len(steps)):
             J, r = self.columns[of_row == k], self.white[of_row == k]
             if len(r) < J.shape[1]:
