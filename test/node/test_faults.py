@@ -55,6 +55,7 @@ def test_streams_that_fall_silent_are_reported_and_heard_again(
             client.until(heard_again, f'the {stream} are no longer silent')
 
 
+@pytest.mark.thorough
 def test_two_publishers_with_two_clocks_on_one_topic(tmp_path: Path, client: Client) -> None:
     other = client.node.create_publisher(PointCloud2, '/profile', RELIABLE)
     words = '2 publishers send profiles on /profile (/client, /client): let only one publish'

@@ -21,6 +21,7 @@ pytestmark = pytest.mark.ros
 BAG = ROOT / 'bags' / 'arm'
 
 
+@pytest.mark.thorough
 def test_the_arm_is_corrected_from_the_stops_of_a_session(tmp_path: Path, client: Client) -> None:
     with running_node(tmp_path, '-p', 'target.type:=sphere'):
         client.connect()
