@@ -20,15 +20,14 @@ from dataclasses import dataclass, replace
 import time
 
 from handeye_ros import se3
+from handeye_ros.arm import Arm, chain_of, GEOMETRY, parameters
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.robot.estimate import adjusted, fit_of, fitted, State, Weights
-from handeye_ros.robot.model import Arm, GEOMETRY, parameters
-from handeye_ros.robot.outcome import Outcome, solve, solve_points
-from handeye_ros.robot.points import Points
+from handeye_ros.robot.outcome import Outcome, solve
+from handeye_ros.robot.points import Points, solve_points
 from handeye_ros.robot.profiles import profiles_of
-from handeye_ros.robot.urdf import chain_of
 from handeye_ros.simulate import arm, SCENARIOS, settings
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate.scenes import anywhere, SCENES

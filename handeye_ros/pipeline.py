@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import targets
+from handeye_ros.arm import with_arm_errors
 from handeye_ros.checks.causes import explained, require_agreement
 from handeye_ros.checks.measures import believable_shape, believable_size, require_one_scale
 from handeye_ros.checks.moved import moved_slightly
@@ -161,7 +162,6 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         require_one_scale(solution)
         fits = True
         if config.kinematics:  # a corrected arm, which has errors of its own
-            from handeye_ros.robot.uncertainty import with_arm_errors
             solution = with_arm_errors(solution, Path(config.kinematics))
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)

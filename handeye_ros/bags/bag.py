@@ -17,6 +17,7 @@ import math
 from pathlib import Path
 
 from handeye_ros import se3
+from handeye_ros.arm import Arm, read_arm
 from handeye_ros.bags.messages import (
     joints_from_cdr,
     pose_from_cdr,
@@ -31,8 +32,6 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.errors import BagError, DataError, InputError, UnusableMessageError
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.robot.model import Arm, JointNamesError
-from handeye_ros.robot.urdf import read_arm
 from handeye_ros.sampling.stream import FEW, FEW_SHARE, in_order, LARGEST_STEP, two_frames
 import numpy as np
 
@@ -362,10 +361,10 @@ def _forward(arm: Arm, values: Array) -> tuple[Array, Array]:
 def _joint_values(arm: Arm, data: bytes) -> tuple[int, list[float]]:
     """Return the stamp and the values of the measured joints; raises UnusableMessageError."""
     stamp, positions = joints_from_cdr(data)
-    for name in arm.chain.measured:
-        if name not in positions:
-            cause = JointNamesError.missing('the message', name, list(positions))
-            raise UnusableMessageError(f'JointState message not used: {cause}')
+    try:
+        arm.chain.values(positions, 'the message')
+    except InputError as cause:
+        raise UnusableMessageError(f'JointState message not used: {cause}') from cause
     values = [positions[name] for name in arm.chain.measured]
     if not all(map(math.isfinite, values)):
         raise UnusableMessageError('JointState message not used: it holds positions that are not '

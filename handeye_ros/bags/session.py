@@ -25,14 +25,13 @@ import os
 from pathlib import Path
 import re
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
-from handeye_ros.bags.bag import read_poses
 from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr, typestore
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config, flatten, with_values
-from handeye_ros.data import AnyProfile, Array, RawProfile, Reject
+from handeye_ros.data import AnyProfile, RawProfile, Reject
 from handeye_ros.errors import (
     BagError,
     InputError,
@@ -41,16 +40,10 @@ from handeye_ros.errors import (
     UnwritableError,
 )
 from handeye_ros.output import folder_name
-from handeye_ros.robot.model import Arm, Chain
 from handeye_ros.sampling.session import judged, Outcome, Session
 from handeye_ros.sampling.stops import Stop
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-import numpy as np
-from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from handeye_ros.robot.samples import Source
 
 LAST = 'last'
 FORMAT, NEWEST = 'handeye_ros/session/', 1
@@ -528,21 +521,3 @@ def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Confi
         return config, None
     stored = read_session(path)
     return with_values(stored.config, overrides, SOURCE), stored
-
-
-def joints_of(path: Path, config: Config, chain: Chain) -> tuple[NDArray[np.int64], Array]:
-    """Return stamps (n,) and joint values (n, joints); raises InputError without any."""
-    recording = read_poses(path, replace(config, kinematics=''), Arm(chain))
-    assert recording.joints is not None
-    return np.array([pose.stamp for pose in recording.poses], dtype=np.int64), recording.joints
-
-
-def source_of_session(stored: Stored, config: Config, chain: Chain) -> Source:
-    """Return the samples of a session with their joint values; raises InputError."""
-    from handeye_ros.checks.clocks import require_same_clock
-    from handeye_ros.robot.samples import Source  # both import the whole pipeline
-    session = stored.session(config)
-    return Source.of(session.samples, session.rejects, session.frame_id, config, chain,
-                     *joints_of(stored.path, config, chain),
-                     require_same_clock=partial(require_same_clock, session),
-                     inputs=[{'path': str(stored.path)}], warnings=session.warnings)

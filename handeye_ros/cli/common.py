@@ -82,7 +82,7 @@ def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
     """Return assignments, preceded by those of a kinematics.yaml."""
     if file is None:
         return assignments
-    from handeye_ros.robot.urdf import read_arm
+    from handeye_ros.arm import read_arm
     chain = read_arm(file).chain
     return [f'kinematics={file.absolute()}', f'robot_base_frame={chain.base}',
             f'robot_effector_frame={chain.flange}', *assignments]

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -25,14 +22,13 @@ from handeye_ros.cli.common import (
     warn,
 )
 from handeye_ros.config import SAVE_FORMATS
-from handeye_ros.errors import HandeyeError, NoRosError, UnknownNameError, UnwritableError
+from handeye_ros.errors import NoRosError, UnknownNameError, UnwritableError
 import typer
 
 if TYPE_CHECKING:
+    from handeye_ros.arm import Chain
     from handeye_ros.batch import Row
-    from handeye_ros.data import TimedPose
-    from handeye_ros.robot.model import Chain
-    from handeye_ros.robot.samples import Source
+    from handeye_ros.robot.sources import Source
 
 Saved = Annotated[Path, typer.Argument(
     metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
@@ -125,11 +121,10 @@ def kinematics(
                                  'points')
     files = configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
     settings = configuration(files[0], assignments)
+    from handeye_ros.arm import read_chain
     from handeye_ros.results.calibration_file import input_values
-    from handeye_ros.robot.answer import solve_table
-    from handeye_ros.robot.report import table
-    from handeye_ros.robot.samples import solve_sources
-    from handeye_ros.robot.urdf import read_chain
+    from handeye_ros.robot.answer import solve_table, table
+    from handeye_ros.robot.sources import solve_sources
     text, chain = read_chain(urdf, base, flange)
     if tables:
         with doing('solving'):
@@ -147,24 +142,18 @@ def kinematics(
 
 def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros.bags.bag import read, read_poses
-    from handeye_ros.bags.session import source_of_session
-    from handeye_ros.robot.model import Arm
-    from handeye_ros.robot.samples import JointRecording, source_of
+    from handeye_ros.arm import Arm
+    from handeye_ros.bags.bag import read
+    from handeye_ros.robot.sources import of_recording, of_session, reported_poses
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None)
     if stored:
-        return source_of_session(stored, settings, chain)
+        return of_session(stored, chain, settings)
     with advancing('reading the recording') as progress:
         recording = read(path, settings, progress, Arm(chain))
-    reported: Sequence[TimedPose] = ()
-    with suppress(HandeyeError):
-        reported = read_poses(path, replace(settings, kinematics='')).poses
-    assert recording.joints is not None
-    joints = JointRecording(recording.profiles, recording.poses, recording.joints, reported,
-                            recording.warnings, recording.inputs)
+    reported = reported_poses(path, settings)
     with doing('finding the stops'):
-        return source_of(joints, chain, settings)
+        return of_recording(recording, reported, chain, settings)
 
 
 @app.command()

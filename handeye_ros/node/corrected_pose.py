@@ -17,13 +17,12 @@ from pathlib import Path
 import sys
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
+from handeye_ros.arm import Arm, read_arm, read_chain
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, spin
 from handeye_ros.node.outputs import pose_stamped, time_message
 from handeye_ros.node.streams import STREAM, TFMessage, THROTTLE
-from handeye_ros.robot.model import Arm
-from handeye_ros.robot.urdf import read_arm, read_chain
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args

@@ -14,6 +14,7 @@ import traceback
 from typing import Any, TypeVar
 
 from geometry_msgs.msg import PoseStamped
+from handeye_ros.arm import read_arm
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, split, transforms_from_cdr
 from handeye_ros.bags.reader import CLOUD, JOINTS, POSE
@@ -23,7 +24,6 @@ from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
 from handeye_ros.node.arrivals import Arrivals
 from handeye_ros.node.live import LiveSession
-from handeye_ros.robot.urdf import read_arm
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks

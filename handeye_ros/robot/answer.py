@@ -3,7 +3,7 @@
 """The corrected arm with its hand-eye transform: from a table of points, and as files."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import math
@@ -11,18 +11,32 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import __version__, se3
+from handeye_ros.arm import (
+    Arm,
+    Chain,
+    corrected_urdf,
+    COUNTS,
+    DIRECTION,
+    FORMAT,
+    KINEMATICS_FILE,
+    OFFSET,
+    POSITION,
+    REVOLUTE,
+)
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.robot.model import Arm, Chain, COUNTS, OFFSET, REVOLUTE
-from handeye_ros.robot.outcome import Outcome, solve_points
-from handeye_ros.robot.points import Points, read_table
-from handeye_ros.robot.urdf import corrected_urdf, FORMAT, KINEMATICS_FILE
+from handeye_ros.robot.outcome import Outcome
+from handeye_ros.robot.points import Points, read_table, solve_points
 from handeye_ros.se3 import worst_translation
 import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
 import yaml
 
 NAME, URDF = KINEMATICS_FILE, 'corrected.urdf'
@@ -30,6 +44,8 @@ UNKNOWN = 0.9  # of the prior sigma: the data hardly determine the parameter
 OTHER_FRAMES = 0.02  # m, rad: larger differences mean other frames than those of the URDF
 MOST_CONFIGURATIONS = 200  # that are stored, to find the joint values of poses
 EQUAL = 5e-5  # m: rounding of reported poses
+JOINT_COLUMNS = ('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
+MODEL_COLUMNS = ('model', 'residual RMS', 'left out RMS', 'left out median', '')
 HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
@@ -125,7 +141,7 @@ def _text(answer: Answer) -> str:
                   'created': datetime.now(UTC).isoformat(timespec='seconds'),
                   **calibration.provenance, 'warnings': list(answer.warnings)}
     content = {
-        'format': FORMAT, 'name': calibration.name, 'base': arm.chain.base,
+        'format': f'{FORMAT}1', 'name': calibration.name, 'base': arm.chain.base,
         'flange': arm.chain.flange, 'joints': _joints(outcome),
         'end': transform_values(arm.chain.end),
         'zero_offsets_degrees': {
@@ -179,3 +195,48 @@ def compared(reported: Array, nominal: Array) -> str:
     return (f'the controller does not have the kinematics of the URDF: its poses differ by '
             f'{np.sqrt((distances ** 2).mean()) * 1e3:.2f} mm RMS, {distances.max() * 1e3:.2f} mm '
             'at most; the joint values are used')
+
+
+def table(answer: Answer) -> RenderableType:
+    """Return the joints with their errors, and the cross-validation error of each model."""
+    tables = []
+    for header, *rows in (_joint_rows(answer), _model_rows(answer)):
+        tables.append(Table(*header, box=box.SIMPLE_HEAD, pad_edge=False))
+        for row in rows:
+            tables[-1].add_row(*row)
+    return Group(Text('Zero offset: add it to the reading of the joint.'), *tables,
+                 Text(answer.sentence))
+
+
+def _joint_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
+    yield JOINT_COLUMNS
+    for i, joint in enumerate(answer.arm.chain.joints):
+        zero = (math.degrees(1), 4, 'deg') if joint.kind == REVOLUTE else (1e3, 3, 'mm')
+        yield (joint.name, _cell(answer, i, OFFSET, *zero),
+               _cell(answer, i, DIRECTION, math.degrees(1), 4, 'deg'),
+               _cell(answer, i, POSITION, 1e3, 3, 'mm'), ', '.join(_unknown(answer, i)))
+
+
+def _model_rows(answer: Answer) -> Iterator[tuple[str, ...]]:
+    yield MODEL_COLUMNS
+    for model in answer.outcome.models:
+        yield (model.words, *(f'{v * 1e3:.3f} mm' for v in (
+            model.fit.noise_rms, model.left_out_rms, model.left_out_median)),
+            'the answer' if model is answer.outcome.chosen else '')
+
+
+def _unknown(answer: Answer, joint: int) -> Iterator[str]:
+    """Yield the kinds of errors of a joint that the data do not determine."""
+    unknown_kinds: dict[str, list[bool]] = {}
+    for p, ratio in zip(answer.arm.parameters, answer.outcome.sigma_ratios, strict=True):
+        if p.joint == joint:
+            unknown_kinds.setdefault(p.kind, []).append(ratio > UNKNOWN)
+    yield from (kind for kind, uncertain in unknown_kinds.items() if all(uncertain))
+
+
+def _cell(answer: Answer, joint: int, kind: str, factor: float, digits: int, unit: str) -> str:
+    values = [(value, std) for p, value, std in zip(
+        answer.arm.parameters, answer.arm.values, answer.outcome.stds, strict=True)
+        if (p.joint, p.kind) == (joint, kind)]
+    cells = [f'{value * factor:+.{digits}f} ± {std * factor:.{digits}f}' for value, std in values]
+    return f'{", ".join(cells)} {unit}' if cells else '-'

@@ -14,14 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.arm import Arm, Chain, PRISMATIC
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import graduated, Rows, System
-from handeye_ros.robot.causes import (
-    cause_of,
-    Change,
-    joint_notes,
-    TooFewConfigurationsError,
-)
 from handeye_ros.robot.estimate import (
     adjusted,
     Fit,
@@ -31,7 +26,14 @@ from handeye_ros.robot.estimate import (
     State,
     Weights,
 )
-from handeye_ros.robot.model import Arm, Chain, PRISMATIC
+from handeye_ros.robot.outcome import (
+    cause_of,
+    Change,
+    joint_notes,
+    Outcome,
+    solve,
+    too_few,
+)
 from handeye_ros.tables import ANGLE, LENGTH, Table
 import numpy as np
 from numpy.typing import NDArray
@@ -148,7 +150,7 @@ def read_table(path: Path, chain: Chain, on_flange: bool) -> tuple[Points, tuple
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
     names the point where there are several, and `flange_x [mm]` ... `flange_qw` (or
     `flange_roll [deg]` ...) are the controller's own poses.
-    Raises TableError, JointNamesError, JointRangeError.
+    Raises InputError and DataError.
     """
     table = Table(path)
     kinds = {j.follows: LENGTH if j.kind == PRISMATIC else ANGLE for j in chain.joints}
@@ -173,10 +175,10 @@ def first_fit(data: Points, arm: Arm, max_starts: int = STARTS) -> Fit:
     """
     Return the hand-eye transform alone, with the arm as stated, whatever its residuals.
 
-    max_starts: starts that are refined. Raises TooFewConfigurationsError.
+    max_starts: starts that are refined. Raises DataError.
     """
     if len(data) < MINIMUM:
-        raise TooFewConfigurationsError(len(data), MINIMUM)
+        raise too_few(len(data))
     rough, no_smooth = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
 
     def refit(state: State, weights: Array) -> State:
@@ -194,7 +196,7 @@ def first_fit(data: Points, arm: Arm, max_starts: int = STARTS) -> Fit:
     final = squares(state)
     used = final <= 25.0 * max(float(np.median(final)), (LEAST_NOISE / ROUGH) ** 2)
     if used.sum() < MINIMUM:
-        raise TooFewConfigurationsError(int(used.sum()), MINIMUM)
+        raise too_few(int(used.sum()))
     return adjusted(fitted(data, state, rough, used, no_smooth))
 
 
@@ -242,3 +244,8 @@ def cause_of_points(data: Points, chain: Chain) -> str:
                           on_flange=data.on_flange != change.other_side)
         return first_fit(changed, Arm(chain), FEW).noise_rms
     return cause_of(chain, data.q, data.on_flange, refit)
+
+
+def solve_points(data: Points, chain: Chain, limit: float) -> Outcome:
+    """Return the corrected arm from points that a sensor measured; see outcome.solve."""
+    return solve(first_fit(data, Arm(chain)), limit, lambda: cause_of_points(data, chain))

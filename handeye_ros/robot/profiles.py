@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros import se3
+from handeye_ros.arm import Arm
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.noise import Noise, whitening
@@ -21,7 +22,6 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.estimate import State
-from handeye_ros.robot.model import Arm
 import numpy as np
 from numpy.typing import NDArray
 

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 
 from command import ROOT, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.robot.urdf import chain_of  # noqa: E402
+from handeye_ros.arm import chain_of  # noqa: E402
 from handeye_ros.simulate import arm  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import BEST_EFFORT, Client, run_module  # noqa: E402
@@ -48,4 +48,4 @@ def test_a_pose_follows_every_joint_state(tmp_path: Path, client: Client) -> Non
 
 def test_a_file_that_is_none_is_refused_in_a_sentence() -> None:
     run = run_module('corrected_pose', '--kinematics', 'nowhere.yaml')
-    assert run.returncode == 2 and 'nowhere.yaml: cannot be read' in run.stderr
+    assert run.returncode == 2 and 'nowhere.yaml cannot be used' in run.stderr

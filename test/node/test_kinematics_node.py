@@ -11,9 +11,9 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('pinocchio', reason='needs pinocchio')
 
 from command import handeye, ROOT  # noqa: E402, I100
+from handeye_ros.arm import read_arm  # noqa: E402
 from handeye_ros.results.calibration_file import read_calibration  # noqa: E402
 from handeye_ros.results.truth_file import true_transform  # noqa: E402
-from handeye_ros.robot.urdf import read_arm  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import Client, replay, running_node  # noqa: E402
 

@@ -10,10 +10,17 @@ import sys
 
 from command import handeye
 from handeye_ros import se3
+from handeye_ros.arm import (
+    Arm,
+    chain_of,
+    corrected_urdf,
+    GEOMETRY,
+    parameters,
+    read_arm,
+)
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.robot.model import Arm, GEOMETRY, one_configuration, parameters
-from handeye_ros.robot.outcome import solve_points
-from handeye_ros.robot.urdf import chain_of, corrected_urdf, read_arm
+from handeye_ros.robot.outcome import one_configuration
+from handeye_ros.robot.points import solve_points
 import numpy as np
 import pytest
 

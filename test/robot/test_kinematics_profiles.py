@@ -8,6 +8,7 @@ from pathlib import Path
 
 from command import handeye
 from handeye_ros import pipeline, se3
+from handeye_ros.arm import Arm, chain_of, GEOMETRY, parameters, read_arm, read_chain
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
@@ -16,15 +17,7 @@ from handeye_ros.frames import in_mount
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import profiles
 from handeye_ros.robot.estimate import State
-from handeye_ros.robot.model import Arm, GEOMETRY, parameters
-from handeye_ros.robot.samples import (
-    JointRecording,
-    outcome_of,
-    solve_sources,
-    Source,
-    source_of,
-)
-from handeye_ros.robot.urdf import chain_of, read_arm, read_chain
+from handeye_ros.robot.sources import of_recording, outcome_of, solve_sources, Source
 from handeye_ros.simulate import arm as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.targets import method_for
@@ -70,8 +63,7 @@ def source():
     chain = read_chain(ROOT / 'bags/arm/robot.urdf')[1]
     config = Config(target=TargetConfig(type='sphere'))
     found = bag.read(ROOT / 'bags/arm', config, arm=Arm(chain))
-    recording = JointRecording(found.profiles, found.poses, found.joints, (), (), found.inputs)
-    return chain, source_of(recording, chain, config)
+    return chain, of_recording(found, (), chain, config)
 
 
 def test_two_recordings_give_one_answer(source):
@@ -150,7 +142,7 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
         stated = [replace(s, T_base_flange=T)
                   for s, T in zip(samples, chain.forward(q), strict=True)]
         stamps = np.array([s.stamp for s in stated])
-        answer = solve_sources([Source.of(stated, (), 'laser', config, chain, stamps, q)], chain)
+        answer = solve_sources([Source(stated, (), 'laser', config, stamps, q)], chain)
         answer.save(simulated_arm.urdf(), tmp_path, ())
         T = read_arm(tmp_path).forward(q)
         corrected = [replace(s, T_base_flange=pose) for s, pose in zip(stated, T, strict=True)]

@@ -1,34 +1,39 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The corrected arm from samples of profiles, through the pipeline."""
+"""The corrected arm from recordings and sessions: samples with the joint values of their time."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from pathlib import Path
 
 from handeye_ros import pipeline, se3
+from handeye_ros.arm import Arm, Chain
+from handeye_ros.bags.bag import read_poses, Recording
+from handeye_ros.bags.session import Stored
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
-from handeye_ros.errors import InputError
+from handeye_ros.data import Array, Calibration, Reject, Sample, TimedPose
+from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import covering
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.answer import Answer, compared
-from handeye_ros.robot.causes import (
+from handeye_ros.robot.estimate import fit_of, MINIMUM
+from handeye_ros.robot.outcome import (
+    AGREEING,
     cause_of,
     Change,
-    ContradictionError,
+    contradiction,
     joint_notes,
     OTHER_SIDE,
-    TooFewConfigurationsError,
+    Outcome,
+    solve,
+    too_few,
+    UNSOLVED,
 )
-from handeye_ros.robot.estimate import fit_of, MINIMUM
-from handeye_ros.robot.model import Arm, Chain
-from handeye_ros.robot.outcome import AGREEING, Outcome, solve
 from handeye_ros.robot.profiles import misfit, profiles_of
+from handeye_ros.sampling.session import Session
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
@@ -37,30 +42,12 @@ LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
 
 
 @dataclass(frozen=True, eq=False)
-class JointRecording:
-    """
-    A recording of profiles and joint values.
-
-    poses: the flange poses of the arm as stated, at the joint values (n, joints); reported: those
-    of the controller, may be empty; warnings, inputs: of the reading.
-    """
-
-    profiles: Sequence[AnyProfile]
-    poses: Sequence[TimedPose]
-    joints: Array
-    reported: Sequence[TimedPose]
-    warnings: Sequence[str]
-    inputs: Sequence[dict[str, str]]
-
-
-@dataclass(frozen=True, eq=False)
 class Source:
     """
     Samples of one target with joint values; their poses are those of the arm as stated.
 
-    joints: (n, joints) at stamps (n,); recording: the source of the samples, None for stops of a
-    session; require_same_clock: raises if the clocks explain a contradiction; inputs, warnings: of
-    the reading.
+    config: with the frames of the chain. joints: (n, joints) at stamps (n,). recording, session:
+    where the samples are from, None where there is none; inputs, warnings: of the reading.
     """
 
     samples: Sequence[Sample]
@@ -69,18 +56,10 @@ class Source:
     config: Config
     stamps: NDArray[np.int64]
     joints: Array
-    recording: JointRecording | None = None
-    require_same_clock: Callable[[Config], None] | None = None
+    recording: Recording | None = None
+    session: Session | None = None
     inputs: Sequence[dict[str, str]] = ()
     warnings: Sequence[str] = ()
-
-    @classmethod
-    def of(cls, samples: Sequence[Sample], rejects: Sequence[Reject], frame_id: str,
-           config: Config, chain: Chain, stamps: NDArray[np.int64], joints: Array, **fields: Any
-           ) -> Source:
-        """Return samples whose settings have the frames of a chain; fields: the others."""
-        return cls(samples, rejects, frame_id, _configured(config, chain), stamps, joints,
-                   **fields)
 
     def joints_at(self, samples: Sequence[Sample]) -> Array:
         """Return the joint values (k, joints) at samples; raises InputError."""
@@ -97,30 +76,52 @@ class Source:
 
     def calibrated(self, arm: Arm) -> Calibration:
         """Return the calibration with the poses of a corrected arm; raises DataError."""
-        recording = self.recording
-        if recording:
-            T = arm.forward(recording.joints)
+        if self.recording:
+            T = arm.forward(self.joints)
             poses = [replace(pose, translation=p, quaternion=q) for pose, p, q in zip(
-                recording.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
-            return pipeline.calibrate(recording.profiles, poses, self.config)
+                self.recording.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
+            return pipeline.calibrate(self.recording.profiles, poses, self.config)
         T = arm.forward(self.joints_at(self.samples))
         stops = [replace(sample, T_base_flange=pose_of_arm, motion=None)
                  for sample, pose_of_arm in zip(self.samples, T, strict=True)]
         return pipeline.solve(stops, self.rejects, self.config, self.frame_id)
 
 
-def source_of(recording: JointRecording, chain: Chain, config: Config) -> Source:
-    """Return the samples of a recording; raises DataError."""
-    config = _configured(config, chain)
-    stamps = np.array([pose.stamp for pose in recording.poses])
-    undetermined = joint_notes(chain, chain.measured_values(recording.joints))
+def of_recording(recording: Recording, reported: Sequence[TimedPose], chain: Chain, config: Config
+                 ) -> Source:
+    """
+    Return the samples of a recording that holds joint values; raises DataError.
+
+    reported: the poses of the controller, may be empty.
+    """
+    assert recording.joints is not None
+    config, joints = _configured(config, chain), recording.joints
+    notes = joint_notes(chain, chain.measured_values(joints))
     session = pipeline.gather(recording.profiles, recording.poses, config)
-    source = Source(session.samples, session.rejects, session.frame_id, config, stamps,
-                    recording.joints, recording, partial(require_same_clock, session),
+    source = Source(session.samples, session.rejects, session.frame_id, config,
+                    np.array([pose.stamp for pose in recording.poses]), joints, recording, session,
                     recording.inputs)
-    compared = _compared(recording, source, chain) if recording.reported else ''
-    return replace(source, warnings=[*filter(None, (
-        *recording.warnings, *session.warnings, *undetermined, compared))])
+    if reported:
+        notes.append(_compared(reported, source, chain))
+    return replace(source, warnings=[*recording.warnings, *session.warnings, *notes])
+
+
+def of_session(stored: Stored, chain: Chain, config: Config) -> Source:
+    """Return the samples of a stored session with their joint values; raises InputError."""
+    session = stored.session(config)
+    values = read_poses(stored.path, replace(config, kinematics=''), Arm(chain))
+    assert values.joints is not None
+    return Source(session.samples, session.rejects, session.frame_id, _configured(config, chain),
+                  np.array([pose.stamp for pose in values.poses]), values.joints,
+                  session=session, inputs=[{'path': str(stored.path)}], warnings=session.warnings)
+
+
+def reported_poses(path: Path, config: Config) -> Sequence[TimedPose]:
+    """Return the poses of the controller in a bag, none if it holds none."""
+    try:
+        return read_poses(path, replace(config, kinematics='')).poses
+    except HandeyeError:
+        return ()
 
 
 def _configured(config: Config, chain: Chain) -> Config:
@@ -139,10 +140,10 @@ def solve_sources(sources: Sequence[Source], chain: Chain,
     """
     try:
         outcome = outcome_of(sources, chain)
-    except (ContradictionError, TooFewConfigurationsError):
-        for source in sources:
-            if source.require_same_clock:
-                source.require_same_clock(source.config)
+    except DataError as error:
+        for source in sources if error.reason == UNSOLVED else ():
+            if source.session:
+                require_same_clock(source.session, source.config)
         raise
     calibrations = [source.calibrated(outcome.arm) for source in sources]
     inputs = [*(values for source in sources for values in source.inputs), *inputs]
@@ -168,9 +169,8 @@ def _combined(calibrations: Sequence[Calibration], outcome: Outcome) -> Calibrat
 def outcome_of(sources: Sequence[Source], chain: Chain) -> Outcome:
     """Return the corrected arm from stops or a sweep; raises DataError."""
     count = sum(len(source.samples) for source in sources)
-    limit = sources[0].config.limits.residual
     if count < MINIMUM:
-        raise TooFewConfigurationsError(count, MINIMUM)
+        raise too_few(count)
     problems, joints = zip(*(_problem(source, chain) for source in sources), strict=True)
 
     def missed(change: Change) -> float:
@@ -179,9 +179,10 @@ def outcome_of(sources: Sequence[Source], chain: Chain) -> Outcome:
 
     def cause() -> str:
         return cause_of(chain, np.concatenate(joints), problems[0].in_hand, missed)
+    limit = sources[0].config.limits.residual
     data, state = profiles_of(problems, joints, Arm(chain))
     if len(data) < max(MINIMUM, AGREEING * count):
-        raise ContradictionError(missed(Change('', np.eye(len(chain.joints)))), limit, cause())
+        raise contradiction(missed(Change('', np.eye(len(chain.joints)))), limit, cause())
     return solve(fit_of(data, state), limit, cause)
 
 
@@ -200,21 +201,18 @@ def _changed(problem: Problem, T_base_flange: Array, change: Change) -> Problem:
     return replace(problem, poses=in_mount(T_base_flange, config), config=config)
 
 
-def _compared(recording: JointRecording, source: Source, chain: Chain) -> str:
+def _compared(poses: Sequence[TimedPose], source: Source, chain: Chain) -> str:
     """Return in words how the controller's poses differ from those of the URDF, at samples."""
-    reported = np.array([pose.stamp for pose in recording.reported])
-    times, first = np.unique(reported - reported[0], return_index=True)
-    times_of_samples = np.array([sample.stamp for sample in source.samples])
-    within = (times_of_samples >= reported[0]) & (times_of_samples <= reported[-1])
-    times_of_samples = times_of_samples[within]
-    if len(times) < 2 or not len(times_of_samples):
+    stamps = np.array([pose.stamp for pose in poses])
+    times, first = np.unique(stamps - stamps[0], return_index=True)
+    at = np.array([sample.stamp for sample in source.samples])
+    at = at[(at >= stamps[0]) & (at <= stamps[-1])]
+    if len(times) < 2 or not len(at):
         return 'the reported poses are of another time than the profiles, and are not compared'
-    poses = [recording.reported[i] for i in first]
-    T = se3.interpolated(times.astype(float), np.array([p.translation for p in poses]),
-                         np.array([p.quaternion for p in poses]),
-                         (times_of_samples - reported[0]).astype(float))
-    return compared(T, chain.forward(interpolated_joints(times_of_samples, source.stamps,
-                                                         source.joints)))
+    T = se3.interpolated(times.astype(float), np.array([poses[i].translation for i in first]),
+                         np.array([poses[i].quaternion for i in first]),
+                         (at - stamps[0]).astype(float))
+    return compared(T, chain.forward(interpolated_joints(at, source.stamps, source.joints)))
 
 
 def interpolated_joints(times: NDArray[np.int64], stamps: NDArray[np.int64], joints: Array
