@@ -219,7 +219,7 @@ def test_joint_values_that_contradict_the_points_are_named(solved, words):
 
 URDFS = {
     'macros': ('<robot name="a"><xacro:macro/></robot>', 'xacro'),
-    'no xml': ('<robot', 'no XML'),
+    'no xml': ('<robot', 'no valid URDF'),
     'a loop': (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'closed loop'),
     'no such link': (ODD, 'has no link tool9'),
     'floating': (ODD.replace('type="continuous"', 'type="floating"'), 'floating'),
