@@ -166,8 +166,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)
         warning = moved_slightly(solution)  # first: a move also makes the answer uncertain
-        missing = missing_motion(solution.whole.poses, config)
-        require_certain(solution.reported, config, missing)
+        require_certain(solution.reported, config, missing_motion(solution, config))
         require_certain_points(solution, config)
         require_edges(solution)
         # 9. Predict each sample from the others.

@@ -60,7 +60,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
                         reason='convention')
     if misfit.hopeless:
         require_certain(solution.reported, problem.config,
-                        missing_motion(problem.poses, problem.config))
+                        missing_motion(solution, problem.config))
         require_stated(stated, moved_between(problem))
     require_not_only_scale(solution)
     require_fit(solution)

@@ -211,13 +211,15 @@ def require_certain_points(solution: Solution, config: Config) -> None:
         raise DataError(
             f'the points that the samples show are uncertain by {mm(std)} along '
             f'{name_direction(vectors[:, -1], frame)} (1 sigma; limits.points is {mm(limit)}): '
-            f'{missing_motion(solution.whole.poses, config)}', reason='uncertain')
+            f'{missing_motion(solution, config)}', reason='uncertain')
 
 
-def missing_motion(poses: Array, config: Config) -> str:
-    """Return in words the motion that poses (n, 4, 4) of the mount lack."""
-    frame = mount_frame(config)
-    turns, axes = turning(poses)
+def missing_motion(solution: Solution, config: Config) -> str:
+    """Return in words the motion that the samples of a solution lack."""
+    problem, frame = solution.problem, mount_frame(config)
+    if one_view := problem.method.one_view(problem, solution.estimate):
+        return one_view
+    turns, axes = turning(solution.whole.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
         return ('take more samples with the target in all parts of the field of view (near, far, '
                 'left, right), each with another tilt')

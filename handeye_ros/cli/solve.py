@@ -46,6 +46,8 @@ def solve(
     out: Annotated[NoPath, typer.Option(
         metavar='DIR', help='Where calibration.yaml is written; if not given, the folder NAME in '
                             'output_dir, or in out.')] = None,
+    budget: Annotated[bool, typer.Option(
+        '--budget', help='Also show which causes the uncertainty comes from.')] = False,
 ) -> None:
     """Find the transform from a recording or a file."""
     stored = stored_session(path)
@@ -57,7 +59,11 @@ def solve(
     from handeye_ros.results.truth_file import errors_against, true_transform
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     method, T_true, field = _file_method(path, settings), true_transform(path), None
+    causes = None
     if method:
+        if budget:
+            raise InputError('--budget is of the profiles of a recording; the answer from a table '
+                             'states its covariance only')
         from handeye_ros.tabulated.method import calibrate as calibrate_files
         content = _read_files(method, path, settings)
         with doing('solving'):
@@ -65,21 +71,26 @@ def solve(
         field = method.field(content.data)
     else:
         from handeye_ros import pipeline
+        from handeye_ros.estimation.covariance import budget as budget_of
         if stored:
-            inputs = [{'path': str(path.absolute())}]
-            with doing('solving'):
-                calibration = pipeline.calibrate_session(stored.session(settings), settings)
+            session, inputs = stored.session(settings), [{'path': str(path.absolute())}]
         else:
             recording = read_bag(path, settings)
+            session = pipeline.gather(recording.profiles, recording.poses, settings)
             inputs = list(recording.inputs)
-            with doing('solving'):
-                calibration = pipeline.calibrate(recording.profiles, recording.poses, settings)
+        with doing('solving'):
+            answer = pipeline.answer_of(session, settings)
+            calibration = answer.required()
+            causes = budget_of(answer.consensus()) if budget else None
         for warning in calibration.provenance.get('warnings', ()):
             warn(warning)
         calibration = replace(calibration,
                               provenance={**calibration.provenance, 'inputs': inputs})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
+    if causes:
+        show(table.budget_table([(term.name, term.mapped, term.translation, term.rotation)
+                                 for term in (*causes.terms, causes.total)], causes.samples))
     if T_true is not None:
         errors = errors_against(calibration.T_flange_sensor, T_true, field)
         typer.echo(table.error_sentence(errors, *([method.over] if method else [])))

@@ -151,6 +151,10 @@ class Target(ABC):
         """Return the essential kinds as indices into kinds."""
         return [k for k, name in enumerate(self.kinds) if name in self.essential]
 
+    def one_view(self, problem: Problem, estimate: Estimate) -> str:
+        """Return in words how the views of the target are too much alike, '' if they are not."""
+        return ''
+
     @abstractmethod
     def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
         """Return the features of one profile (n, 2); raises FeatureError without them."""

@@ -141,7 +141,7 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
     def fit(stations: Stations) -> Array:
         config = replace(stations.config, method=name)
         solution = pipeline.answer(stations.samples, (), config).consensus()
-        require_certain(solution.reported, config, missing_motion(solution.whole.poses, config))
+        require_certain(solution.reported, config, missing_motion(solution, config))
         return solution.estimate.X
     return fit
 

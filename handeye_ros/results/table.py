@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 import math
 import re
 from typing import Any
@@ -36,6 +36,8 @@ SMOOTH_ERRORS = {
 BEHIND = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
           'roof': 'side wall in sight', 'gap': 'nothing behind', 'open': 'end not classified'}
 
+LITTLE = 0.005  # share of the variance: smaller causes are one row
+
 
 def table(calibration: Calibration) -> RenderableType:
     """Return the table of a calibration, for a rich console."""
@@ -50,6 +52,31 @@ def table(calibration: Calibration) -> RenderableType:
     for name, fact in (*facts(calibration), *details(calibration.target)):
         others.add_row(name, Text(fact))
     return Group(title, numbers, others)
+
+
+def budget_table(terms: Sequence[tuple[str, float, float, float]], samples: int
+                 ) -> RenderableType:
+    """
+    Return the table of what the uncertainty comes from.
+
+    terms: a cause with its 1 sigma of mapped points (m), of the translation (m, RMS of the axes)
+    and of the rotation (rad), the largest first, the last one of all together; samples: number.
+    """
+    total = terms[-1][1]
+    small = [term for term in terms if (term[1] / total) ** 2 < LITTLE]
+    if small:
+        others = np.sqrt((np.array([term[1:] for term in small]) ** 2).sum(axis=0))
+        terms = [*(term for term in terms[:-1] if term not in small),
+                 (f'{len(small)} others', *others.tolist()), terms[-1]]
+    rows = Table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
+                 box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in rows.columns[1:]:
+        column.justify = 'right'
+    for name, mapped, translation, rotation in terms:
+        rows.add_row(name, f'{100 * (mapped / total) ** 2:.1f} %', f'{1e3 * mapped:.4f} mm',
+                     f'{1e3 * translation:.4f} mm', f'{math.degrees(rotation):.4f} degrees')
+    return Group(rows, Text(f'squares add up; {samples} samples; mapped points: RMS over the '
+                            'field of view;\nposition, rotation: RMS of the axes'))
 
 
 def transform_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
