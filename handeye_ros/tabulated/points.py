@@ -11,7 +11,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, TooFewError
-from handeye_ros.estimation.least_squares import adjust, Adjusted, Rows, System
+from handeye_ros.estimation.least_squares import adjust, Rows, System
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.method import Answer, FileMethod, Index, Input, ReadBag
@@ -27,6 +27,7 @@ BELIEVED_SHARE = 0.7
 SMALLEST_ANGLE = 0.05  # smallest spread across over spread along (rad)
 LARGEST_DROPPED_SHARE = 0.34
 LARGEST_RMS = 5e-3  # of an answer that can be trusted (m)
+CLEAR = 0.05  # of the spread of the points is left where the unit is right
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,8 @@ def solve(in_camera: Array, in_base: Array, noise: float | None = None,
     """
     if len(in_base) < MINIMUM:
         raise TooFewError(NAME, MINIMUM, 'points', len(in_base))
-    start = _start(in_camera, in_base, rng or np.random.default_rng(0))
+    rng = rng or np.random.default_rng(0)
+    start = _start(in_camera, in_base, rng)
     off = np.linalg.norm(se3.apply(start, in_camera) - in_base, axis=1)
     sigma = noise or max(float(np.median(off)), 1e-9)
     fit = adjust(_system(in_camera, in_base, sigma), start, MINIMUM)
@@ -79,7 +81,12 @@ def solve(in_camera: Array, in_base: Array, noise: float | None = None,
         fit = adjust(_system(in_camera, in_base, sigma), fit.state, MINIMUM)
     rms = _rms(fit.residuals[fit.used] * sigma)
     _require_triangle(in_base[fit.used])
-    _require_agreement(fit, len(in_base), rms)
+    dropped, total = len(in_base) - len(fit.used), len(in_base)
+    if rms > LARGEST_RMS or dropped > LARGEST_DROPPED_SHARE * total:
+        raise DataError(
+            f'{NAME} cannot be solved: {dropped} of {total} points contradict the others, which '
+            f'agree to {rms * 1e3:.3g} mm RMS; {_unit_that_fits(in_camera, in_base, rng)}',
+            reason='misfit')
     return PointsResult(fit.state, fit.covariance, fit.used,
                         np.linalg.norm(fit.residuals, axis=1) * sigma, sigma, rms,
                         _rms(fit.left_out * sigma))
@@ -135,13 +142,16 @@ def _require_triangle(points: Array) -> None:
             'put some of them well outside it')
 
 
-def _require_agreement(fit: Adjusted[Array], total: int, rms: float) -> None:
-    dropped = total - len(fit.used)
-    if rms > LARGEST_RMS or dropped > LARGEST_DROPPED_SHARE * total:
-        raise DataError(
-            f'{NAME} cannot be solved: {dropped} of {total} points contradict the others, which '
-            f'agree to {rms * 1e3:.3g} mm RMS; check that both lists hold the same points in the '
-            'same order, and their units')
+def _unit_that_fits(in_camera: Array, in_base: Array, rng: np.random.Generator) -> str:
+    """Return in words what to correct: the unit, if another one of a list makes points agree."""
+    spread = float(np.linalg.norm(in_base - in_base.mean(axis=0), axis=1).mean())
+    for factor, other in ((1e-3, 'smaller'), (1e3, 'larger')):
+        T = _start(in_camera * factor, in_base, rng)
+        off = np.linalg.norm(se3.apply(T, in_camera * factor) - in_base, axis=1)
+        if np.quantile(off, BELIEVED_SHARE) < CLEAR * spread:
+            return (f'with those of the camera 1000 times {other} they fit: correct the unit in '
+                    'the header of camera_x, camera_y, camera_z, or of base_x, base_y, base_z')
+    return 'check that both lists hold the same points in the same order, and their units'
 
 
 @dataclass(frozen=True, eq=False)

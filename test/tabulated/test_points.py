@@ -74,8 +74,15 @@ def test_what_cannot_carry_an_answer_is_refused() -> None:
         points.solve(se3.apply(se3.inverse(T), line), line)
     with pytest.raises(DataError, match='same points in the same order'):
         points.solve(camera, base[::-1])
-    with pytest.raises(DataError, match='their units'):
-        points.solve(1e3 * camera, base)
+
+
+@pytest.mark.parametrize(('factor', 'words'), [
+    ((1e3, 1), '1000 times smaller'), ((1e-3, 1), '1000 times larger'),
+    ((1, 1e3), '1000 times larger'), ((1, 1e-3), '1000 times smaller')])
+def test_a_wrong_unit_is_named(factor: tuple[float, float], words: str) -> None:
+    _, camera, base = cell(1, 3e-5, wrong=1)
+    with pytest.raises(DataError, match=f'{words} they fit: correct the unit'):
+        points.solve(factor[0] * camera, factor[1] * base)
 
 
 HEADER = 'camera_x [mm], camera_y [mm], camera_z [mm], base_x [m], base_y [m], base_z [m]'
