@@ -30,33 +30,40 @@ TURN = np.linspace(0, 2 * np.pi, 49)
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
           ) -> dict[str, Any]:
     """Return the parts with name, colour and points; and the enlargement of the ellipsoid."""
-    T_mounts = [stop.T_mount for stop in stops if stop.used] or [np.eye(4)]
-    T_sensors = [T @ calibration.T_flange_sensor for T in T_mounts]
-    target, points = _target(calibration, stops, config)
+    parts: list[dict[str, Any]] = []
+
+    def line(name: str, color: str, points: Array, width: float = 1.2) -> None:
+        parts.append({'name': name, 'color': color, 'line': _plain(points), 'width': width})
+
+    def dots(name: str, color: str, points: Array, width: float) -> None:
+        if len(points):
+            parts.append({'name': name, 'color': color, 'points': _plain(points), 'width': width})
+
+    X, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
+    mounts = [stop.T_mount for stop in used] or [np.eye(4)]
+    for T in mounts:
+        for axis in T[:3, :3].T:
+            line('flange at each stop', FLANGE, np.array([T[:3, 3], T[:3, 3] + AXIS * axis]))
+        line('sensor at each stop', SENSOR, np.array([T[:3, 3], (T @ X)[:3, 3]]))
+    for stop in stops:
+        plane = stop.points[np.isfinite(stop.points).all(axis=1)]
+        plane = plane[::max(1, len(plane) // MOST_POINTS)]
+        name, color = ('laser line', LASER) if stop.used else ('laser line, not used', UNUSED)
+        dots(name, color, se3.apply(stop.T_mount @ X, in_sensor(plane, config)), 2.0)
+    seen = np.concatenate([np.empty((0, 3)), *(
+        se3.apply(stop.T_mount @ X, in_sensor(in_plane(stop.features), config)) for stop in used)])
+    target = shape(calibration.target, config.target.size, seen)
+    for outline in target.outline:
+        line('target', TARGET, outline)
+    for edge in target.edges:
+        line('edges of the target', EDGES, edge, 2.5)
+    dots('what the answer comes from', SEEN, seen, 4.0)
     axes = half_axes(calibration.covariance[:3, :3])
     factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), ELLIPSOID)
-    ellipsoid = rings(T_mounts[0][:3, :3] @ axes * factor)
-    parts = [
-        *(part for T in T_mounts for part in _axes(T, AXIS, 'flange at each stop', [FLANGE] * 3)),
-        *(_line('sensor at each stop', SENSOR, np.array([M[:3, 3], T[:3, 3]]))
-          for M, T in zip(T_mounts, T_sensors, strict=True)),
-        *_lasers(stops, calibration, config),
-        *(_line('target', TARGET, line) for line in target.outline),
-        *(_line('edges of the target', EDGES, line, 2.5) for line in target.edges),
-        {'name': 'what the answer comes from', 'color': SEEN, 'width': 4.0,
-         'points': _plain(points)},
-        *(_line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL,
-                T_sensors[0][:3, 3] + ring) for ring in ellipsoid)]
-    return {'parts': [part for part in parts if len(part.get('line') or part['points'])],
-            'factor': factor, 'frame': target_frame(config)}
-
-
-def _target(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
-            ) -> tuple[Any, Array]:
-    seen = [se3.apply(stop.T_mount @ calibration.T_flange_sensor,
-                      in_sensor(in_plane(stop.features), config)) for stop in stops if stop.used]
-    points = np.concatenate(seen) if seen else np.empty((0, 3))
-    return shape(calibration.target, config.target.size, points), points
+    for ring in rings(mounts[0][:3, :3] @ axes * factor):
+        line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL,
+             (mounts[0] @ X)[:3, 3] + ring)
+    return {'parts': parts, 'factor': factor, 'frame': target_frame(config)}
 
 
 def in_sensor(plane: Array, config: Config) -> Array:
@@ -64,30 +71,8 @@ def in_sensor(plane: Array, config: Config) -> Array:
     return np.asarray(plane @ sensor_axes(config)[:3, [0, 2]].T)
 
 
-def _lasers(stops: Sequence[StopSnapshot], calibration: Calibration, config: Config
-            ) -> list[dict[str, Any]]:
-    parts = []
-    for stop in stops:
-        plane = stop.points[np.isfinite(stop.points).all(axis=1)]
-        plane = plane[::max(1, len(plane) // MOST_POINTS)]
-        points = se3.apply(stop.T_mount @ calibration.T_flange_sensor, in_sensor(plane, config))
-        parts.append({'name': 'laser line' if stop.used else 'laser line, not used',
-                      'color': LASER if stop.used else UNUSED, 'width': 2.0,
-                      'points': _plain(points)})
-    return parts
-
-
-def _axes(T: Array, length: float, name: str, colors: Sequence[str]) -> list[dict[str, Any]]:
-    return [_line(name, color, np.array([T[:3, 3], T[:3, 3] + length * T[:3, i]]))
-            for i, color in enumerate(colors)]
-
-
-def _line(name: str, color: str, points: Array, width: float = 1.2) -> dict[str, Any]:
-    return {'name': name, 'color': color, 'line': _plain(points), 'width': width}
-
-
 def _plain(points: Array) -> list[list[float]]:
-    return [[round(float(v), 6) for v in point] for point in points]
+    return np.asarray(points, dtype=float).round(6).tolist()  # type: ignore[no-any-return]
 
 
 def legend(parts: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
