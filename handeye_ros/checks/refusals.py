@@ -217,11 +217,13 @@ def require_certain_points(solution: Solution, config: Config) -> None:
 def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples of a solution lack."""
     problem, frame = solution.problem, mount_frame(config)
+    known = worst_rotation(solution.reported)[0] <= config.limits.rotation
+    if known and (one_view := problem.method.one_view(problem, solution.estimate)):
+        return one_view
     turns, axes = turning(solution.whole.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
-        return problem.method.one_view(problem, solution.estimate) or (
-            'take more samples with the target in all parts of the field of view (near, far, left, '
-            'right), each with another tilt')
+        return ('take more samples with the target in all parts of the field of view (near, far, '
+                'left, right), each with another tilt')
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
             f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
             'more to both sides')
