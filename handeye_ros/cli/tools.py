@@ -163,6 +163,7 @@ def replay(
 ) -> None:
     """Publish a recording on its topics (needs ROS)."""
     try:
+        import_module('rclpy')  # told first: without ROS its message packages are missing too
         from handeye_ros.node.replay import replay as publish
     except ModuleNotFoundError as error:
         raise NoRosError('replay', str(error.name)) from error
