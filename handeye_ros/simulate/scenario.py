@@ -144,7 +144,7 @@ class Layout:
     The frame and the message layout of the driver.
 
     frame: 'standard' (x along the line, z the range), or one of the others of
-    layout.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
+    stations.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
     """
 
     frame: str = 'standard'

@@ -233,4 +233,4 @@ def _few() -> Iterator[Scenario]:
 
 FAULTS: dict[str, Scenario] = {s.name: s for s in (
     *BASELINES, *_targets(), *_sensors(), *_robots(), *_tolerances(), *_few())}
-"""The cells of bench/physics.py; the first four have no fault."""
+"""The cells of bench/physics.py; the first five have no fault."""
