@@ -63,7 +63,7 @@ def outcome(scenario: Scenario, what: str, seed: int, of_samples: bool) -> str:
         answer = pipeline.solve(moved(samples, X, what, rng) if what else samples, (), config,
                                 'laser')
     except DataError as error:
-        return _when(str(error), half) or f'refused otherwise ({type(error).__name__})'
+        return _when(str(error), half) or f'refused otherwise ({error.reason})'
     for warning in answer.provenance.get('warnings', ()):
         if result := _when(warning, half):
             return result.replace('refused', 'warned')

@@ -112,7 +112,8 @@ def trial(job: tuple[str, int, bool, bool, int]) -> Outcome:
         answer = pipeline.solve(samples, (), config, 'laser') if of_samples else (
             pipeline.calibrate(recording.profiles, recording.poses, config))
     except HandeyeError as error:
-        return Outcome(time.process_time() - start, refusal=f'{type(error).__name__}: {error}')
+        cause = error.reason or type(error).__name__
+        return Outcome(time.process_time() - start, refusal=f'{cause}: {error}')
     seconds = time.process_time() - start
     X, X_true = answer.T_flange_sensor, truth.T_flange_sensor
     delta = se3.difference(X, X_true)
