@@ -56,7 +56,7 @@ import numpy as np
 
 # Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.
 SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
-               'sampling.settle_time', 'time_offset', 'rotation_lag_std')
+               'sampling.settle_time', 'time_offset', 'rotation_lag_std', 'clock_drift_std')
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
                'sampling.min_crossing_angle')
 COMPUTED = 'the calibration is computed'

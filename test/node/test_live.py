@@ -105,7 +105,7 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
 
 @pytest.mark.parametrize(('key', 'value'), [
     ('noise__robot_translation', 1e-3), ('limits__rotation', 1e-6), ('samples__exclude', [2, 5]),
-    ('target__radius', 0.0)])
+    ('target__radius', 0.0), ('clock_drift_std', 0.0)])
 def test_settings_that_change_need_no_new_samples(key: str, value: object) -> None:
     live = fed()
     live.compute_calibration()
@@ -121,6 +121,8 @@ def test_settings_that_change_need_no_new_samples(key: str, value: object) -> No
         assert state_of(live)['calibration']['state'] == 'current', 'and back'
     else:
         assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
+        solved_with, name = live.calibration.provenance['config'], key.replace('__', '.')
+        assert solved_with[name] == expected.provenance['config'][name]
 
 
 def test_what_changes_extraction_extracts_anew() -> None:
