@@ -20,13 +20,14 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, EdgePoint, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.estimation.problem import Problem, UNUSED
+from handeye_ros.estimation.search import relabelled
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.outcome import left_out, measured_points
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.evidence import config_of, Evidence, recording_of, StopSnapshot
 from handeye_ros.sampling.session import Outcome, Session
-from handeye_ros.sampling.sweep import Pairing, single_samples
+from handeye_ros.sampling.sweep import Pairing, problem_at_poses, single_samples
 import numpy as np
 from numpy.typing import NDArray
 
@@ -173,13 +174,10 @@ def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: So
         number = number[at.inside]
     if not ones:
         return np.full(len(samples), np.nan)
-    method, estimate = solution.problem.method, solution.estimate
-    whole = Problem(method, mounted(ones, config), method.observe(ones), config)
-    labelled = method.relabel(whole.observations, whole.points_in_base(estimate.X),
-                              estimate.target, config)
-    problem = Problem(method, whole.poses, labelled.select(labelled.kind != UNUSED), config)
+    problem = relabelled(problem_at_poses(ones, config), solution.estimate)
     measured = measured_points(ones, problem)
-    return _rms(number[measured.station], measured.residuals(problem, estimate), len(samples))
+    return _rms(number[measured.station], measured.residuals(problem, solution.estimate),
+                len(samples))
 
 
 def _rms(number: NDArray[np.intp], residuals: Array, n: int) -> Array:

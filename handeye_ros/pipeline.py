@@ -41,7 +41,7 @@ from handeye_ros.notes import offset_notes
 from handeye_ros.outcome import calibration_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_of, single_samples, synchronised
+from handeye_ros.sampling.sweep import problem_at_poses, problem_of, single_samples, synchronised
 import numpy as np
 
 SEED = 0  # of the random searches: the same samples give the same answer
@@ -67,13 +67,15 @@ class Answer:
     def required(self) -> Calibration:
         """Return the calibration; raises the refusal."""
         if self.calibration is None:
-            raise self.refusal or DataError('there is no answer')
+            assert self.refusal is not None
+            raise self.refusal
         return self.calibration
 
     def consensus(self) -> Solution:
         """Return the solution, however uncertain; raises DataError where samples contradict it."""
         if self.solution is None or not self.fits:
-            raise self.refusal or DataError('there is no answer')
+            assert self.refusal is not None
+            raise self.refusal
         return self.solution
 
 
@@ -203,5 +205,4 @@ def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample
     """Return the samples that answer uses, and their problem with constant poses."""
     ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples
-    method = targets.method_for(config)
-    return ordered, Problem(method, mounted(ordered, config), method.observe(ordered), config)
+    return ordered, problem_at_poses(ordered, config)

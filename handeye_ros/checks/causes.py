@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from handeye_ros import targets
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_errors, orientations_scatter
 from handeye_ros.checks.hypotheses import Fit, Hypothesis, require_stated
@@ -33,9 +32,9 @@ from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mounted
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.sweep import problem_at_poses
 import numpy as np
 
 SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
@@ -74,8 +73,7 @@ def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Fit) -> lis
         return []
     number = {sample.stamp: k for k, sample in enumerate(samples)}
     stops = np.array([number[sample.stamp] for sample in others])
-    flipped = Problem(targets.method_for(config), mounted(others, config), method.observe(others),
-                      config)
+    flipped = problem_at_poses(others, config)
     change = f'profile.range_sign {config.profile.range_sign}'
 
     def refusal(fit: Fit) -> DataError:

@@ -17,12 +17,11 @@ from handeye_ros.checks.hypotheses import Fit, Hypothesis, require_stated
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import EdgePoint, Reject, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.frames import mounted
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop
+from handeye_ros.sampling.sweep import problem_at_poses
 import numpy as np
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
@@ -113,9 +112,8 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
     if len(ordered) < method.minimum:
         return None
-    problem = Problem(method, mounted(ordered, config), method.observe(ordered), config)
     stops = np.array([number[sample.stamp] for sample in ordered])
-    return Fit.of(problem, stops, len(results), all_starts)
+    return Fit.of(problem_at_poses(ordered, config), stops, len(results), all_starts)
 
 
 def _thinned(stop: Stop, config: Config) -> Stop:

@@ -111,10 +111,15 @@ def _all_values(known: Sequence[bool], values: Sequence[float]) -> tuple[float, 
     return tuple(0.0 if is_known else float(next(unknown)) for is_known in known)
 
 
+def problem_at_poses(samples: Sequence[Sample], config: Config) -> Problem:
+    """Return the problem of samples whose poses are known, as those of stops are."""
+    method = targets.method_for(config)
+    return Problem(method, mounted(samples, config), method.observe(samples), config)
+
+
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples; for a moving robot with the clocks among the unknowns."""
-    method = targets.method_for(config)
-    problem = Problem(method, mounted(samples, config), method.observe(samples), config)
+    problem = problem_at_poses(samples, config)
     if not any(sample.motion for sample in samples):
         return problem
     pairing = Pairing.of(samples)
