@@ -29,7 +29,7 @@ setup(
                       'mcap', 'rosbags', 'rich', 'threadpoolctl', 'typer'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        'batch': ['distributed', 'fsspec'],
+        'batch': ['distributed'],
         'kinematics': ['pin'],
         'test': ['hypothesis', 'opencv-python-headless<5', 'plyfile', 'pypcd4', 'pytest>=7.4',
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',

@@ -4,40 +4,38 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, ExitStack, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 import csv
 from dataclasses import dataclass, replace
 from functools import partial
 import io
 import json
 import os
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 import re
 import shlex
 import shutil
-import tempfile
 import time
 from typing import Any, TypeAlias
 
 from handeye_ros import __version__, trend
-from handeye_ros.errors import DataError, HandeyeError, InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, page, write_whole
 import yaml
 
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
 
-BAGS, LISTS = ('.mcap', '.db3'), ('.csv', '.yaml', '.yml')
+BAGS = ('.mcap', '.db3')
 COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
 JOB = 'job.json'  # in the folder of a job: what it was computed from, and its row
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
            'compare': 'comparison.yaml'}  # below --out, by verb
-NOT_FIGURES = ('format', 'version', 'name', 'input', 'against', 'sentence', 'routine',
-               'parent_frame', 'child_frame')
-CHANGES = ('mtime', 'LastModified', 'updated', 'ETag', 'created')  # what file systems tell
+# Rows that agree in these are of one cell, and their answers are compared.
+CELL = ('child_frame', 'target', 'routine', 'calibration', 'against')
+WORDS = (*CELL, 'method', 'verdict', 'weakest_direction')  # of a result, beside its numbers
 CRASHED = 70  # exit code of a job that ended in an error of the program (sysexits.h)
-WORST = 10  # recordings with a report
 # Of the page: a figure, its heading, its factor.
 FIGURES = (('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left out RMS [mm]', 1e3),
            ('rms', 'RMS [mm]', 1e3), ('points_off', 'points off [mm]', 1e3),
@@ -52,7 +50,7 @@ LOCAL = {  # settings of Dask on this machine
 
 @dataclass(frozen=True)
 class Job:
-    """A recording (a path or a URL), its name in the results, and the words of its command."""
+    """A recording, its name in the results, and the words of its command."""
 
     bag: str
     label: str
@@ -68,61 +66,48 @@ class Job:
             words += ['--set', setting]
         return [*words, '--out', str(folder / OUTPUTS[self.verb])]
 
-    def state(self) -> list[Any] | None:
-        """
-        Return what the result depends on: version, command, and size and time of all files.
-
-        None where a file system does not tell when a file has changed. Raises InputError for a
-        URL that cannot be read.
-        """
-        state: list[Any] = [__version__, self.command(Path())]
-        for source in filter(None, (self.bag, self.config, *self.args)):
-            if not is_remote(source) and not Path(source).exists():
-                continue
-            with opened(source) as (system, path):
-                for name, info in sorted(system.find(path, detail=True).items()):
-                    changed = next((str(info[key]) for key in CHANGES if info.get(key)), '')
-                    if not changed:
-                        return None
-                    state.append([name, info.get('size'), changed])
-        return state
+    def state(self) -> list[Any]:
+        """Return what the result depends on: version, command, and size and time of all files."""
+        return [__version__, self.command(Path()), *(
+            files_of(Path(source)) for source in (self.bag, self.config, *self.args)
+            if source and Path(source).exists())]
 
 
-def is_remote(source: str) -> bool:
-    """Return whether a source is a URL."""
-    return '://' in source
+def files_of(source: Path) -> dict[str, str]:
+    """
+    Return the files at a path, relative to it ('.' is the path itself), with their size and time.
+
+    Links to folders are followed.
+    """
+    files = [source] if source.is_file() else sorted(_files_below(source))
+    return {str(file.relative_to(source)): f'{file.stat().st_size} {file.stat().st_mtime_ns}'
+            for file in files}
 
 
-@contextmanager
-def opened(source: str) -> Iterator[tuple[Any, str]]:
-    """Give the file system of a path or URL, and the path on it; raises InputError."""
-    try:
-        from fsspec.core import url_to_fs
-        system, path = url_to_fs(source)
-        system.invalidate_cache()  # a long-lived worker caches old listings
-        yield system, path
-    except Exception as error:  # each file system raises errors of its own
-        raise InputError(f'{source} cannot be read ({type(error).__name__}: {error}): check it, '
-                         'its credentials, and that the library of its file system (such as '
-                         's3fs) is installed') from error
+def _files_below(top: Path) -> Iterator[Path]:
+    for folder, inside, names in os.walk(top, followlinks=True):
+        real = Path(folder).resolve()
+        inside[:] = [name for name in inside  # without links to a folder above
+                     if (real / name).resolve() not in (real, *real.parents)]
+        yield from filter(Path.is_file, (Path(folder, name) for name in names))
 
 
 def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     """
-    Return the jobs of bags, folders of bags, and CSV or YAML lists; base: the common command.
+    Return the jobs of bags, folders of bags, and CSV lists; base: the common command.
 
-    Raises InputError for a list or a URL that cannot be read, DataError without a recording.
+    Raises InputError for a list that cannot be read, DataError without a recording.
     """
     jobs: list[Job] = []
-    for source in sources:
-        if source.endswith(LISTS) and Path(source).is_file():
-            jobs += _listed(Path(source), base)
-        elif is_remote(source) or Path(source).exists():
-            jobs += [replace(base, bag=bag, label=label)
+    for source in map(Path, sources):
+        if source.suffix == '.csv' and source.is_file():
+            jobs += _listed(source, base)
+        else:
+            jobs += [replace(base, bag=str(bag.absolute()), label=label)
                      for bag, label in _bags_in(source, several=len(sources) > 1)]
     if not jobs:
         raise DataError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
-                        'CSV or YAML list of them')
+                        'CSV list of them')
     counts = Counter[str]()
     unique = []
     for job in jobs:
@@ -132,24 +117,17 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     return unique
 
 
-def _bags_in(source: str, several: bool) -> Iterator[tuple[str, str]]:
-    """Yield the bags at a path or URL, and their names; several: with the folder's name."""
-    with opened(source) as (system, path):
-        files = [PurePosixPath(file).relative_to(path) for file in system.find(path)
-                 ] if system.isdir(path) else None
-    if files is None or PurePosixPath('metadata.yaml') in files:
-        yield _absolute(source), PurePosixPath(source).stem
-        return
+def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
+    """Yield the bags at a path, and their labels; several: with the folder's name."""
+    files = list(map(Path, files_of(source)))
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
+    if Path() in {*files, *folders}:
+        yield source, source.stem
+        return
     single = {file for file in files if file.suffix in BAGS and file.parent not in folders}
     for bag in sorted(folders | single):
-        name = bag.with_suffix('')
-        yield (f'{_absolute(source).rstrip("/")}/{bag}',
-               str(PurePosixPath(source).name / name if several else name))
-
-
-def _absolute(source: str | Path) -> str:
-    return str(source) if is_remote(str(source)) else str(Path(source).absolute())
+        label = bag.with_suffix('')
+        yield source / bag, str(source.name / label if several else label)
 
 
 def words_of(text: str, folder: Path) -> tuple[str, ...]:
@@ -158,29 +136,25 @@ def words_of(text: str, folder: Path) -> tuple[str, ...]:
                  for word in shlex.split(text))
 
 
-def _listed(path: Path, base: Job) -> Iterable[Job]:
+def _listed(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
-    expected = ('expected a CSV or YAML list with bag and, if wanted, label, config, settings, '
-                'args')
     try:
-        text = path.read_text(encoding='utf-8')
-        rows = (list(csv.DictReader(io.StringIO(text), skipinitialspace=True))
-                if path.suffix == '.csv' else yaml.safe_load(text))
-        for row in rows:
-            if 'bag' not in row or not COLUMNS.issuperset(row):
-                raise InputError(f'{path}: it has {", ".join(map(str, row))}; {expected}')
-            settings = row.get('settings') or ''
-            assignments = settings.split() if isinstance(settings, str) else [
-                f'{k}={v}' for k, v in settings.items()]
-            bag = row['bag'] if is_remote(row['bag']) else _absolute(path.parent / row['bag'])
-            config = row.get('config')
-            yield replace(
-                base, bag=bag, label=str(row.get('label') or PurePosixPath(bag).stem),
-                config=str((path.parent / config).absolute()) if config else base.config,
-                settings=(*base.settings, *assignments),
-                args=(*base.args, *words_of(row.get('args') or '', path.parent)))
-    except (OSError, KeyError, TypeError, AttributeError, ValueError, yaml.YAMLError) as error:
-        raise InputError(f'{path}: {type(error).__name__}: {error}; {expected}') from error
+        rows = csv.DictReader(path.read_text(encoding='utf-8-sig').splitlines(),
+                              skipinitialspace=True)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'cannot read {path}: {error}') from error
+    header = rows.fieldnames or ()
+    if 'bag' not in header or not COLUMNS.issuperset(header):
+        raise InputError(f'{path}: it has the columns {", ".join(header)}; expected bag and, if '
+                         'wanted, label, config, settings, args')
+    folder = path.absolute().parent
+    for row in rows:
+        bag, config = folder / row['bag'], row.get('config')
+        yield replace(
+            base, bag=str(bag), label=row.get('label') or bag.stem,
+            config=str(folder / config) if config else base.config,
+            settings=(*base.settings, *(row.get('settings') or '').split()),
+            args=(*base.args, *words_of(row.get('args') or '', folder)))
 
 
 @contextmanager
@@ -188,24 +162,23 @@ def client_of(scheduler: str) -> Iterator[Any]:
     """Give a Dask client of a cluster on this machine (`local`), or of one; raises InputError."""
     try:
         import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ImportError as error:
         raise InputError(f'batch needs {error.name}, which is not installed: pip install '
                          '"handeye_ros[batch]"') from error
-    with ExitStack() as stack:
-        address: Any = scheduler
-        if scheduler == 'local':
-            stack.enter_context(dask.config.set(LOCAL))
-            address = stack.enter_context(LocalCluster(
-                n_workers=len(os.sched_getaffinity(0)), threads_per_worker=1, silence_logs=50,
-                dashboard_address='127.0.0.1:0'))
+    cluster: dict[str, Any] = {'address': scheduler, 'timeout': 5}
+    if scheduler == 'local':
+        cluster = {'n_workers': len(os.sched_getaffinity(0)), 'threads_per_worker': 1,
+                   'silence_logs': 50, 'dashboard_address': '127.0.0.1:0', 'timeout': 60}
+    with dask.config.set(LOCAL):
         try:
-            client = Client(address, timeout=60 if scheduler == 'local' else 5)
+            client = Client(**cluster)
         except (OSError, ValueError) as error:
             raise InputError(f'no Dask scheduler answers at {scheduler}: start one with "dask '
                              'scheduler" and workers with "dask worker ADDRESS --nthreads 1"'
                              ) from error
-        yield stack.enter_context(client)
+        with client:
+            yield client
 
 
 def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
@@ -215,12 +188,14 @@ def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
 
     verb: runs the words of a command in a process, and returns its exit code; scheduler: its
     address, asked where there is something to compute. A worker that ends costs only its own
-    job. At last the worst answers of `solve` get their report. Raises InputError.
+    job. Raises InputError.
     """
-    rows = [row for row in (unchanged(job, out) for job in jobs) if row]
-    yield from rows
-    done = {row['label'] for row in rows}
-    pending = [job for job in jobs if job.label not in done]
+    pending = []
+    for job in jobs:
+        if row := unchanged(job, out):
+            yield row
+        else:
+            pending.append(job)
     if not pending:
         return
     with client_of(scheduler) as workers:
@@ -229,32 +204,19 @@ def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
                              pending, strict=True))
         for future, result in as_completed(by_future, with_results=True, raise_errors=False):
             job, error = by_future.pop(future), future.exception()
-            rows.append(result if error is None else {
+            yield result if error is None else {
                 'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
-                'cause': f'{type(error).__name__}: {error}', 'computed': True})
-            yield rows[-1]
-        folders = [out / row['label'] for row in worst_answers(rows) if row['verb'] == 'solve']
-        workers.gather(workers.map(
-            partial(_quietly, verb), [['report', str(folder)] for folder in folders
-                                      if not (folder / 'report.html').exists()],
-            pure=False), errors='skip')
-
-
-def _quietly(verb: Verb, words: list[str]) -> int:
-    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-        return verb(words)
+                'cause': f'{type(error).__name__}: {error}', 'computed': True}
 
 
 def unchanged(job: Job, out: Path) -> Row | None:
     """Return the row of a job from its folder below out if it would be computed from the same."""
     try:
         previous = json.loads((out / job.label / JOB).read_text(encoding='utf-8'))
-        state = job.state()
-        if state and previous['state'] == state:
-            return {**previous['row'], 'computed': False}
-    except (OSError, ValueError, KeyError, InputError):
-        pass
-    return None
+        same = previous['state'] == job.state()
+    except (OSError, ValueError, KeyError):
+        return None
+    return {**previous['row'], 'computed': False} if same else None
 
 
 def run(job: Job, out: Path, verb: Verb) -> Row:
@@ -263,15 +225,11 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
     unfinished = folder.with_name(f'.{folder.name}.part')
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir(parents=True)
-    start, state = time.perf_counter(), None
+    start, state = time.perf_counter(), job.state()
     printed, errors = io.StringIO(), io.StringIO()
     try:
-        state = job.state()
-        with redirect_stdout(printed), redirect_stderr(errors), _local(job.bag) as bag:
-            code = verb(replace(job, bag=bag).command(unfinished))
-    except HandeyeError as error:
-        code, state = error.exit_code, None  # a lost connection may work again
-        errors.write(f'error: {error}')
+        with redirect_stdout(printed), redirect_stderr(errors):
+            code = verb(job.command(unfinished))
     except Exception as error:  # noqa: BLE001 - costs this job alone
         code = CRASHED
         errors.write(f'error: {type(error).__name__}: {error}')
@@ -288,45 +246,28 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
     return {**row, 'computed': True}
 
 
-@contextmanager
-def _local(source: str) -> Iterator[str]:
-    """Give the path of a recording, copied to a temporary folder if it is remote."""
-    if not is_remote(source):
-        yield source
-        return
-    with tempfile.TemporaryDirectory(prefix='handeye_batch_') as folder:
-        copy = Path(folder, PurePosixPath(source).name)
-        with opened(source) as (system, path):
-            for file in system.find(path) if system.isdir(path) else [path]:
-                place = copy / file[len(path):].lstrip('/')
-                place.parent.mkdir(parents=True, exist_ok=True)
-                system.get_file(file, str(place))
-        yield str(copy)
-
-
 def _figures_in(folder: Path) -> Row:
-    """Return the figures of calibration.yaml, verification.yaml or check.yaml in a folder."""
+    """Return the numbers and WORDS of the result in a folder, by the names of their columns."""
     values: Row = {}
     for file in sorted(folder.glob('*.yaml')):
         content = yaml.load(file.read_text(encoding='utf-8'),
                             Loader=getattr(yaml, 'CSafeLoader', yaml.SafeLoader))
-        stamps = [sample['stamp'] for sample in content.get('samples') or []]
-        values |= {'stamp': min(stamps)} if stamps else {}
-        for group in (content, *(content.get('checks') or []), content.get('quality') or {}):
-            values |= {name: value for name, value in group.items()
-                       if isinstance(value, (int, float, str)) and name not in NOT_FIGURES}
-        for estimator in content.get('estimators') or []:
-            values |= {f'{estimator["name"]} {name}': value for name, value in estimator.items()
-                       if name not in ('name', 'transform')}
-        for quantity in content.get('quantities') or []:
-            values |= {quantity['name']: quantity['value'],
-                       f'{quantity["name"]}_std': quantity['std']}
-        for name, group in (content.get('transform') or {}).items():
-            letter = 'q' if name == 'rotation' else ''
-            values |= {f'{letter}{axis}': value for axis, value in group.items()}
+        transform = content.get('transform', {})
+        config = content.get('provenance', {}).get('config', {})
+        groups = [('', content), ('', {'target': config.get('target.type')}),
+                  ('', content.get('quality', {})), ('', transform.get('translation', {})),
+                  ('q', transform.get('rotation', {})),
+                  *(('', check) for check in content.get('checks', ())),
+                  *((f'{item["name"]} ', item)
+                    for kind in ('estimators', 'quantities') for item in content.get(kind, ()))]
+        values |= {f'{prefix}{name}': value for prefix, group in groups
+                   for name, value in group.items()
+                   if isinstance(value, (int, float)) or name in WORDS and value}
         if 'covariance' in content:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
                        for k, axis in enumerate(('x', 'y', 'z', 'rx', 'ry', 'rz'))}
+        if stamps := [sample['stamp'] for sample in content.get('samples', ())]:
+            values['stamp'] = min(stamps)
     return values
 
 
@@ -337,33 +278,22 @@ def result_of(row: Row) -> str:
     return {1: 'failed or changed', 2: 'unreadable', 3: 'refused'}.get(row['exit_code'], 'crashed')
 
 
-def worst_first(rows: Sequence[Row]) -> list[Row]:
-    """Return rows without an answer, then the others by their residuals."""
-    return sorted(rows, key=lambda row: (
-        -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
-
-
-def worst_answers(rows: Sequence[Row]) -> list[Row]:
-    """Return the answers that should be opened first."""
-    return worst_first([row for row in rows if row['exit_code'] in (0, 1)])[:WORST]
-
-
 def write_table(rows: Sequence[Row], out: Path) -> None:
     """Write results.csv and report.html; raises UnwritableError."""
     ordered = sorted(rows, key=lambda row: str(row['label']))
     names = list(dict.fromkeys(name for row in ordered for name in row))
     write_whole(out / 'results.csv',
                 csv_text(names, ([row.get(name) for name in names] for row in ordered)))
+    worst_first = sorted(rows, key=lambda row: (
+        -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
     causes: dict[str, list[Row]] = {}
-    for row in worst_first(rows):
+    for row in worst_first:
         if row.get('cause'):  # the same sentence with other numbers is the same cause
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
     write_whole(out / 'report.html', page(
-        'batch.html', rows=worst_first(rows), answers=worst_answers(rows),
-        cells=cells_of(rows, out),
+        'batch.html', rows=worst_first, cells=cells_of(rows, out), result=result_of,
         figures=[figure for figure in FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],
-        result=result_of, most=WORST,
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(result_of, rows)).most_common(),
         target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
@@ -371,19 +301,25 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
 
 
 def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
-    """Return name, number of answers and trend in words of each cell: the label's folders."""
-    cells: dict[str, list[Row]] = {}
+    """
+    Return name, number of answers and trend in words of each cell.
+
+    A cell is one sensor frame and one target (of a check or a verification: one calibration and
+    one routine) in one folder of labels: other answers are of another thing, not changed.
+    """
+    cells: dict[tuple[str, ...], list[Row]] = {}
     for row in sorted(rows, key=lambda row: (row.get('stamp', 0), row['label'])):
         if row['exit_code'] in (0, 1):
-            cells.setdefault(row['label'].rpartition('/')[0], []).append(row)
+            key = (row['label'].rpartition('/')[0], *(str(row.get(name, '')) for name in CELL))
+            cells.setdefault(key, []).append(row)
     found = []
-    for name, cell in sorted(cells.items()):
+    for key, cell in sorted(cells.items()):
         if len(cell) < 2:
             continue
         if cell[0]['verb'] == 'solve':
             files = [out / row['label'] / 'calibration.yaml' for row in cell]
             try:
-                said = trend.since_when(trend.trend(out / name, files=files)[0])
+                said = trend.since_when(trend.trend(out / key[0], files=files)[0])
             except DataError as error:
                 said = str(error)
         else:
@@ -391,5 +327,5 @@ def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
             other = next((row for row in cell if row.get('verdict', '') != first), None)
             said = f'{first}; {other["verdict"]} since {other["label"]}' if other else (
                 f'{first} in all')
-        found.append((name, len(cell), said))
+        found.append((', '.join(filter(None, key)), len(cell), said))
     return found

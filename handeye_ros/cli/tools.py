@@ -48,8 +48,8 @@ def run_verb(words: list[str]) -> int:
 @app.command()
 def batch(
     sources: Annotated[list[str], typer.Argument(
-        metavar='SOURCE...', help='Bags, folders of bags (paths, or URLs that fsspec opens), '
-        'or CSV or YAML lists of them (bag, label, config, settings, args).')],
+        metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
+        'config, settings, args).')],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
     verb: Annotated[str, typer.Option(help='solve, verify, check or compare.')] = 'solve',
     args: Annotated[str, typer.Option(
