@@ -23,8 +23,12 @@ from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.results.calibration_file import transform_from
-from handeye_ros.results.reading import content_of, require_format, unusable
+from handeye_ros.results.calibration_file import (
+    content_of,
+    require_format,
+    transform_from,
+    unusable,
+)
 import numpy as np
 from scipy.spatial.transform import Rotation
 

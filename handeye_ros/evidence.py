@@ -25,7 +25,8 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.outcome import left_out, measured_points
 from handeye_ros.pipeline import Answer
-from handeye_ros.results.evidence import config_of, Evidence, recording_of, StopSnapshot
+from handeye_ros.results.calibration_file import config_of
+from handeye_ros.results.evidence import Evidence, recording_of, StopSnapshot
 from handeye_ros.sampling.session import Outcome, Session
 from handeye_ros.sampling.sweep import Pairing, problem_at_poses, single_samples
 import numpy as np

@@ -71,8 +71,7 @@ def calibrated(file: Path, config: Path | None, assignments: list[str]
                ) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load
-    from handeye_ros.results.calibration_file import read_calibration
-    from handeye_ros.results.evidence import use_config
+    from handeye_ros.results.calibration_file import read_calibration, use_config
     calibration = read_calibration(file)
     settings = use_config(calibration, load(config) if config else None)
     return calibration, configuration(None, assignments, settings)

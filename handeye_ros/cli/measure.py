@@ -83,7 +83,7 @@ def verify(
     if stations:
         write_whole(stations, decision.stations_csv(result))
     if protocol:
-        from handeye_ros.results.protocol import protocol as protocol_of
+        from handeye_ros.results.verification_file import protocol as protocol_of
         write_whole(protocol, protocol_of(decision.values(result)))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)

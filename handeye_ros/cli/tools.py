@@ -248,17 +248,16 @@ def report(
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results import exports, verification_file
     from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.protocol import protocol
     from handeye_ros.results.report import write
     if out:
         html_file(out)
     if path.is_file() and verification_file.is_verification(path):
         html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, protocol(verification_file.read(path)))
+        write_whole(html, verification_file.protocol(verification_file.read(path)))
         typer.echo(f'wrote {html}')
         return
     file = file_of(path)
-    verified = [verification_file.verified(verification_file.read(one)) for one in verification]
+    verified = [*map(verification_file.read, verification)]
     calibration = read_calibration(file)
     with doing('finding the stops'):
         shown = evidence(calibration, bag, file.parent)

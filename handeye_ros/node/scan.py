@@ -29,8 +29,7 @@ from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.node.main import exit_code, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.streams import LATCHED_TREE, pose_topics, STREAM, THROTTLE
-from handeye_ros.results.calibration_file import file_of, read_calibration
-from handeye_ros.results.evidence import use_config
+from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 from rclpy.node import Node

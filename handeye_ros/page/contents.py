@@ -3,7 +3,7 @@
 """What the page shows, and what its buttons do: services, parameters, sessions and files."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from handeye_ros import se3
 from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session import read_session, sessions_in
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
+from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import stop_snapshot
@@ -24,7 +24,7 @@ from handeye_ros.guidance.score import extremes
 from handeye_ros.guidance.views import anchor_of
 from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports, table
-from handeye_ros.results.scene import shape
+from handeye_ros.results.scene import profile_picture, shape
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
@@ -36,7 +36,6 @@ SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise
             'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode',
             'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
             'verify.tolerance')
-MOST_POINTS = 400  # of a profile: about the pixels of a tablet
 DIGITS = 6  # after the decimal point of a metre
 
 Live = Any  # the session of the node, handeye_ros.node.live.LiveSession
@@ -177,7 +176,8 @@ def _report(calibration: Calibration, session: str) -> str:
 def contents(state: State, live: Live) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
     config, current = live.config, live.latest.current(live.config)
-    profile = current and _profile(current.points, current.features, current.reason)
+    profile = current and {**profile_picture(current.points, current.features),
+                           'reason': current.reason}
     return {**state, 'profile': profile, 'scene': _scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
             'rows': list(answer_rows(live.calibration)),
@@ -200,25 +200,9 @@ def stop_profile(live: Live, number: int) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for outcome in live.copied().outcomes:
         if outcome.number == number:
-            snapshot = stop_snapshot(outcome, live.config)
-            return _profile(snapshot.points, snapshot.features, snapshot.reason)
+            stop = stop_snapshot(outcome, live.config)
+            return {**profile_picture(stop.points, stop.features), 'reason': stop.reason}
     raise InputError(f'there is no stop {number}')
-
-
-def _profile(points: Array, features: Iterable[Feature], reason: str) -> dict[str, Any]:
-    """Return points, lines and edge points in the sensor plane, (x, range) each."""
-    points = points[np.isfinite(points).all(axis=1)]
-    step = -(-len(points) // MOST_POINTS) or 1
-    lines, spots = [], []
-    for f in features:
-        if isinstance(f, FaceLine):
-            reach = 3 ** 0.5 * f.spread * f.direction
-            lines.append(_rounded(np.array([f.centre - reach, f.centre + reach])))
-        elif isinstance(f, EdgePoint):
-            spots.append(_rounded(f.point))
-        elif isinstance(f, Arc):
-            lines.append(_rounded(f.points))
-    return {'points': _rounded(points[::step]), 'lines': lines, 'spots': spots, 'reason': reason}
 
 
 def _edges(live: Live) -> dict[int, str]:

@@ -260,7 +260,7 @@ def _sentence(status: int, text: str) -> web.Response:
 
 
 def _static(name: str, status: int = 200) -> web.Response:
-    room = 'handeye_ros.results' if name == 'viewer.js' else 'handeye_ros.page'
+    room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
     text = resources.files(room).joinpath('assets', name).read_text(encoding='utf-8')
     return web.Response(text=text, status=status, content_type=KINDS[name.rpartition('.')[2]],
                         charset='utf-8', headers=HEADERS)

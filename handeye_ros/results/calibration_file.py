@@ -1,23 +1,27 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Writes and reads calibration.yaml."""
+"""Writes and reads calibration.yaml; a refusal names the file and the key."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, MISSING, replace
 from datetime import datetime, UTC
+from functools import cache
 import hashlib
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
+from handeye_ros.config import Config, from_provenance, yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
+from handeye_ros.errors import InputError
 from handeye_ros.output import write_whole
-from handeye_ros.results.reading import content_of, require_format, Section
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
+
+Kind = TypeVar('Kind')
 
 FORMAT = 'handeye_ros/calibration/'
 NAME = 'calibration.yaml'
@@ -97,6 +101,20 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def config_of(calibration: Calibration) -> Config:
+    """Return the configuration stored in a calibration."""
+    return from_provenance(calibration.provenance.get('config'))
+
+
+def use_config(calibration: Calibration, config: Config | None = None) -> Config:
+    """Return the configuration to measure with a calibration: its own or config, at rest."""
+    config = config or config_of(calibration)
+    if calibration.time_offset:
+        config = replace(config, time_offset=calibration.time_offset.value)
+    mode = config.sampling.mode if not config.sampling.moving else 'still'
+    return replace(config, sampling=replace(config.sampling, mode=mode))
+
+
 def file_of(path: Path) -> Path:
     """Return the file of a calibration from its path or that of its folder."""
     return path / NAME if path.is_dir() else path
@@ -104,67 +122,119 @@ def file_of(path: Path) -> Path:
 
 def read_calibration(path: Path) -> Calibration:
     """Return the calibration in a file; raises InputError."""
-    file = Section(path, '', content_of(path))
+    file = Section(path, content_of(path))
     require_format(path, file.get('format', str), FORMAT)
     T = _transform(file.section('transform'))
     _check_rpy(file, T)
-    offset = file.section('time_offset') if file.has('time_offset') else None
-    quality = file.section('quality')
     return Calibration(
-        name=file.get('name', str),
-        method=file.get('method', str),
-        parent_frame=file.get('parent_frame', str),
-        child_frame=file.get('child_frame', str),
-        T_flange_sensor=T,
-        covariance=_covariance(file),
-        target=file.get('target', dict),
-        quality=Quality(
-            quality.get('samples_used', int), quality.get('samples_rejected', int),
-            quality.number('residual_rms'), quality.number('holdout_rms'),
-            quality.get('weakest_direction', str), quality.number('weakest_std')),
-        samples=tuple(_sample(Section(path, f'samples[{i}].', item))
+        **{name: file.get(name, str) for name in ('name', 'method', 'parent_frame',
+                                                  'child_frame')},
+        T_flange_sensor=T, covariance=file.numbers('covariance', 36).reshape(6, 6),
+        target=file.get('target', dict), quality=file.section('quality').read(Quality),
+        samples=tuple(Section(path, item, f'samples[{i}].').read(SampleReport)
                       for i, item in enumerate(file.get('samples', list))),
         provenance=file.get('provenance', dict),
-        time_offset=TimeOffset(offset.number('value'), offset.number('std')) if offset else None)
+        time_offset=file.section('time_offset').read(TimeOffset) if 'time_offset' in file.values
+        else None)
 
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
     """Return the transform (4, 4) of plain values, which a file holds under a key."""
-    return _transform(Section(path, f'{key}.', values))
+    return _transform(Section(path, values, f'{key}.'))
 
 
 def _transform(section: Section) -> Array:
     translation, rotation = section.section('translation'), section.section('rotation')
-    quaternion = np.array([rotation.number(key) for key in 'xyzw'])
+    quaternion = np.array([rotation.get(key, float) for key in 'xyzw'])
     length = float(np.linalg.norm(quaternion))
     if abs(length - 1) > 1e-6:
         raise section.error('rotation', f'is a quaternion of length {length:.6g}, expected 1')
-    return se3.from_quaternion(np.array([translation.number(key) for key in 'xyz']), quaternion)
+    return se3.from_quaternion(np.array([translation.get(key, float) for key in 'xyz']),
+                               quaternion)
 
 
 def _check_rpy(file: Section, T: Array) -> None:
     """Raise for angles that were edited without the quaternion, which is the one used."""
-    if not file.has('rpy'):
+    if 'rpy' not in file.values:
         return
-    rpy = file.get('rpy', list)
-    if len(rpy) != 3 or not all(type(v) in (int, float) and math.isfinite(v) for v in rpy):
-        raise file.error('rpy', 'does not hold 3 numbers')
-    R = Rotation.from_euler('xyz', rpy).inv() * Rotation.from_matrix(T[:3, :3])
+    R = Rotation.from_euler('xyz', file.numbers('rpy', 3)).inv() * Rotation.from_matrix(T[:3, :3])
     if R.magnitude() > SAME_ROTATION:
         raise file.error('rpy', f'and transform.rotation differ by '
                          f'{math.degrees(R.magnitude()):.4g} degrees. The quaternion counts: '
                          'correct it, and correct rpy or delete it')
 
 
-def _covariance(file: Section) -> Array:
-    values = file.get('covariance', list)
-    numbers = [v for v in values if type(v) in (int, float) and math.isfinite(v)]
-    if len(values) != 36 or len(numbers) != 36:
-        raise file.error('covariance', 'does not hold 36 numbers')
-    return np.array(numbers, dtype=float).reshape(6, 6)
+def content_of(path: Path) -> Any:
+    """Return the content of a YAML file; raises InputError."""
+    try:
+        return yaml_content(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise unusable(path, error.strerror or str(error)) from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise unusable(path, 'it is not valid YAML') from error
 
 
-def _sample(section: Section) -> SampleReport:
-    residual = section.number('residual') if section.has('residual') else None
-    return SampleReport(section.get('stamp', int), section.get('used', bool),
-                        section.get('edge', str, ''), residual, section.get('reason', str, ''))
+def require_format(path: Path, text: str, kind: str, newest: int = 1) -> None:
+    """Raise InputError for another format than the kind and its numbers up to the newest."""
+    number = text.removeprefix(kind)
+    if number == text or not number.isdecimal():
+        raise unusable(path, f'its format is "{text}", expected {kind}{newest}')
+    if int(number) > newest:
+        raise unusable(path, f'its format {text} is newer than this version of handeye_ros '
+                             f'({__version__}) can read; update the package')
+
+
+def unusable(path: Path, reason: str) -> InputError:
+    """Return the error for a file that cannot be used."""
+    return InputError(f'{path} cannot be used: {reason}')
+
+
+class Section:
+    """A mapping in a file; each value is checked on access, and a refusal names file and key."""
+
+    def __init__(self, path: Path, values: Any, prefix: str = '') -> None:
+        if not isinstance(values, dict):
+            raise unusable(path, f'{prefix.rstrip(".") or "the file"} is no mapping')
+        self.path, self.values, self._prefix = path, values, prefix
+
+    def get(self, key: str, kind: type) -> Any:
+        """Return a value of a type; numbers are finite."""
+        value = self.values.get(key)
+        if value is None:
+            raise self.error(key, 'is missing')
+        found = type(value)
+        if found is not kind and (found, kind) != (int, float):
+            raise self.error(key, f'is {value!r}, expected {kind.__name__}')
+        if kind is float and not math.isfinite(value):
+            raise self.error(key, f'is {value}')
+        return kind(value)
+
+    def numbers(self, key: str, count: int) -> Array:
+        """Return a list of finite numbers as an array (count,)."""
+        values: list[Any] = self.get(key, list)
+        if len(values) != count or any(type(v) not in (int, float) for v in values) or (
+                not np.isfinite(np.array(values, dtype=float)).all()):
+            raise self.error(key, f'does not hold {count} numbers')
+        return np.array(values, dtype=float)
+
+    def section(self, key: str) -> Section:
+        """Return a nested mapping."""
+        return Section(self.path, self.get(key, dict), f'{self._prefix}{key}.')
+
+    def read(self, kind: type[Kind]) -> Kind:
+        """Return a dataclass from its fields; those with a default may be missing."""
+        return kind(**{name: self.get(name, wanted) for name, (wanted, required) in _fields(
+            kind).items()  # type: ignore[arg-type]
+            if required or self.values.get(name) is not None})
+
+    def error(self, key: str, problem: str) -> InputError:
+        """Return the error for a key."""
+        return unusable(self.path, f'{self._prefix}{key} {problem}')
+
+
+@cache
+def _fields(kind: Any) -> dict[str, tuple[type, bool]]:
+    """Return the type of each field of a dataclass (of "float | None": float), if required."""
+    types = get_type_hints(kind)
+    return {item.name: (next(iter(get_args(types[item.name])), types[item.name]),
+                        item.default is MISSING) for item in fields(kind)}

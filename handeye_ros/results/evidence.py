@@ -1,23 +1,21 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Data of the report: the stops of a recording with their results, and the verdict."""
+"""What a report shows: the stops of a recording with their part in the answer; the verdict."""
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 import math
 from pathlib import Path
 
-from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.config import Config, NoiseConfig
+from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import mm
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import FIELD, field_points
 import numpy as np
 
-MANY_REJECTED = 1 / 3  # of the stops
 MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
 SAME = 0.1  # sigmas: two answers of the same recording agree so well
 
@@ -90,50 +88,53 @@ def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, s
     return None, f'the calibration names no recording, {advice}'
 
 
-def config_of(calibration: Calibration) -> Config:
-    """Return the configuration stored in a calibration."""
-    return configuration.from_provenance(calibration.provenance.get('config'))
-
-
-def use_config(calibration: Calibration, config: Config | None = None) -> Config:
-    """Return the configuration to measure with a calibration: its own or config, at rest."""
-    config = config or config_of(calibration)
-    if calibration.time_offset:
-        config = replace(config, time_offset=calibration.time_offset.value)
-    mode = config.sampling.mode if not config.sampling.moving else 'still'
-    return replace(config, sampling=replace(config.sampling, mode=mode))
-
-
 @dataclass(frozen=True)
 class Verdict:
-    """
-    A sentence, and remarks, one sentence each.
-
-    good: nothing is wrong; mapped: 1 sigma of mapped points (metres), over a region in words.
-    """
+    """A sentence, and remarks, one sentence each; good: nothing is wrong."""
 
     good: bool
     sentence: str
     remarks: tuple[str, ...]
-    mapped: float
-    region: str
 
 
 def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Verdict:
     """Return the verdict; visible: points (k, 3) in the sensor frame, may be empty."""
-    points, region = field_points(), FIELD
-    if len(visible):
-        points, region = visible, 'the points that were seen'
-    mapped = mapped_std(calibration, points)
-    problems = tuple(_wrong(calibration, evidence))
-    parent, child = calibration.parent_frame, calibration.child_frame
-    if problems:
-        sentence = f'Do not rely on this calibration: {problems[0]}'
-    else:
-        sentence = (f'Good for mapping points of {child} into {parent} to {mm(mapped)} (1 sigma '
-                    f'in space, over {region}).')
-    remarks = (*problems[1:], *_remarks(calibration, evidence))
-    return Verdict(not problems, sentence, remarks, mapped, region)
+    remarks = tuple(_remarks(calibration, evidence))
+    first, *others = *_wrong(calibration, evidence), ''
+    if first:
+        return Verdict(False, f'Do not rely on this calibration: {first}',
+                       (*filter(None, others), *remarks))
+    points, region = (visible, 'the points that were seen') if len(visible) else (
+        field_points(), FIELD)
+    return Verdict(
+        True, f'Good for mapping points of {calibration.child_frame} into '
+        f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in space, '
+        f'over {region}).', remarks)
+
+
+def _wrong(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
+    if evidence.refusal:
+        yield f'the recording is refused now: {evidence.refusal}'
+    if evidence.calibration:
+        delta = se3.difference(calibration.T_flange_sensor, evidence.calibration.T_flange_sensor)
+        # the same data give the same answer: their noise explains no difference
+        if (np.abs(delta) > SAME * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
+            yield ('the recording gives another answer than the one saved, '
+                   f'{np.linalg.norm(delta[:3]) * 1e3:.3f} mm and '
+                   f'{math.degrees(np.linalg.norm(delta[3:])):.4f} degrees away: is it the '
+                   'recording that was solved, with the same configuration?')
+
+
+def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
+    quality = calibration.quality
+    if 'note' in calibration.target:
+        yield str(calibration.target['note'])
+    if quality.holdout_rms > MUCH_WORSE * quality.residual_rms:
+        yield (f'stops that are left out are predicted {mm(quality.holdout_rms)} RMS off, those '
+               f'in the fit {mm(quality.residual_rms)}: a few stops carry the answer; add more')
+    yield from map(str, calibration.provenance.get('warnings', ()))
+    if evidence.missing:
+        yield evidence.missing
 
 
 def mapped_std(calibration: Calibration, points: Array) -> float:
@@ -154,44 +155,20 @@ def stated_noise(noise: NoiseConfig, arm: float) -> float:
                      + (arm * noise.robot_rotation) ** 2)
 
 
-def in_plane(features: tuple[Feature, ...]) -> Array:
-    """Return points (k, 2) of the sensor plane that represent features."""
-    points = [_points(feature) for feature in features]
-    return np.concatenate(points) if points else np.empty((0, 2))
+def in_plane(features: Iterable[Feature]) -> Array:
+    """Return points (k, 2) of the sensor plane that represent features: ends, edges, arcs."""
+    lines, spots = drawn(features)
+    return np.concatenate([np.empty((0, 2)), *lines, *spots])
 
 
-def _points(feature: Feature) -> Array:
-    if isinstance(feature, EdgePoint):
-        return feature.point[None]
-    if isinstance(feature, FaceLine):
-        return feature.centre + np.outer([-1.7, 0, 1.7], feature.spread * feature.direction)
-    return feature.points if isinstance(feature, Arc) else np.empty((0, 2))
-
-
-def _wrong(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
-    if evidence.refusal:
-        yield f'the recording is refused now: {evidence.refusal}'
-    if evidence.calibration:
-        delta = se3.difference(calibration.T_flange_sensor, evidence.calibration.T_flange_sensor)
-        # the same data give the same answer: their noise explains no difference
-        if (np.abs(delta) > SAME * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
-            yield ('the recording gives another answer than the one saved, '
-                   f'{np.linalg.norm(delta[:3]) * 1e3:.3f} mm and '
-                   f'{math.degrees(np.linalg.norm(delta[3:])):.4f} degrees away: is it the '
-                   'recording that was solved, with the same configuration?')
-
-
-def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
-    quality = calibration.quality
-    if 'note' in calibration.target:
-        yield str(calibration.target['note'])
-    total = quality.samples_used + quality.samples_rejected
-    if quality.samples_rejected > MANY_REJECTED * total:
-        yield (f'{quality.samples_rejected} of {total} stops were not used: see the reasons below '
-               'before you trust the rest')
-    if quality.holdout_rms > MUCH_WORSE * quality.residual_rms:
-        yield (f'stops that are left out are predicted {mm(quality.holdout_rms)} RMS off, those '
-               f'in the fit {mm(quality.residual_rms)}: a few stops carry the answer; add more')
-    yield from map(str, calibration.provenance.get('warnings', ()))
-    if evidence.missing:
-        yield evidence.missing
+def drawn(features: Iterable[Feature]) -> tuple[list[Array], list[Array]]:
+    """Return the lines (n, 2) and the single points (1, 2) of features in the sensor plane."""
+    lines, spots = [], []
+    for f in features:
+        if isinstance(f, FaceLine):  # of evenly spread points the ends are sqrt(3) spreads away
+            lines.append(f.centre + np.outer([-1, 0, 1], math.sqrt(3) * f.spread * f.direction))
+        elif isinstance(f, Arc):
+            lines.append(f.points)
+        elif isinstance(f, EdgePoint):
+            spots.append(f.point[None])
+    return lines, spots

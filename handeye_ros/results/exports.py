@@ -13,7 +13,7 @@ handeye_calibration.py).
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
@@ -25,12 +25,11 @@ import shutil
 from xml.sax.saxutils import quoteattr
 
 from handeye_ros import __version__, orientations, se3
-from handeye_ros.config import BASE_FRAME, Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError, UnwritableError
 from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import transform_values
+from handeye_ros.results.calibration_file import config_of, transform_values
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -83,19 +82,6 @@ PENDANTS = {
     'staubli': ('tool_staubli.txt', '// ', '{{{x}, {y}, {z}, {rx}, {ry}, {rz}}}'),
     'yaskawa': ('tool_yaskawa.txt', '; ', '{xyz},{angles}'),
 }
-
-
-@dataclass(frozen=True)
-class Format:
-    """
-    A file format of a calibration.
-
-    file_name: of the file in the folder of the result; text: the content of the file. Both take
-    the calibration; text raises nothing.
-    """
-
-    file_name: Callable[[Calibration], str]
-    text: Callable[[Calibration], str]
 
 
 def preamble(calibration: Calibration, units: str = SI) -> tuple[str, ...]:
@@ -158,19 +144,17 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
     mark: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
     """
-    notation = orientations.of(vendor)
-    unit = 1e3 if notation.length == 'mm' else 1.0
-    T = calibration.T_flange_sensor
-    lengths = [f'{v:.{DIGITS[notation.length]}f}' for v in T[:3, 3] * unit]
-    R = Rotation.from_matrix(T[:3, :3])
-    angles = [f'{v + 0.0:.{DIGITS[notation.angle]}f}' for v in np.ravel(notation.numbers(R))]
-    named = dict(zip(('x', 'y', 'z', *notation.labels), [*lengths, *angles], strict=True))
+    notation, T = orientations.of(vendor), calibration.T_flange_sensor
+    angles = np.ravel(notation.numbers(Rotation.from_matrix(T[:3, :3])))
+    names = ('x', 'y', 'z', *notation.labels)
     units = [notation.length] * 3 + [notation.angle] * len(angles)
-    rows = [f'{mark}{name.upper():3} {value} {unit}'.rstrip()
-            for (name, value), unit in zip(named.items(), units, strict=True)]
-    fields = {**named, 'xyz': ','.join(lengths), 'angles': ','.join(angles)}
-    return commented(calibration, mark, f'{notation.title}.') + '\n'.join(
-        [*rows, line.format(**fields)]) + '\n'
+    values = [*T[:3, 3] * (1e3 if notation.length == 'mm' else 1.0), *angles]
+    texts = [f'{value + 0.0:.{DIGITS[unit]}f}' for value, unit in zip(values, units, strict=True)]
+    rows = [f'{mark}{name.upper():3} {text} {unit}'.rstrip()
+            for name, text, unit in zip(names, texts, units, strict=True)]
+    rows.append(line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
+                            angles=','.join(texts[3:])))
+    return commented(calibration, mark, f'{notation.title}.') + '\n'.join(rows) + '\n'
 
 
 def joint(calibration: Calibration) -> str:
@@ -216,24 +200,18 @@ def launch(calibration: Calibration) -> str:
                          name=f'publish_{node}')
 
 
-def easy_handeye2_file(calibration: Calibration) -> str:
-    """Return the file name that easy_handeye2 expects."""
-    return f'{one_line(calibration.name).replace("/", "_")}.calib'
-
-
 def easy_handeye2(calibration: Calibration) -> str:
     """Return the content of the file for easy_handeye2."""
-    config, file = calibration.provenance.get('config', {}), easy_handeye2_file(calibration)
-    on_base = config.get('calibration_type') == 'eye_on_base'
-    robot = {'robot_base_frame': config.get('robot_base_frame') or BASE_FRAME,
-             'robot_effector_frame': config.get('robot_effector_frame',
-                                                Config.robot_effector_frame)}
-    robot['robot_base_frame' if on_base else 'robot_effector_frame'] = calibration.parent_frame
+    config, file = config_of(calibration), FORMATS['easy_handeye2'].file_name(calibration)
+    frames = {'robot_base_frame': config.base_frame,
+              'robot_effector_frame': config.robot_effector_frame}
+    on_base = config.calibration_type == 'eye_on_base'
+    frames['robot_base_frame' if on_base else 'robot_effector_frame'] = calibration.parent_frame
     values = {
         'parameters': {
             'name': file.removesuffix('.calib'),
-            'calibration_type': 'eye_on_base' if on_base else 'eye_in_hand',
-            **robot,
+            'calibration_type': config.calibration_type,
+            **frames,
             'tracking_base_frame': calibration.child_frame,
             'tracking_marker_frame': TARGET_FRAME,
             'freehand_robot_movement': True,
@@ -244,16 +222,32 @@ def easy_handeye2(calibration: Calibration) -> str:
         yaml.safe_dump(values, sort_keys=False, allow_unicode=True)))
 
 
+@dataclass(frozen=True)
+class Format:
+    """
+    A file format of a calibration.
+
+    file: its name in the folder of the result, with {name} of the calibration; text: returns the
+    content.
+    """
+
+    file: str
+    text: Callable[[Calibration], str]
+
+    def file_name(self, calibration: Calibration) -> str:
+        """Return the name of the file in the folder of the result."""
+        return self.file.format(name=one_line(calibration.name).replace('/', '_'))
+
+
 FORMATS = {
-    YAML: Format(lambda _: calibration_file.NAME, calibration_file.text),
-    'urdf': Format(lambda _: 'sensor.urdf.xacro', urdf),
-    'launch': Format(lambda _: LAUNCH_FILE, launch),
-    'easy_handeye2': Format(easy_handeye2_file, easy_handeye2),
-    'matrix': Format(lambda _: 'matrix.txt', matrix),
-    'json': Format(lambda _: 'calibration.json', as_json),
-    **{vendor: Format(lambda _, name=name: name,  # type: ignore[misc]
-                      partial(tool_frame, vendor=vendor, mark=mark, line=line))
-       for vendor, (name, mark, line) in PENDANTS.items()},
+    YAML: Format(calibration_file.NAME, calibration_file.text),
+    'urdf': Format('sensor.urdf.xacro', urdf),
+    'launch': Format(LAUNCH_FILE, launch),
+    'easy_handeye2': Format('{name}.calib', easy_handeye2),
+    'matrix': Format('matrix.txt', matrix),
+    'json': Format('calibration.json', as_json),
+    **{vendor: Format(file, partial(tool_frame, vendor=vendor, mark=mark, line=line))
+       for vendor, (file, mark, line) in PENDANTS.items()},
 }
 
 
@@ -284,15 +278,11 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     The files of a previous result go to history/<its time> in the folder: nothing is lost, and
     all files in the folder are of one answer. Raises UnknownNameError and UnwritableError.
     """
-    chosen = {name: format_of(name) for name in dict.fromkeys((YAML, *formats))}
     calibration = calibration_file.dated(calibration)
-    texts = {form.file_name(calibration): form.text(calibration) for form in chosen.values()}
-    folder = folder.expanduser().absolute()
+    forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
     own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT}
-    previous = set_aside(folder, sorted(own_names), set(texts))
-    for name, text in texts.items():
-        write_whole(folder / name, text)
-    return Saved(tuple(folder / name for name in texts), previous)
+    return _write({form.file_name(calibration): form.text(calibration) for form in forms},
+                  folder.expanduser().absolute(), own_names)
 
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:
@@ -303,9 +293,15 @@ def export(calibration: Calibration, name: str, file: Path) -> Saved:
     """
     file, text = file.expanduser().absolute(), format_of(name).text(calibration)
     unchanged = file.is_file() and file.read_bytes() == text.encode()
-    previous = None if unchanged else set_aside(file.parent, [file.name], {file.name})
-    write_whole(file, text)
-    return Saved((file,), previous)
+    return _write({file.name: text}, file.parent, set() if unchanged else {file.name})
+
+
+def _write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
+    """Write files by name into a folder; aside: names of those that are kept before."""
+    previous = set_aside(folder, sorted(aside), set(texts))
+    for name, text in texts.items():
+        write_whole(folder / name, text)
+    return Saved(tuple(folder / name for name in texts), previous)
 
 
 def set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | None:
@@ -320,11 +316,11 @@ def set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | 
         return None
     try:
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
-        history = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
+        history = first = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
         number = 1
         while history.exists():  # another of the same second
             number += 1
-            history = history.with_name(f'{history.name.split("Z")[0]}Z-{number}')
+            history = first.with_name(f'{first.name}-{number}')
         history.mkdir(parents=True)
         for file in files:
             shutil.copy2(file, history / file.name)

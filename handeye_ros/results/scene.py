@@ -1,28 +1,29 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-3D drawings: the scene of the report, and the shape of an estimated target.
+Drawings: the scene of the report, the shape of an estimated target, a profile with its features.
 
 The scene is polylines and points, which a small script turns; every target is lines and balls.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Array, Calibration, Feature
 from handeye_ros.frames import sensor_axes, target_frame
-from handeye_ros.results.evidence import in_plane, StopSnapshot
+from handeye_ros.results.evidence import drawn, in_plane, StopSnapshot
 import numpy as np
 
 FLANGE, SENSOR, LASER, UNUSED = '#555555', '#6a1b9a', '#e53935', '#bdbdbd'
 TARGET, EDGES, BALL, SEEN = '#2e7d32', '#00695c', '#f9a825', '#e07b00'
 AXIS = 0.03  # m, of a frame at a stop
 ELLIPSOID = 0.02  # m, the largest drawn half axis
-MOST_POINTS = 60  # of a laser line
+MOST_POINTS = 60  # of a laser line in the scene
+MOST_OF_PROFILE = 400  # points: about the pixels of a tablet
 EDGE = 0.1  # m of an edge that is drawn when its length is unknown
 TURN = np.linspace(0, 2 * np.pi, 49)
 
@@ -71,16 +72,21 @@ def in_sensor(plane: Array, config: Config) -> Array:
     return np.asarray(plane @ sensor_axes(config)[:3, [0, 2]].T)
 
 
-def _plain(points: Array) -> list[list[float]]:
-    return np.asarray(points, dtype=float).round(6).tolist()  # type: ignore[no-any-return]
+def _plain(points: Array) -> Any:
+    return np.asarray(points, dtype=float).round(6).tolist()
 
 
-def legend(parts: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return the unique names of parts of one colour, with the colour."""
-    colors: dict[str, set[str]] = {}
-    for part in parts:
-        colors.setdefault(part['name'], set()).add(part['color'])
-    return [(name, min(choices)) for name, choices in colors.items() if len(choices) == 1]
+def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any]:
+    """
+    Return what profile.js draws of a profile: points, lines and single points, (x, range) each.
+
+    points: (n, 2) metres, as many as there are pixels at most; features: found in it.
+    """
+    points = points[np.isfinite(points).all(axis=1)]
+    lines, spots = drawn(features)
+    return {'points': _plain(points[::-(-len(points) // MOST_OF_PROFILE) or 1]),
+            'lines': [_plain(line) for line in lines],
+            'spots': [_plain(spot[0]) for spot in spots]}
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,18 +19,24 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-LENGTHS = ('centre', 'point', 'radius', 'distance', 'size', 'setback')
-DIRECTIONS = ('normal', 'direction', 'normal_1', 'normal_2')
-ANGLES = ('angle',)
-# Estimated sizes of smooth errors: label, factor and unit.
-SMOOTH_ERRORS = {
-    'robot_position_error': ('robot, smooth error', 1e3, 'mm'),
-    'tracking_position_error': ('robot, error in motion', 1e3, 'mm'),
-    'tracking_rotation_error': ('robot, turn in motion', math.degrees(1), 'degrees'),
-    'distortion_error': ('sensor, bent field', 1e3, 'mm'),
-    'line_bend': ('sensor, bent laser line', 1e3, 'mm'),
-    'flatness_error': ('target, flatness', 1e3, 'mm'),
-}
+# Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
+# value, factor to their unit, digits.
+FOUND = '{} (1 sigma, found and allowed for)'
+ESTIMATES = (
+    ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
+    ('.*angle', '', '{} degrees', math.degrees(1), 4),
+    ('normal.*|direction', '', '{}', 1.0, 6),
+    ('rotation_lag', 'robot, rotation', '{} ms later than the position', 1e3, 3),
+    ('clock_drift', 'clocks', '{} ms a minute apart', 60e3, 2),
+    ('scale', 'lengths', 'of the robot {} times those of the sensor', 1.0, 5),
+    ('robot_position_error', 'robot, smooth error', FOUND.format('{} mm'), 1e3, 4),
+    ('tracking_position_error', 'robot, error in motion', FOUND.format('{} mm'), 1e3, 4),
+    ('tracking_rotation_error', 'robot, turn in motion', FOUND.format('{} degrees'),
+     math.degrees(1), 4),
+    ('distortion_error', 'sensor, bent field', FOUND.format('{} mm'), 1e3, 4),
+    ('line_bend', 'sensor, bent laser line', FOUND.format('{} mm'), 1e3, 4),
+    ('flatness_error', 'target, flatness', FOUND.format('{} mm'), 1e3, 4),
+)
 
 # What the profile shows behind an edge, by the kind of its end.
 BEHIND = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
@@ -146,33 +152,26 @@ def weakest(quality: Quality) -> str:
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
-        name = _name(key)
-        std = target.get(f'{key}_std')
+        row = next((row for row in ESTIMATES if re.fullmatch(row[0], key)), None)
         if key == 'pose':
-            yield f'{name}, x y z', _millimetres(value['translation'].values())
+            x, y, z = (1e3 * value['translation'][axis] for axis in 'xyz')
+            yield f'{_name(key)}, x y z', f'{x:.3f} {y:.3f} {z:.3f} mm'
             q = np.array([value['rotation'][axis] for axis in 'xyzw'])
             angles = se3.rpy(se3.from_quaternion(np.zeros(3), q))
-            yield f'{name}, rpy', ' '.join(f'{math.degrees(a):.4f}' for a in angles) + ' degrees'
-        elif key in SMOOTH_ERRORS:
-            label, factor, unit = SMOOTH_ERRORS[key]
-            yield label, f'{value * factor:.4f} {unit} (1 sigma, found and allowed for)'
-        elif key.startswith(LENGTHS) and not key.endswith('_std'):
-            values = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
-            yield name, _millimetres(values) + _sigma(std, 1e3, 3)
-        elif key.endswith(ANGLES):
-            yield name, f'{math.degrees(value):.4f} degrees' + _sigma(std, math.degrees(1))
-        elif key == 'rotation_lag':
-            late = f'{value * 1e3:.3f} ms later than the position' + _sigma(std, 1e3, 3)
-            yield 'robot, rotation', late
-        elif key == 'clock_drift':
-            yield 'clocks', f'{value * 60e3:.2f} ms a minute apart' + _sigma(std, 60e3, 2)
-        elif key == 'scale':
-            yield 'lengths', f'of the robot {value:.5f} times those of the sensor' + _sigma(
-                std, 1, 5)
-        elif key in DIRECTIONS:
-            yield name, ' '.join(f'{v:.6f}' for v in value)
-        elif not key.endswith('_std') and key != 'joint':
-            yield name, str(value)
+            yield f'{_name(key)}, rpy', ' '.join(f'{math.degrees(a):.4f}' for a in angles
+                                                 ) + ' degrees'
+        elif key.endswith('_std') or key == 'joint':
+            continue
+        elif row:
+            _, label, words, factor, digits = row
+            numbers = value.values() if isinstance(value, Mapping) else np.atleast_1d(value)
+            text = words.format(' '.join(f'{v * factor:.{digits}f}' for v in numbers))
+            std = target.get(f'{key}_std')
+            sigma = '' if std is None else (
+                f', 1 sigma {std * factor:.{digits}f}' if std else ', given')
+            yield label or _name(key), text + sigma
+        else:
+            yield _name(key), str(value)
 
 
 def _name(key: str) -> str:
@@ -182,16 +181,6 @@ def _name(key: str) -> str:
         return f'target {key.replace("_", " ")}'
     edge, kind = setback.groups()
     return f'set-back of edge{f" {edge}" if edge else ""}, {BEHIND.get(kind, kind)}'
-
-
-def _sigma(std: float | None, factor: float, digits: int = 4) -> str:
-    if std is None:
-        return ''
-    return f', 1 sigma {std * factor:.{digits}f}' if std else ', given'
-
-
-def _millimetres(values: Any) -> str:
-    return ' '.join(f'{v * 1e3:.3f}' for v in values) + ' mm'
 
 
 def error_sentence(errors: Errors, over: str = 'the field of view') -> str:

@@ -10,8 +10,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import transform_from
-from handeye_ros.results.reading import content_of, unusable
+from handeye_ros.results.calibration_file import content_of, transform_from, unusable
 import numpy as np
 import yaml
 

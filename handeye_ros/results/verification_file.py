@@ -1,15 +1,21 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A verification from its YAML (see verification/decision.py), formatted."""
+"""
+A verification from its YAML (see verification/decision.py): values for print, and the protocol.
+
+The protocol is one HTML file for an inspector; it opens without a network.
+"""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import hashlib
+import json
 import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.results.reading import content_of, require_format, unusable
+from handeye_ros.output import page
+from handeye_ros.results.calibration_file import content_of, require_format, unusable
 
 KIND = 'handeye_ros/verification/'
 FORMAT = f'{KIND}1'
@@ -20,16 +26,14 @@ SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 's
 LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
           ('tolerance of angles', 'angle_tolerance', 'rad'),
           ('smallest error of the calibration that would show', 'smallest_error', 'm'))
-
-
-@dataclass(frozen=True)
-class Verified:
-    """Formatted verification: title, look (good, bad, open), sentences, rows by COLUMNS."""
-
-    title: str
-    look: str
-    sentences: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[str, ...]], ...]
+# Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
+# (PS is of the diameter). E is the length measurement error of ISO 10360.
+CHARACTERISTICS = {
+    'PF': ('probing error, form: span of the radial distances', 1.0),
+    'PS': ('probing error, size: error of the diameter', 2.0),
+    'SD': ('sphere spacing error', 1.0),
+    'F': ('flatness measurement error: span of the distances from the plane', 1.0),
+    'E': ('length measurement error', 1.0)}
 
 
 def formatted(value: float | None, unit: str) -> str:
@@ -70,11 +74,12 @@ def read(path: Path) -> dict[str, Any]:
         raise unusable(path, 'it is no result of "handeye verify --out"')
     require_format(path, str(content.get('format')), KIND)
     try:
-        if 'record' not in content:
-            raise unusable(path, 'it is of an earlier version: verify again')
-        verified(content)
+        if not {'record', 'per_station', 'inputs'} <= content.keys():
+            raise KeyError('record')
+        title_of(content), [*rows_of(content)]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise unusable(path, 'it is not the whole result of a verification') from error
+        raise unusable(path, 'it is not the whole result of a verification: verify again'
+                       ) from error
     return content
 
 
@@ -84,7 +89,35 @@ def is_verification(path: Path) -> bool:
     return isinstance(content, dict) and str(content.get('format')).startswith(KIND)
 
 
-def verified(content: Mapping[str, Any]) -> Verified:
-    """Return the verification that a file holds, formatted."""
-    return Verified(title_of(content), look_of(content['verdict']),
-                    tuple(map(str, content['reasons'])), tuple(rows_of(content)))
+def protocol(content: Mapping[str, Any]) -> str:
+    """Return the protocol of the content of a verification, printable for an inspector."""
+    # the same result gives the same number, another result another one
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
+    return page(
+        'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
+        look=look_of(content['verdict']), columns=COLUMNS, rows=list(rows_of(content)),
+        characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
+        formatted=formatted)
+
+
+def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yield symbol, meaning, object, value and U of each characteristic."""
+    for q in content['quantities']:
+        meaning, factor = CHARACTERISTICS.get(q['characteristic'], ('', 0.0))
+        if meaning and (q['nominal'] is not None or q['characteristic'] in ('PF', 'F')):
+            value = factor * (q['value'] - (q['nominal'] or 0.0))
+            yield (q['characteristic'], meaning, q['name'], formatted(value, q['unit']),
+                   formatted(factor * content['k'] * q['std'], q['unit']))
+
+
+def _conformity(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+    """Yield name, |deviation| + U, tolerance and the decision of ISO 14253-1 of each quantity."""
+    for q in content['quantities']:
+        if q['nominal'] is None:
+            continue
+        deviation, U = abs(q['value'] - q['nominal']), content['k'] * q['std']
+        tolerance = content['tolerance'] if q['unit'] == 'm' else content['angle_tolerance']
+        decision = ('conforms' if deviation + U <= tolerance else
+                    'does not conform' if deviation - U > tolerance else 'not decided')
+        yield (q['name'], f'{formatted(deviation, q["unit"])} ± {formatted(U, q["unit"])}',
+               formatted(tolerance, q['unit']), decision)

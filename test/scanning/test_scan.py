@@ -12,8 +12,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.results.evidence import config_of
+from handeye_ros.results.calibration_file import config_of, write_calibration
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud import cloud_writer, read_cloud
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions

@@ -12,7 +12,7 @@ from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import sensor_axes
-from handeye_ros.results.protocol import protocol
+from handeye_ros.results.verification_file import protocol
 from handeye_ros.simulate import gauges
 from handeye_ros.simulate.scenario import PlateTarget
 from handeye_ros.simulate.scenarios import SCENARIOS

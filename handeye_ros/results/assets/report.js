@@ -1,8 +1,9 @@
 /* Copyright 2026 The handeye_ros developers. SPDX-License-Identifier: Apache-2.0 */
 'use strict';
-// The cell of the report, and what is copied from it.
+// The cell and the profiles of the report, and what is copied from it.
 (() => {
   const { parts } = JSON.parse(document.getElementById('data').textContent);
+  const profiles = JSON.parse(document.getElementById('profiles').textContent);
   const canvas = document.getElementById('scene');
   const all = parts.flatMap(part => part.line || part.points);
   const low = [0, 1, 2].map(k => all.reduce((least, p) => Math.min(least, p[k]), Infinity));
@@ -31,9 +32,15 @@
     drawing.finish();
   }
 
+  function drawAll() {
+    draw();
+    document.querySelectorAll('.profiles canvas').forEach(
+      (picture, i) => drawProfile(picture, profiles[i], []));
+  }
+
   turnable(canvas, draw);
-  for (const event of ['resize', 'beforeprint']) addEventListener(event, draw);
-  draw();
+  for (const event of ['resize', 'beforeprint']) addEventListener(event, drawAll);
+  drawAll();
 
   for (const button of document.querySelectorAll('.copy button')) {
     button.addEventListener('click', async () => {
