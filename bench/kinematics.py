@@ -20,14 +20,18 @@ from dataclasses import dataclass, replace
 import time
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, chain_of, GEOMETRY, parameters
+from handeye_ros.arm import Arm, arm_of, GEOMETRY, KINDS
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.robot.estimate import adjusted, fit_of, fitted, State, Weights
+from handeye_ros.frames import in_mount
+from handeye_ros.robot.estimate import adjusted, fitted
 from handeye_ros.robot.outcome import Outcome, solve
-from handeye_ros.robot.points import Points, solve_points
-from handeye_ros.robot.profiles import profiles_of
+from handeye_ros.robot.points import PointRows, start_of
+from handeye_ros.robot.sources import Source
+from handeye_ros.robot.sources import start_of as start_of_sources
+from handeye_ros.robot.stops import Points, State, Stops
+from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import arm, SCENARIOS, settings
 from handeye_ros.simulate import cell as cells
 from handeye_ros.simulate.scenes import anywhere, SCENES
@@ -88,18 +92,19 @@ class Cell:
     arm: Arm
     X: Array
     ball: Array
-    data: Points
-    exact: Points
+    data: PointRows
+    exact: PointRows
 
 
 def draw(case: Case, stops: int, seed: int) -> Cell:
     """Return a robot with its errors, and configurations that see the ball."""
     rng, n = np.random.default_rng(seed), len(case.joints)
-    chain = chain_of(urdf(case.joints))
-    own = parameters(chain, GEOMETRY)
-    arm = Arm(chain, own, rng.normal(size=len(own)) * [p.prior for p in own])
+    stated = arm_of(urdf(case.joints))
+    errors = stated.priors * np.hstack([
+        rng.normal(size=(n, (KINDS == kind).sum())) for kind in GEOMETRY])
+    arm = replace(stated, kinds=GEOMETRY, values=errors.ravel())
     near = rng.uniform(-1, 1, (200, n)) * SPREADS[n] + STARTS[n]
-    off = arm.forward(near)[:, :3, 3] - chain.forward(near)[:, :3, 3]
+    off = arm.forward(near)[:, :3, 3] - stated.forward(near)[:, :3, 3]
     rms = np.sqrt(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean())
     arm = replace(arm, values=arm.values * case.error / rms)
     X = se3.perturb(np.eye(4), rng.uniform([-.1, -.1, .1, -.4, -.4, -3], [.1, .1, .2, .4, .4, 3]))
@@ -113,7 +118,7 @@ def draw(case: Case, stops: int, seed: int) -> Cell:
             q.append(found[0])
             points.append(found[1])
     target, number = np.zeros(stops, dtype=int), np.arange(1, stops + 1)
-    exact = Points(np.array(q), np.array(points), target, ('ball',), number, case.on_flange)
+    exact = PointRows(np.array(q), np.array(points), target, ('ball',), number, case.on_flange)
     noise = rng.normal(size=(stops, 3)) * NOISE
     return Cell(arm, X, ball, replace(exact, points=exact.points + noise), exact)
 
@@ -140,8 +145,7 @@ def _seen(arm: Arm, X: Array, ball: Array, case: Case, rng: np.random.Generator
 
 def _off(arm: Arm, q: Array, X: Array, ball: Array, wanted: Array, on_flange: bool
          ) -> tuple[Array, Array]:
-    offsets = parameters(arm.chain, ('offset',))
-    T, twists = Arm(arm.chain, offsets, np.zeros(len(offsets))).with_twists(q[None])
+    T, twists = arm.freed(()).forward(q[None]), arm.freed(()).twists(q[None])[..., 0]
     carried, fixed = (X @ np.append(wanted, 1), np.append(ball, 1)) if on_flange else (
         np.append(ball, 1), X @ np.append(wanted, 1))
     there = (T[0] @ carried)[:3]
@@ -149,12 +153,19 @@ def _off(arm: Arm, q: Array, X: Array, ball: Array, wanted: Array, on_flange: bo
     return there - fixed[:3], J
 
 
-def predicted(state: State, data: Points) -> Array:
+def selected(rows: PointRows, keep: Array) -> PointRows:
+    """Return some rows, by a mask."""
+    return replace(rows, **{name: getattr(rows, name)[keep]
+                            for name in ('q', 'points', 'target', 'number')})
+
+
+def predicted(state: State, data: PointRows) -> Array:
     """Return where the points (n, 3) are in the sensor, by an estimate."""
     T, X = state.arm.forward(data.q), state.X
-    targets = np.hstack([state.targets[data.target], np.ones((len(data), 1))])[:, :, None]
-    sensor = T @ X if data.on_flange else np.broadcast_to(X, T.shape)
-    there = targets if data.on_flange else T @ targets
+    targets = np.hstack([np.array(state.targets)[data.target], np.ones((len(data), 1))])[
+        :, :, None]
+    sensor = T @ X if data.in_hand else np.broadcast_to(X, T.shape)
+    there = targets if data.in_hand else T @ targets
     return (np.linalg.inv(sensor) @ there)[:, :3, 0]
 
 
@@ -163,37 +174,35 @@ def rms(off: Array) -> float:
     return float(np.sqrt((off ** 2).sum(axis=1).mean())) * 1e3
 
 
-def bound(cell: Cell, fit: Points, held: Points, case: Case) -> float:
+def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
-    own = parameters(cell.arm.chain, GEOMETRY)
-    values = cell.arm.values[:len(own)]
-    scale = max(float(np.sqrt((values ** 2 / [p.prior ** 2 for p in own]).mean())), 1e-6)
-    state = State(cell.X, cell.ball[None], Arm(cell.arm.chain, own, values), np.zeros((0, 3)))
-    best = fitted(fit, state, Weights(np.full(3, NOISE), np.full(3, scale ** 2)),
-                  np.ones(len(fit), dtype=bool), np.zeros((len(fit), 0)))
-    J = held.linearised(best.state, np.zeros((len(held), 0)))[1]
+    scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
+    state = State(cell.X, (cell.ball,), cell.arm, np.zeros(0))
+    seen, others = (Stops.of(each.q, (Points(each.points, each.in_hand),))
+                    for each in (rows, held))
+    best = fitted(seen, state, np.full(3, NOISE), np.full(3, scale ** 2),
+                  np.ones(len(rows), dtype=bool))
+    J = others.linearised(best.state)[1]
     variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3
 
 
-def judged(cell: Cell, case: Case, outcome: Outcome, held: Points) -> tuple[float, ...]:
+def judged(cell: Cell, case: Case, outcome: Outcome, held: PointRows) -> tuple[float, ...]:
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
     before, after = (rms(predicted(m.fit.state, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
     away = se3.difference(outcome.chosen.fit.state.X, cell.X)
     nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
-    true = {(p.joint, p.kind, p.index): v
-            for p, v in zip(cell.arm.parameters, cell.arm.values, strict=True)}
-    off = [v - true[p.joint, p.kind, p.index]
-           for p, v in zip(outcome.arm.parameters, outcome.arm.values, strict=True)]
-    inside = np.abs(off) < 2 * np.maximum(outcome.stds, 1e-12)
+    arm = outcome.arm
+    off = np.abs(arm.errors - cell.arm.errors)[arm.free]
+    inside = off < 2 * np.maximum(np.sqrt(np.diag(arm.covariance)), 1e-12)
     return before, after, nees, float(inside.mean()) if len(off) else 1.0
 
 
 def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | None
-          ) -> tuple[cells.Cell, Problem, Array]:
+          ) -> tuple[cells.Cell, Source]:
     """
-    Return a cell, what stops at its target show, by the poses of the arm as stated, and its q.
+    Return a cell, and what stops at its target show, by the poses of the arm as stated.
 
     share: of how many targets this is one; other: a cell of which sensor and arm are taken.
     """
@@ -216,8 +225,9 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     samples = [Sample(k, pose, found, 30)
                for k, (pose, found) in enumerate(zip(T, features, strict=True))]
     method, q = method_for(config), arm.inverse(T)
-    return cell, Problem(method, chain_of(arm.urdf()).forward(q),
-                         method.observe(samples), config), q
+    poses = in_mount(arm_of(arm.urdf()).forward(q), config)
+    problem = Problem(method, poses, method.observe(samples), config)
+    return cell, Source(Session(config), samples, problem, q)
 
 
 def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
@@ -226,17 +236,16 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
 
     name: of several with + between; before, after: RMS of the residuals of the other stops.
     """
-    rng, names, cell, problems, joints = np.random.default_rng(seed), name.split('+'), None, [], []
+    rng, names, cell, sources = np.random.default_rng(seed), name.split('+'), None, []
     for each in names:
-        cell, problem, q = shown(each, rng, len(names), cell)
-        problems.append(problem)
-        joints.append(q)
-    data, state = profiles_of(problems, joints, Arm(chain_of(arm.urdf())))
-    fit, n = fit_of(data, state), [len(q) for q in joints]
-    parts = np.repeat(n, [len(problem.poses) for problem in data.problems])
-    used = data.number < 0.75 * parts
-    outcome = solve(adjusted(replace(fit, used=used)), LIMIT, str)
-    before, after = (float(np.sqrt((data.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
+        cell, source = shown(each, rng, len(names), cell)
+        sources.append(source)
+    start = start_of_sources(sources, arm_of(arm.urdf()))
+    stops = start.fit.stops
+    used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
+    outcome = solve(replace(start, fit=adjusted(replace(start.fit, used=used)),
+                            total=int(used.sum())))
+    before, after = (float(np.sqrt((stops.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     # the flange that counts is the one that the last axis carries: what lies behind it is the
     # sensor's, and so is what lies along the last axis before it
@@ -268,11 +277,11 @@ def main() -> None:
             cell = draw(case, given.stops + HELD_OUT, seed)
             first = np.arange(len(cell.data)) < given.stops
             began = time.perf_counter()
-            outcome = solve_points(cell.data.select(first), cell.arm.chain, LIMIT)
+            seen, held = selected(cell.data, first), selected(cell.exact, ~first)
+            outcome = solve(start_of(seen, cell.arm.freed(()), LIMIT))
             times.append(time.perf_counter() - began)
-            held = cell.exact.select(~first)
             rows.append((*judged(cell, case, outcome, held),
-                         bound(cell, cell.data.select(first), held, case)))
+                         bound(cell, seen, held)))
         before, after, nees, joints, best = np.array(rows).T
         print(f'{name:14} {np.median(before):7.3f} {np.median(after):7.3f} '
               f'{np.median(best):7.3f} {np.median(after / best):6.2f} {nees.mean():6.2f} '

@@ -5,12 +5,12 @@ A serial arm as stated by its URDF, with errors of joints and axes, by pinocchio
 
 T = prod_j P_j D_j Exp(a_j (q_j + o_j)) P_f (product of exponentials, each axis in the frame of the
 previous joint): P_j is the stated placement of joint j, D_j a small shift and rotation orthogonal
-to its axis a_j, o_j its zero offset. These are four parameters of an axis and one of its zero,
+to its axis a_j, o_j its zero offset. These are four errors of an axis and one of its zero,
 without redundancy even for parallel axes. kinematics.yaml holds such an arm.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,15 +30,15 @@ from handeye_ros.results.calibration_file import (
     unusable,
 )
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
-KINDS = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC}  # of URDF types
-OFFSET, DIRECTION, POSITION = 'offset', 'direction', 'position'
-GEOMETRY = (OFFSET, DIRECTION, POSITION)
-# prior 1 sigma of a revolute joint and of a prismatic one (rad or m)
-PRIORS = {OFFSET: (1e-3, 5e-4), DIRECTION: (5e-4, 5e-4), POSITION: (5e-4, 0.0)}
-COUNTS = {OFFSET: 1, DIRECTION: 2, POSITION: 2}
+URDF_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC}
+OFFSET, DIRECTION, POSITION = GEOMETRY = ('offset', 'direction', 'position')
+KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
+# prior 1 sigma of them (rad or m), 0: it has no such error
+PRIORS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
 LENGTH = 0.3  # m that count as much as a radian, between poses
 ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
 FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/', 'kinematics.yaml'
@@ -74,23 +74,62 @@ class Joint:
         first /= np.linalg.norm(first)
         return np.column_stack([first, np.cross(self.axis, first)])
 
+    @property
+    def twist(self) -> Array:
+        """Return its motion (6,) per unit of its value: shift and turn, in its frame."""
+        along, none = self.axis, np.zeros(3)
+        return np.append(none, along) if self.kind == REVOLUTE else np.append(along, none)
+
 
 @dataclass(frozen=True, eq=False)
-class Chain:
-    """The joints between two frames; end: (4, 4) the flange in the frame of the last joint."""
+class Arm:
+    """
+    The joints between two frames, with the errors that are estimated.
+
+    end: (4, 4) the flange in the frame of the last joint. kinds: the kinds of errors that are
+    estimated, of GEOMETRY; values: (k,) of them, joint by joint, each in the order of KINDS;
+    covariance: (k, k) of the values; configurations: (n, joints) at which they were found; None
+    where they are not stated.
+    """
 
     base: str
     flange: str
     joints: tuple[Joint, ...]
     end: Array
+    kinds: tuple[str, ...] = ()
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    covariance: Array | None = None
+    configurations: Array | None = None
+
+    def freed(self, kinds: Sequence[str]) -> Arm:
+        """Return the arm with some kinds of errors, all 0."""
+        freed = replace(self, kinds=tuple(kinds), values=np.zeros(0))
+        return replace(freed, values=np.zeros(freed.free.sum()))
+
+    @cached_property
+    def priors(self) -> Array:
+        """Return the prior sigmas (joints, 5) of all errors."""
+        return np.array([PRIORS[joint.kind] for joint in self.joints])
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Return which errors (joints, 5) are estimated: values and priors[free] are of them."""
+        return (self.priors > 0) & np.isin(KINDS, self.kinds)
+
+    @cached_property
+    def errors(self) -> Array:
+        """Return all errors (joints, 5), 0 where they are not estimated."""
+        errors = np.zeros(self.free.shape)
+        errors[self.free] = self.values
+        return errors
 
     @property
     def measured(self) -> tuple[str, ...]:
         """Return the names of the joints whose values are needed."""
         return tuple(dict.fromkeys(joint.follows for joint in self.joints))
 
-    def values(self, readings: Mapping[str, Any], source: object) -> Array:
-        """Return the positions (..., joints) of all joints; raises InputError where one lacks."""
+    def positions(self, readings: Mapping[str, Any], source: object) -> Array:
+        """Return the values (..., joints) of all joints; raises InputError where one lacks."""
         for name in self.measured:
             if name not in readings:
                 raise InputError(
@@ -99,87 +138,24 @@ class Chain:
                     f'{", ".join(readings) or "none"}; name them as the URDF does')
         return np.stack([j.factor * readings[j.follows] + j.shift for j in self.joints], axis=-1)
 
-    def measured_values(self, q: Array) -> dict[str, Array]:
-        """Return the values (n,) by the names of measured, from the positions of all joints."""
-        return {j.follows: (value - j.shift) / j.factor
-                for j, value in zip(self.joints, q.T, strict=True)}
-
-    def forward(self, q: Array) -> Array:
-        """Return T_base_flange (n, 4, 4) at joint values (n, joints), without errors."""
-        return Arm(self).forward(q)
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One error parameter: joint (index), kind, number within the kind, and prior sigma."""
-
-    joint: int
-    kind: str
-    index: int
-    prior: float
-
-
-def parameters(chain: Chain, kinds: Sequence[str]) -> tuple[Parameter, ...]:
-    """Return the parameters of some kinds for all joints, kind after kind."""
-    return tuple(
-        Parameter(j, kind, k, PRIORS[kind][joint.kind != REVOLUTE])
-        for kind in kinds for j, joint in enumerate(chain.joints)
-        if PRIORS[kind][joint.kind != REVOLUTE]
-        for k in range(COUNTS[kind]))
-
-
-@dataclass(frozen=True, eq=False)
-class Arm:
-    """
-    A chain with the values (k,) of its error parameters.
-
-    covariance: (k, k) of the values; configurations: (n, joints) of which they were found; None
-    where they are not stated.
-    """
-
-    chain: Chain
-    parameters: tuple[Parameter, ...] = ()
-    values: Array = field(default_factory=lambda: np.zeros(0))
-    covariance: Array | None = None
-    configurations: Array | None = None
-
     @cached_property
-    def stds(self) -> Array:
-        """Return the prior sigmas (k,)."""
-        return np.array([p.prior for p in self.parameters])
-
-    def of(self, joint: int, kind: str) -> Array:
-        """Return the values (COUNTS,) of a kind for a joint, 0 if they are not estimated."""
-        values = np.zeros(COUNTS[kind])
-        for parameter, value in zip(self.parameters, self.values, strict=True):
-            if (parameter.joint, parameter.kind) == (joint, kind):
-                values[parameter.index] = value
-        return values
-
-    @cached_property
-    def offsets(self) -> Array:
-        """Return the zero offsets (joints,)."""
-        return np.array([self.of(j, OFFSET)[0] for j in range(len(self.chain.joints))])
-
-    @cached_property
-    def displacements(self) -> list[Array]:
-        """Return each D_j (4, 4), the shift and turn of an axis."""
-        return [se3.perturb(np.eye(4), np.concatenate([
-            joint.across @ self.of(j, POSITION), joint.across @ self.of(j, DIRECTION)]))
-            for j, joint in enumerate(self.chain.joints)]
+    def displacements(self) -> Array:
+        """Return each D_j (joints, 4, 4), the shift and turn of an axis."""
+        return se3.perturb(np.eye(4), np.array([
+            np.append(joint.across @ own[3:], joint.across @ own[1:3])
+            for joint, own in zip(self.joints, self.errors, strict=True)]))
 
     @cached_property
     def model(self) -> Any:
         """Return the pinocchio.Model with the errors of the axes; its last frame is the flange."""
         pinocchio = _pinocchio()
         model, parent = pinocchio.Model(), 0
-        for joint, D in zip(self.chain.joints, self.displacements, strict=True):
+        for joint, D in zip(self.joints, self.displacements, strict=True):
             kind = (pinocchio.JointModelRevoluteUnaligned if joint.kind == REVOLUTE
                     else pinocchio.JointModelPrismaticUnaligned)
             parent = model.addJoint(parent, kind(joint.axis), pinocchio.SE3(joint.origin @ D),
                                     joint.name)
-        model.addFrame(pinocchio.Frame(self.chain.flange, parent, 0,
-                                       pinocchio.SE3(self.chain.end),
+        model.addFrame(pinocchio.Frame(self.flange, parent, 0, pinocchio.SE3(self.end),
                                        pinocchio.FrameType.OP_FRAME))
         return model
 
@@ -187,54 +163,29 @@ class Arm:
         """Return T_base_flange (n, 4, 4) of reported joint values (n, joints)."""
         pinocchio, model = _pinocchio(), self.model
         data, T = model.createData(), np.empty((len(q), 4, 4))
-        for k, row in enumerate(q + self.offsets):
+        for k, row in enumerate(q + self.errors[:, 0]):
             pinocchio.framesForwardKinematics(model, data, row)
             T[k] = data.oMf[model.nframes - 1].homogeneous
         return T
 
-    def jacobians(self, q: Array) -> Array:
-        """Return the twists (n, 6, joints) of the flange by the joints; see with_twists."""
-        pinocchio, model = _pinocchio(), self.model
-        data = model.createData()
-        return np.array([
-            pinocchio.computeFrameJacobian(model, data, row, model.nframes - 1,
-                                           pinocchio.LOCAL_WORLD_ALIGNED)
-            for row in q + self.offsets]).reshape(len(q), 6, -1)
-
-    def with_twists(self, q: Array) -> tuple[Array, Array]:
+    def twists(self, q: Array) -> Array:
         """
-        Return T_base_flange (n, 4, 4), and the twists (n, 6, k) of the flange by the parameters.
+        Return the twists (n, 6, joints, 5) of the flange per unit of every error, in the base.
 
-        Per unit of each parameter: translation of the flange's origin and rotation, in the base.
-        Each is a twist at the placement of its joint, carried to the flange by the adjoint.
+        They are the translation of the flange's origin, and the rotation.
         """
-        if not self.parameters:
-            return self.forward(q), np.zeros((len(q), 6, 0))
         pinocchio, model = _pinocchio(), self.model
-        data = model.createData()
-        T, ends = np.empty((len(q), 4, 4)), np.empty((len(q), len(self.chain.joints), 4, 4))
-        for k, row in enumerate(q + self.offsets):
-            pinocchio.framesForwardKinematics(model, data, row)
-            T[k] = data.oMf[model.nframes - 1].homogeneous
-            ends[k] = [data.oMi[j].homogeneous for j in range(len(self.chain.joints))]
-        placements = ends @ np.array([joint.origin for joint in self.chain.joints])
-        at = placements[:, [p.joint for p in self.parameters]]
-        shift, turn = (np.einsum('nkij,kj->nki', at[:, :, :3, :3], each)
-                       for each in self._twists_at_placements())
-        shift = shift + se3.cross(turn, T[:, None, :3, 3] - at[:, :, :3, 3])
-        return T, np.swapaxes(np.concatenate([shift, turn], axis=2), 1, 2)
-
-    def _twists_at_placements(self) -> Array:
-        """Return the shift and the turn (2, k, 3) per unit of each parameter, in its P_j."""
-        twists = np.zeros((2, len(self.parameters), 3))
-        for k, p in enumerate(self.parameters):
-            joint = self.chain.joints[p.joint]
-            if p.kind == OFFSET:
-                twists[int(joint.kind == REVOLUTE), k] = (
-                    self.displacements[p.joint][:3, :3] @ joint.axis)
-            else:
-                twists[int(p.kind == DIRECTION), k] = joint.across[:, p.index]
-        return twists
+        data, by_placements = model.createData(), np.empty((len(q), 6, 6 * len(self.joints)))
+        for k, row in enumerate(q + self.errors[:, 0]):
+            pinocchio.forwardKinematics(model, data, row)
+            by_placements[k] = pinocchio.computeFrameKinematicRegressor(
+                model, data, model.nframes - 1, pinocchio.LOCAL_WORLD_ALIGNED)
+        by_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
+        for own, joint, D in zip(by_errors, self.joints, self.displacements, strict=True):
+            own[:, 0] = joint.twist
+            own[3:, 1:3] = own[:3, 3:] = D[:3, :3].T @ joint.across
+        by_joints = by_placements.reshape(len(q), 6, -1, 6)
+        return np.asarray(np.einsum('ntjs,jse->ntje', by_joints, by_errors))
 
     def joints_near(self, T_base_flange: Array) -> Array:
         """
@@ -243,24 +194,24 @@ class Arm:
         Poses beyond reach get those that come near.
         """
         assert self.configurations is not None
-        known = self.forward(self.configurations)
-        apart = [np.linalg.norm(known[:, :3, 3] - T[:3, 3], axis=1)
-                 + LENGTH * se3.angle(known[:, :3, :3] @ T[:3, :3].T) for T in T_base_flange]
-        q = self.configurations[np.argmin(apart, axis=1)]
+        known, lengths = self.forward(self.configurations), np.repeat([1.0, LENGTH], 3)
+        q = self.configurations[[
+            np.argmin(np.linalg.norm(se3.difference(known, T) * lengths, axis=1))
+            for T in T_base_flange]]
         for _ in range(ROUNDS):
-            missing = np.array([se3.difference(T, at) for T, at in zip(
-                T_base_flange, self.forward(q), strict=True)])
-            step = np.einsum('njx,nx->nj', np.linalg.pinv(self.jacobians(q), rcond=1e-3), missing)
+            missing = se3.difference(T_base_flange, self.forward(q))
+            J = self.twists(q)[..., 0]  # a joint moves the flange as its offset does
+            step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
             q = q + step / np.maximum(np.abs(step).max(axis=1) / LARGEST_STEP, 1)[:, None]
         return np.asarray(q)
 
 
 def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
     """
-    Return a solution whose reported covariance includes that of the parameters of the arm.
+    Return a solution whose reported covariance includes that of the errors of the arm.
 
     kinematics: the file of the arm that gave the poses. The covariance of X given the arm, plus
-    G C G^T with G the change of X by the parameters, is that of X and the arm together, whether
+    G C G^T with G the change of X by the errors, is that of X and the arm together, whether
     or not the arm was found from the same samples. Raises InputError for a file without C.
     """
     arm = read_arm(kinematics)
@@ -268,7 +219,7 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
         raise InputError(f'{kinematics} does not state how certain the arm is, so that the '
                          'certainty of the transform is unknown: write it again, with "handeye '
                          'kinematics"')
-    _, twists = arm.with_twists(arm.joints_near(solution.problem.robot_poses))
+    twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
     by_arm = whitening(solution.linear, solution.noise)(solution.linear.by_twists(twists))
     G = solution.covariance[:6] @ solution.columns.T @ by_arm
     before = np.zeros((6, 6)) if solution.contamination is None else solution.contamination
@@ -281,41 +232,40 @@ def read_arm(path: Path) -> Arm:
     content = content_of(path)
     try:
         require_format(path, str(content.get('format')), FORMAT)
-        joints, own, values = [], [], []
-        for i, stored in enumerate(content['joints']):
-            joints.append(Joint(
-                str(stored['name']), str(stored['type']),
-                transform_from(path, 'origin', stored['origin']),
-                np.array(stored['axis'], dtype=float), str(stored['follows']),
-                *(float(stored[key]) for key in ('factor', 'shift', 'lower', 'upper'))))
-            for kind in (kind for kind in COUNTS if kind in stored):
-                for index, value in enumerate(stored[kind]['value']):
-                    own.append(Parameter(i, kind, index, PRIORS[kind][0]))
-                    values.append(float(value))
+        stored = content['joints']
+        joints = tuple(Joint(
+            str(of['name']), str(of['type']), transform_from(path, 'origin', of['origin']),
+            np.array(of['axis'], dtype=float), str(of['follows']),
+            *(float(of[key]) for key in ('factor', 'shift', 'lower', 'upper'))) for of in stored)
+        kinds = tuple(kind for kind in GEOMETRY if any(kind in of for of in stored))
+        values = [float(value) for of in stored for kind in kinds if kind in of
+                  for value in of[kind]['value']]
         arrays = {key: np.array(content[key], dtype=float).reshape(-1, length)
                   for key, length in (('covariance', len(values)),
                                       ('configurations', len(joints))) if key in content}
-        chain = Chain(str(content['base']), str(content['flange']), tuple(joints),
-                      transform_from(path, 'end', content['end']))
+        arm = Arm(str(content['base']), str(content['flange']), joints,
+                  transform_from(path, 'end', content['end']), kinds, np.array(values), **arrays)
+        if arm.free.sum() != len(values):
+            raise ValueError('errors of some joints are missing')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable(path, f'it is no kinematics.yaml ({error})') from error
-    return Arm(chain, tuple(own), np.array(values), **arrays)
+    return arm
 
 
-def read_chain(path: Path, base: str = '', flange: str = '') -> tuple[str, Chain]:
-    """Return the text of a URDF, and its chain; see chain_of."""
+def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:
+    """Return the text of a URDF, and its arm; see arm_of."""
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, 'strerror', None) or str(error)
         raise InputError(f'{path}: cannot be read: {reason}') from error
-    return text, chain_of(text, base, flange, path)
+    return text, arm_of(text, base, flange, path)
 
 
-def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robot_description'
-             ) -> Chain:
+def arm_of(text: str, base: str = '', flange: str = '', source: object = 'robot_description'
+           ) -> Arm:
     """
-    Return the chain of a URDF's text; raises InputError.
+    Return the arm of a URDF's text; raises InputError.
 
     base, flange: names of links; empty: the root, and the usual name or the only last link.
     """
@@ -331,14 +281,11 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
     except (ElementTree.ParseError, KeyError, AttributeError, ValueError, RuntimeError) as error:
         raise InputError(f'{source}: is no valid URDF: {error}') from error
     first, last = (model.frames[model.getFrameId(name, pinocchio.BODY)] for name in (base, flange))
-    above = last.parentJoint
-    moving: list[int] = []
-    while above not in (0, first.parentJoint):
-        moving.insert(0, above)
-        above = model.parents[above]
-    if above != first.parentJoint:
+    moving = list(model.supports[last.parentJoint])
+    if first.parentJoint not in moving:
         raise InputError(f'{source}: the base {base} does not carry the flange {flange}: joints '
                          'that move it do not belong to the arm; name another base')
+    moving = moving[moving.index(first.parentJoint) + 1:]
     if not 0 < len(moving) <= MOST_JOINTS:
         raise InputError(f'{source}: {len(moving)} joints move between the base {base} and the '
                          f'flange {flange}; 1 to {MOST_JOINTS} can be identified: name other '
@@ -346,13 +293,13 @@ def chain_of(text: str, base: str = '', flange: str = '', source: object = 'robo
     joints, to_parent = [], se3.inverse(first.placement.homogeneous)
     for i in moving:
         element = elements[model.names[i]]
-        if element.get('type') not in KINDS:
+        if element.get('type') not in URDF_TYPES:
             raise InputError(f'{source}: the joint {model.names[i]} is {element.get("type")}; '
                              'only revolute, continuous, prismatic and fixed joints can be '
                              'corrected')
         joints.append(_joint(element, to_parent @ model.jointPlacements[i].homogeneous))
         to_parent = np.eye(4)
-    return Chain(base, flange, tuple(joints), to_parent @ last.placement.homogeneous)
+    return Arm(base, flange, tuple(joints), to_parent @ last.placement.homogeneous)
 
 
 def _pinocchio() -> Any:
@@ -365,7 +312,7 @@ def _pinocchio() -> Any:
 
 
 def _ends(root: ElementTree.Element, base: str, flange: str) -> tuple[str, str]:
-    """Return the names of the links that the chain begins and ends with; raises ValueError."""
+    """Return the names of the links that the arm begins and ends with; raises ValueError."""
     links = [link.get('name', '') for link in root.iterfind('link')]
     parents, children = ([end.get('link', '') for end in root.iterfind(f'joint/{name}')]
                          for name in ('parent', 'child'))
@@ -387,20 +334,16 @@ def _ends(root: ElementTree.Element, base: str, flange: str) -> tuple[str, str]:
 
 def _joint(element: ElementTree.Element, origin: Array) -> Joint:
     """Return the joint of a URDF element, at its origin (4, 4) in the joint before."""
-    def numbers(name: str, keys: Iterable[tuple[str, float]]) -> list[float]:
-        found = element.find(name)
-        return [default if found is None else float(found.get(key, default))
-                for key, default in keys]
-    found_axis, mimic = element.find('axis'), element.find('mimic')
-    axis = np.array([1.0, 0, 0] if found_axis is None else
-                    [float(v) for v in found_axis.get('xyz', '1 0 0').split()])
-    lower, upper = numbers('limit', (('lower', 0.0), ('upper', 0.0)))
-    if element.get('type') == 'continuous' or not lower < upper:
+    name, kind = element.attrib['name'], element.attrib['type']
+    axis, limit, mimic = (dict(found.attrib) if (found := element.find(part)) is not None else {}
+                          for part in ('axis', 'limit', 'mimic'))
+    along = np.array(axis.get('xyz', '1 0 0').split(), dtype=float)
+    lower, upper = (float(limit.get(end, 0.0)) for end in ('lower', 'upper'))
+    if kind == 'continuous' or not lower < upper:
         lower, upper = -np.inf, np.inf  # not stated
-    name = element.attrib['name']
-    factor, shift = numbers('mimic', (('multiplier', 1.0), ('offset', 0.0)))
-    return Joint(name, KINDS[element.attrib['type']], origin, axis / np.linalg.norm(axis),
-                 name if mimic is None else mimic.get('joint', ''), factor, shift, lower, upper)
+    return Joint(name, URDF_TYPES[kind], origin, along / np.linalg.norm(along),
+                 mimic.get('joint', name), float(mimic.get('multiplier', 1.0)),
+                 float(mimic.get('offset', 0.0)), lower, upper)
 
 
 def corrected_urdf(urdf: str, arm: Arm) -> str:
@@ -412,18 +355,15 @@ def corrected_urdf(urdf: str, arm: Arm) -> str:
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.fromstring(urdf, parser)
     elements = {e.get('name'): e for e in root.findall('joint')}
-    for joint, D, offset in zip(arm.chain.joints, arm.displacements, arm.offsets, strict=True):
+    for joint, D, offset in zip(arm.joints, arm.displacements, arm.errors[:, 0], strict=True):
         element = elements[joint.name]
         origin = element.find('origin')
         if origin is None:
             origin = ElementTree.SubElement(element, 'origin')
-        xyz, rpy = (np.array([float(v) for v in origin.get(key, '0 0 0').split()])
+        xyz, rpy = (np.array(origin.get(key, '0 0 0').split(), dtype=float)
                     for key in ('xyz', 'rpy'))
         stated = se3.transform(Rotation.from_euler('xyz', rpy).as_matrix(), xyz)
-        along = offset * joint.axis
-        zero = (se3.transform(se3.exp_rotation(along), np.zeros(3)) if joint.kind == REVOLUTE
-                else se3.transform(np.eye(3), along))
-        T = stated @ D @ zero
+        T = stated @ D @ se3.perturb(np.eye(4), offset * joint.twist)
         origin.set('xyz', ' '.join(f'{v:.12g}' for v in T[:3, 3]))
         origin.set('rpy', ' '.join(f'{v:.12g}' for v in se3.rpy(T)))
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding='unicode') + '\n'

@@ -110,9 +110,9 @@ def perturb(T: Array, delta: Array) -> Array:
 
 
 def difference(T: Array, T_reference: Array) -> Array:
-    """Return the delta (6,) with perturb(T_reference, delta) equal to T."""
-    rotation = log_rotation(T[:3, :3] @ T_reference[:3, :3].T)
-    return np.concatenate([T[:3, 3] - T_reference[:3, 3], rotation])
+    """Return the deltas (..., 6) with perturb(T_reference, delta) equal to T (..., 4, 4)."""
+    turn = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)
+    return np.concatenate([T[..., :3, 3] - T_reference[..., :3, 3], log_rotation(turn)], axis=-1)
 
 
 def angle(R: Array) -> Array:

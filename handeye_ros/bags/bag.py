@@ -307,7 +307,7 @@ class _PoseSource:
         order, stamps = topic.ordered(reader.warnings)
         if self._arm:
             joints, T = _forward(self._arm, np.array(self._joints)[order])
-            base = self._arm.chain.base
+            base = self._arm.base
             return [TimedPose(*one, base) for one in zip(
                 stamps, T[:, :3, 3], se3.quaternion(T), strict=True)], joints
         frames = dict.fromkeys(pose.parent_frame for pose in self._poses)
@@ -349,12 +349,12 @@ def joints_and_pose(arm: Arm, data: bytes) -> tuple[Array, TimedPose]:
     """Return the joint values (joints,) of a JointState, and the flange pose of an arm."""
     stamp, values = _joint_values(arm, data)
     joints, T = _forward(arm, np.array([values]))
-    return joints[0], TimedPose(stamp, T[0, :3, 3], se3.quaternion(T[0]), arm.chain.base)
+    return joints[0], TimedPose(stamp, T[0, :3, 3], se3.quaternion(T[0]), arm.base)
 
 
 def _forward(arm: Arm, values: Array) -> tuple[Array, Array]:
     """Return all joints (n, joints) and T_base_flange (n, 4, 4) by the measured joints (n, m)."""
-    joints = arm.chain.values(dict(zip(arm.chain.measured, values.T, strict=True)), JOINTS)
+    joints = arm.positions(dict(zip(arm.measured, values.T, strict=True)), JOINTS)
     return joints, arm.forward(joints)
 
 
@@ -362,10 +362,10 @@ def _joint_values(arm: Arm, data: bytes) -> tuple[int, list[float]]:
     """Return the stamp and the values of the measured joints; raises UnusableMessageError."""
     stamp, positions = joints_from_cdr(data)
     try:
-        arm.chain.values(positions, 'the message')
+        arm.positions(positions, 'the message')
     except InputError as cause:
         raise UnusableMessageError(f'JointState message not used: {cause}') from cause
-    values = [positions[name] for name in arm.chain.measured]
+    values = [positions[name] for name in arm.measured]
     if not all(map(math.isfinite, values)):
         raise UnusableMessageError('JointState message not used: it holds positions that are not '
                                    'finite')

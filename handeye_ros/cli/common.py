@@ -82,9 +82,9 @@ def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
     if file is None:
         return assignments
     from handeye_ros.arm import read_arm
-    chain = read_arm(file).chain
-    return [f'kinematics={file.absolute()}', f'robot_base_frame={chain.base}',
-            f'robot_effector_frame={chain.flange}', *assignments]
+    arm = read_arm(file)
+    return [f'kinematics={file.absolute()}', f'robot_base_frame={arm.base}',
+            f'robot_effector_frame={arm.flange}', *assignments]
 
 
 def stored_session(path: Path) -> 'Stored | None':

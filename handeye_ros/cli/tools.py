@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -26,7 +27,7 @@ from handeye_ros.errors import NoRosError, UnknownNameError, UnwritableError
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.arm import Chain
+    from handeye_ros.arm import Arm
     from handeye_ros.batch import Row
     from handeye_ros.robot.sources import Source
 
@@ -121,39 +122,42 @@ def kinematics(
                                  'points')
     files = configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
     settings = configuration(files[0], assignments)
-    from handeye_ros.arm import read_chain
+    from handeye_ros.arm import read_urdf
     from handeye_ros.results.calibration_file import input_values
-    from handeye_ros.robot.answer import solve_table, table
+    from handeye_ros.robot.answer import table
+    from handeye_ros.robot.points import solve_table
     from handeye_ros.robot.sources import solve_sources
-    text, chain = read_chain(urdf, base, flange)
+    text, arm = read_urdf(urdf, base, flange)
     if tables:
         with doing('solving'):
-            answer = solve_table(tables[0], chain, settings, [*map(input_values, (*tables, urdf))])
+            answer = solve_table(tables[0], arm, settings, [*map(input_values, (*tables, urdf))])
     else:
-        read = [_source(path, chain, file, assignments)
+        read = [_source(path, arm, file, assignments)
                 for path, file in zip(sources, files, strict=True)]
         with doing('solving'):
-            answer = solve_sources(read, chain, [input_values(urdf)])
+            answer = solve_sources(read, arm, [input_values(urdf)])
     for warning in answer.warnings:
         warn(warning)
     show(table(answer))
     typer.echo(answer.save(text, out, settings.save.formats))
 
 
-def _source(path: Path, chain: 'Chain', config: Path | None, assignments: list[str]) -> 'Source':
+def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros.arm import Arm
-    from handeye_ros.bags.bag import read
-    from handeye_ros.robot.sources import of_recording, of_session, reported_poses
+    from handeye_ros import pipeline
+    from handeye_ros.bags.bag import read, read_poses
+    from handeye_ros.robot.sources import source_of
     stored = stored_session(path)
-    settings = configuration(config, assignments, stored.config if stored else None)
+    settings = replace(configuration(config, assignments, stored.config if stored else None),
+                       kinematics='')
     if stored:
-        return of_session(stored, chain, settings)
+        joints = read_poses(path, settings, arm)
+        return source_of(stored.session(settings), joints, arm, settings, [{'path': str(path)}])
     with advancing('reading the recording') as progress:
-        recording = read(path, settings, progress, Arm(chain))
-    reported = reported_poses(path, settings)
+        recording = read(path, settings, progress, arm)
     with doing('finding the stops'):
-        return of_recording(recording, reported, chain, settings)
+        session = pipeline.gather(recording.profiles, recording.poses, settings)
+    return source_of(session, recording, arm, settings, recording.inputs)
 
 
 @app.command()

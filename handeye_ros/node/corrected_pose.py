@@ -17,7 +17,7 @@ from pathlib import Path
 import sys
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from handeye_ros.arm import Arm, read_arm, read_chain
+from handeye_ros.arm import Arm, read_arm, read_urdf
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, spin
@@ -42,7 +42,7 @@ class CorrectedPose(Node):
         self.create_subscription(JointState, options.joint_topic, self._on_joints, STREAM,
                                  raw=True)
         self.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
-                               f'{arm.chain.flange} in {arm.chain.base}')
+                               f'{arm.flange} in {arm.base}')
 
     def _on_joints(self, data: bytes) -> None:
         try:
@@ -64,8 +64,8 @@ class CorrectedPose(Node):
 
 def run(options: argparse.Namespace) -> None:
     """Run the node until Ctrl-C; raises InputError."""
-    arm = read_arm(options.kinematics) if options.kinematics else Arm(
-        read_chain(options.urdf, options.base, options.flange)[1])
+    arm = read_arm(options.kinematics) if options.kinematics else (
+        read_urdf(options.urdf, options.base, options.flange)[1])
     spin(lambda: CorrectedPose(arm, options))
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Hand-eye transform and joints from the same points: one least squares with priors.
+Hand-eye transform and errors of an arm from the same stops: one least squares with priors.
 
 Estimate and reported covariance follow docs/estimator.md: the data determine the scale of each
 kind of error, its most likely value for the estimate and a conservative one for the covariance.
@@ -10,245 +10,185 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm
+from handeye_ros.arm import Arm, KINDS
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.least_squares import leave_one_out, outliers, Rows, System
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.estimation.noise import prior_scales
+from handeye_ros.robot.stops import State, Stops
 import numpy as np
 from numpy.typing import NDArray
 
-MINIMUM = 12  # configurations
+MINIMUM = 12  # stops
 SMOOTH = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
 ROUNDS, CONVERGED = 6, 0.02  # iterations of prior scales and noise; relative change that ends them
 POOLED = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
-SMOOTH_ROUNDS = 2  # iterations of the size of the smooth error and the noise
 LARGEST = 1e3  # largest prior scale
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """
-    An estimate: sensor in its mount X (4, 4), positions of the targets, the arm.
-
-    targets: (t, 3) of points, or the parameters of the targets of profiles. smooth: (r, 3)
-    remaining error of the robot, coefficients of smooth functions.
-    """
-
-    X: Array
-    targets: Array
-    arm: Arm
-    smooth: Array
-
-    def with_arm_step(self, step: Array) -> State:
-        """Return the state after a step of the arm and of its smooth remaining error."""
-        parameters, smooth = np.split(step, [len(self.arm.values)])
-        return replace(self, arm=replace(self.arm, values=self.arm.values + parameters),
-                       smooth=self.smooth + smooth.reshape(self.smooth.shape))
-
-
-class Data(Protocol):
-    """Measurements at n configurations: m residuals of an estimate with u unknowns."""
-
-    @property
-    def q(self) -> Array: ...
-    @property
-    def unknowns(self) -> int: ...
-    @property
-    def block(self) -> NDArray[np.intp]: ...
-    @property
-    def component(self) -> NDArray[np.intp]: ...
-    def __len__(self) -> int: ...
-    def retracted(self, state: State, step: Array) -> State: ...
-    def distances(self, state: State) -> Array: ...
-    def linearised(self, state: State, root: Array) -> tuple[Array, Array]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """Sigma (c,) of each component of the residuals; variances (g,) of each kind."""
-
-    noise: Array
-    variances: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
-    An estimate with its weights and used configurations (n,); root: the smooth functions.
+    The least-squares estimate of the used stops (n,) with its weights.
 
-    residuals: (m,) whitened, of all configurations, without the smooth error; jacobian: (m, u).
+    noise: (axes,) sigma of each axis of the residuals; variances: (g,) of each kind of error of
+    the robot, relative to its prior. residuals: (m,) of all stops in sigmas, jacobian: (m, u).
     """
 
-    data: Data
+    stops: Stops
     state: State
-    weights: Weights
+    noise: Array
+    variances: Array
     used: NDArray[np.bool_]
-    root: Array
     residuals: Array
     jacobian: Array
 
     @property
-    def kinds(self) -> tuple[str, ...]:
-        """Return the kinds of unknowns with a prior, in their order."""
-        kinds = dict.fromkeys(p.kind for p in self.state.arm.parameters)
-        return (*kinds, 'smooth') if self.root.shape[1] else tuple(kinds)
-
-    @cached_property
-    def group(self) -> NDArray[np.intp]:
-        """Return the kind of each unknown with a prior, an index into kinds."""
-        kinds = self.kinds
-        groups = [kinds.index(p.kind) for p in self.state.arm.parameters]
-        return np.array(groups + [len(kinds) - 1] * (3 * self.root.shape[1]), dtype=np.intp)
-
-    @property
     def stds(self) -> Array:
-        """Return the prior sigmas, shape (q,), times the estimated scales."""
-        configured = np.append(self.state.arm.stds, np.full(3 * self.root.shape[1], SMOOTH))
-        return configured * np.sqrt(self.weights.variances[self.group])
-
-    @property
-    def values(self) -> Array:
-        """Return the values, shape (q,), of the unknowns with a prior."""
-        return np.append(self.state.arm.values, self.state.smooth.ravel())
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Return the covariance of all unknowns, (u, u)."""
-        prior = np.zeros((len(self.stds), self.jacobian.shape[1]))
-        prior[:, self.data.unknowns:] = np.diag(1 / self.stds)
-        return covariance_of(np.vstack([self.jacobian[self.rows], prior]))
+        """Return the prior sigmas (p,) of the errors of arm and robot, as estimated."""
+        kind = kinds_of(self.state)
+        return _configured(self.state) * np.sqrt(self.variances[kind])
 
     @property
     def rows(self) -> NDArray[np.bool_]:
-        """Return which residuals (m,) belong to used configurations."""
-        return self.used[self.data.block]
+        """Return which residuals (m,) belong to used stops."""
+        return self.used[self.stops.station]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Return the covariance (u, u) of all unknowns."""
+        return covariance_of(np.vstack([self.jacobian[self.rows],
+                                        _by_priors(self.stops, self.stds)]))
 
     @property
-    def noise_rms(self) -> float:
-        """Return the RMS residual of the used configurations (m)."""
-        return float(np.sqrt((self.data.distances(self.state)[self.used] ** 2).mean()))
+    def residual_rms(self) -> float:
+        """Return the RMS residual of the used stops (m)."""
+        return float(np.sqrt((self.stops.distances(self.state)[self.used] ** 2).mean()))
 
     @property
     def smooth_rms(self) -> float:
         """Return the RMS of the smooth remaining error of the robot, per axis (m)."""
-        return float(np.sqrt(((self.root @ self.state.smooth)[self.used] ** 2).mean()))
+        shift = self.stops.root @ self.state.smooth.reshape(-1, 3)
+        return float(np.sqrt((shift[self.used] ** 2).mean()))
 
 
-def fitted(data: Data, state: State, weights: Weights, used: NDArray[np.bool_], root: Array
+def kinds_of(state: State) -> NDArray[np.intp]:
+    """Return the number of the kind of each error with a prior (p,); the smooth one is last."""
+    of_arm = KINDS[np.nonzero(state.arm.free)[1]]
+    kinds = [*dict.fromkeys(of_arm), 'smooth']
+    names = [*of_arm, *['smooth'] * len(state.smooth)]
+    return np.array([kinds.index(name) for name in names], dtype=np.intp)
+
+
+def _configured(state: State) -> Array:
+    return np.append(state.arm.priors[state.arm.free], np.full(len(state.smooth), SMOOTH))
+
+
+def _values(state: State) -> Array:
+    return np.append(state.arm.values, state.smooth)
+
+
+def _by_priors(stops: Stops, stds: Array) -> Array:
+    """Return the derivatives (p, u) of the errors, in sigmas."""
+    return np.hstack([np.zeros((len(stds), stops.unknowns)), np.diag(1 / stds)])
+
+
+def fitted(stops: Stops, state: State, noise: Array, variances: Array, used: NDArray[np.bool_]
            ) -> Fit:
     """Return the least-squares estimate with priors near a state."""
-    unfitted = Fit(data, state, weights, used, root, np.zeros(0), np.zeros((0, 0)))
-    prior, n, u = 1 / unfitted.stds, len(data), data.unknowns
-    whiten = 1 / weights.noise[data.component]
+    stds = _configured(state) * np.sqrt(variances[kinds_of(state)])
+    sigma = noise[np.arange(len(stops.station)) % stops.axes]
 
-    def rows(state_now: State) -> Rows:
-        r, J = data.linearised(state_now, root)
-        values = np.append(state_now.arm.values, state_now.smooth.ravel())
-        by_prior = np.zeros((len(prior), J.shape[1]))
-        by_prior[:, u:] = np.diag(prior)
-        return Rows(np.append(r * whiten, values * prior),
-                    lambda: np.vstack([J * whiten[:, None], by_prior]))
-    block = np.append(data.block, np.full(len(prior), n))
-    system = System(rows, data.retracted, block)
-    state = system.least_squares(state, np.append(used.astype(float), 1.0), 20, 1e-4)
-    r, J = data.linearised(state, root)
-    return replace(unfitted, state=state, residuals=r * whiten, jacobian=J * whiten[:, None])
+    def rows(at: State) -> Rows:
+        r, J = stops.linearised(at)
+        return Rows(np.append(r / sigma, _values(at) / stds),
+                    lambda: np.vstack([J / sigma[:, None], _by_priors(stops, stds)]))
+    block = np.append(stops.station, np.full(len(stds), len(stops)))
+    state = System(rows, stops.moved, block).least_squares(
+        state, np.append(used.astype(float), 1.0), 20, 1e-4)
+    r, J = stops.linearised(state)
+    return Fit(stops, state, noise, variances, used, r / sigma, J / sigma[:, None])
 
 
-def estimated_weights(fit: Fit, conservative: bool = False) -> Weights:
-    """Return the weights estimated from a fit; conservative: with the scales for the report."""
-    variances = fit.weights.variances
-    if fit.kinds:
-        q, s = fit.data.unknowns, fit.stds
-        first = np.searchsorted(fit.group, np.arange(len(fit.kinds)))
-        of_map, of_report = prior_scales(
-            fit.covariance[q:, q:] / np.outer(s, s), fit.values / s, first, variances,
-            np.full(len(first), LARGEST))
-        variances = of_report if conservative else of_map
-    rows, component = fit.rows, fit.data.component
-    J, residuals = fit.jacobian[rows], (fit.residuals * fit.weights.noise[component])[rows]
-    free, squares = (np.bincount(component[rows], values, len(fit.weights.noise)) for values in (
+def estimated_weights(fit: Fit, conservative: bool = False) -> tuple[Array, Array]:
+    """Return noise and variances as a fit shows them; conservative: those for the report."""
+    variances, u = fit.variances, fit.stops.unknowns
+    if len(variances):
+        order = np.argsort(kinds_of(fit.state), kind='stable')
+        sigma, covariance = fit.stds[order], fit.covariance[u:, u:][np.ix_(order, order)]
+        first = np.searchsorted(kinds_of(fit.state)[order], np.arange(len(variances)))
+        variances = prior_scales(
+            covariance / np.outer(sigma, sigma), _values(fit.state)[order] / sigma, first,
+            variances, np.full(len(variances), LARGEST))[int(conservative)]
+    J, axis = fit.jacobian[fit.rows], (np.arange(len(fit.rows)) % fit.stops.axes)[fit.rows]
+    residuals = fit.residuals[fit.rows] * fit.noise[axis]
+    free, squares = (np.bincount(axis, values) for values in (
         1 - np.einsum('mi,mi->m', J @ fit.covariance, J), residuals ** 2))
     pooled = squares.sum() / max(free.sum(), 1.0)
     noise = np.sqrt((squares + POOLED * pooled) / (np.maximum(free, 0.0) + POOLED))
-    return Weights(np.maximum(noise, LEAST_NOISE), variances)
+    return np.maximum(noise, LEAST_NOISE), variances
 
 
 def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
     """Return a fit with estimated weights; see estimated_weights."""
     for _ in range(rounds):
+        before = np.append(fit.noise, fit.variances)
         weights = estimated_weights(fit, conservative)
-        change = max(np.abs(np.log(weights.noise / fit.weights.noise)).max(),
-                     np.abs(np.log(weights.variances / fit.weights.variances)).max(initial=0.0))
-        fit = fitted(fit.data, fit.state, weights, fit.used, fit.root)
-        if change < CONVERGED:
+        fit = fitted(fit.stops, fit.state, *weights, fit.used)
+        if np.abs(np.log(np.concatenate(weights) / before)).max() < CONVERGED:
             break
     return fit
 
 
 def without_outliers(fit: Fit) -> Fit:
-    """Return a fit without the configurations that the others do not predict."""
+    """Return a fit without the stops that the others do not predict."""
     while True:
         fit = adjusted(fit)
         rows, used = fit.rows, np.flatnonzero(fit.used)
-        r, block = fit.residuals[rows], np.searchsorted(used, fit.data.block[rows])
+        r, block = fit.residuals[rows], np.searchsorted(used, fit.stops.station[rows])
         left_out = leave_one_out(r, fit.jacobian[rows], fit.covariance, block)
         freedom = np.bincount(block)
-        squares = np.bincount(block, r * left_out) / freedom
-        worst = outliers(squares, freedom, len(fit.data), len(used) - MINIMUM)
+        worst = outliers(np.bincount(block, r * left_out) / freedom, freedom, len(fit.stops),
+                         len(used) - MINIMUM)
         if not len(worst):
             return fit
-        keep = fit.used.copy()
-        keep[used[worst]] = False
-        fit = replace(fit, used=keep)
+        fit = replace(fit, used=np.isin(np.arange(len(fit.used)), np.delete(used, worst)))
 
 
-def fit_of(data: Data, state: State) -> Fit:
+def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float = 1.0) -> Fit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
-    noise = np.ones(int(data.component.max()) + 1)
-    used, no_smooth = np.ones(len(data), dtype=bool), np.zeros((len(data), 0))
-    return adjusted(fitted(data, state, Weights(noise, np.zeros(0)), used, no_smooth))
+    return adjusted(fitted(stops, state, np.full(stops.axes, noise), np.zeros(0), used))
 
 
 def with_arm(fit: Fit, arm: Arm) -> Fit:
-    """Return the fit with the parameters of an arm, at their configured sigmas."""
+    """Return the fit with the errors of an arm, at their configured sigmas."""
     state = replace(fit.state, arm=arm)
-    variances = np.ones(len({p.kind for p in arm.parameters}))
-    return fitted(fit.data, state, Weights(fit.weights.noise, variances), fit.used, fit.root)
+    return fitted(fit.stops, state, fit.noise, np.ones(len(set(kinds_of(state)))), fit.used)
 
 
 def reported_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
     """
     Return a fit with conservative prior scales, and the covariance of a chosen estimate.
 
-    (u, u), of X, the targets and the parameters of the chosen estimate. It includes the change of
-    X and the parameters by the wider priors, and a smooth remaining error of the robot, which
-    neighbouring configurations have in common.
+    (u, u), of X, the targets and the errors of the arm. It includes how far the wider priors move
+    X and these errors, and a smooth remaining error of the robot, which neighbouring stops have
+    in common.
     """
-    wide = _with_smooth(adjusted(fit, conservative=True))
-    count, u = len(chosen.arm.values), fit.data.unknowns
-    difference = np.zeros(u + count)
+    wide = adjusted(fit, conservative=True)
+    of_arm, noise = wide.variances, wide.noise
+    stops = replace(wide.stops, root=process_root(wide.state.arm.forward(wide.stops.q)))
+    state = replace(wide.state, smooth=np.zeros(3 * stops.root.shape[1]))
+    for _ in range(2):  # iterations of the noise beside a smooth error
+        wide = fitted(stops, state, noise, np.append(of_arm, 1.0), fit.used)
+        noise, variances = estimated_weights(wide, conservative=True)
+    wide = replace(wide, variances=np.append(of_arm, variances[-1]))
+    free = chosen.arm.free[wide.state.arm.free]
+    kept = np.append(np.arange(stops.unknowns), stops.unknowns + np.flatnonzero(free))
+    difference = np.zeros(len(kept))
     difference[:6] = se3.difference(wide.state.X, chosen.X)
-    difference[u:] = wide.state.arm.values[:count] - chosen.arm.values
-    u += count
-    return wide, wide.covariance[:u, :u] + np.outer(difference, difference)
-
-
-def _with_smooth(fit: Fit) -> Fit:
-    """Return a fit with the smooth remaining error of the robot, of a conservative size."""
-    root = process_root(fit.state.arm.forward(fit.data.q))
-    state = replace(fit.state, smooth=np.zeros((root.shape[1], 3)))
-    for _ in range(SMOOTH_ROUNDS):
-        weights = Weights(fit.weights.noise, np.append(
-            fit.weights.variances[:len(fit.kinds) - bool(fit.root.shape[1])], 1.0))
-        fit = fitted(fit.data, state, weights, fit.used, root)
-        estimated = estimated_weights(fit, conservative=True)
-        fit = replace(fit, weights=Weights(estimated.noise, np.append(
-            weights.variances[:-1], estimated.variances[-1])))
-    return fit
+    difference[stops.unknowns:] = wide.state.arm.values[free] - chosen.arm.values
+    return wide, wide.covariance[np.ix_(kept, kept)] + np.outer(difference, difference)

@@ -1,31 +1,21 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-From configurations and measurements to the corrected arm: model selection from simple to rich.
+From stops to the corrected arm: model selection from simple to rich, and what is refused or told.
 
-Each model is cross-validated by regions of the joint space. A model with more parameters is chosen
-only if it predicts the left-out points better. What contradicts an arm is refused, and the error
+Each model is cross-validated by regions of the joint space. A model with more errors is chosen
+only if it predicts the left-out stops better. What contradicts an arm is refused, and the error
 in joint values or settings that explains it is named.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import math
 
-from handeye_ros.arm import (
-    Arm,
-    Chain,
-    DIRECTION,
-    GEOMETRY,
-    OFFSET,
-    parameters,
-    POSITION,
-    PRISMATIC,
-    REVOLUTE,
-)
+from handeye_ros.arm import Arm, DIRECTION, GEOMETRY, KINDS, OFFSET, POSITION, PRISMATIC, REVOLUTE
 from handeye_ros.data import Array
-from handeye_ros.errors import DataError, mm
+from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     adjusted,
@@ -39,12 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
-REGIONS = 8  # of the joint space, each left out once
-FEWEST_OF_REGION = 3
+REGIONS, FEWEST_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
 MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
 MOST_SHARE = 0.8  # largest ratio of parameters to conditions
-AGREEING = 0.5  # smallest share of the configurations that agree
+AGREEING = 0.5  # smallest share of the stops that agree
 HOPELESS = 20.0  # times the limit of the residual: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
 LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's pose (rad, m)
@@ -54,12 +43,11 @@ STEPS = 15  # configurations on the line from one to another
 BEYOND = {REVOLUTE: 0.35, PRISMATIC: 0.1}
 STILL = {REVOLUTE: 0.02, PRISMATIC: 0.005}
 BETTER = 0.2  # a change that reduces the residual to less than this fraction is the cause
-OTHER_SIDE = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A fit with some kinds of parameters; left_out: (n,) cross-validation errors (m)."""
+    """A fit with some kinds of errors; left_out: (n,) cross-validation errors (m)."""
 
     kinds: tuple[str, ...]
     fit: Fit
@@ -72,12 +60,12 @@ class Model:
 
     @property
     def left_out_rms(self) -> float:
-        """Return the RMS of the cross-validation errors of the used points (m)."""
+        """Return the RMS of the cross-validation errors of the used stops (m)."""
         return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
 
     @property
     def left_out_median(self) -> float:
-        """Return the median of the cross-validation errors of the used points (m)."""
+        """Return the median of the cross-validation errors of the used stops (m)."""
         return float(np.median(self.left_out[self.fit.used]))
 
 
@@ -86,76 +74,93 @@ class Outcome:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
-    covariance: (u, u) of X, the targets, and the k parameters of the arm; sigma_ratios: (k,)
-    posterior over prior sigma of each parameter; smooth: RMS of the smooth remaining error of
-    the robot (m); warnings: sentences.
+    covariance: (u, u) of X, the targets, and the k errors of the arm; known: (k,) posterior over
+    prior sigma of each error; smooth: RMS of the smooth remaining error of the robot (m); notes:
+    sentences.
     """
 
     models: tuple[Model, ...]
     chosen: Model
     covariance: Array
-    sigma_ratios: Array
+    known: Array
     smooth: float
-    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
 
     @property
     def arm(self) -> Arm:
-        """Return the arm with its errors."""
-        return self.chosen.fit.state.arm
+        """Return the arm with its errors, their covariance, and where they were found."""
+        u, fit = self.chosen.fit.stops.unknowns, self.chosen.fit
+        return replace(fit.state.arm, covariance=self.covariance[u:, u:],
+                       configurations=fit.stops.q)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """
+    Stops with the arm as stated, from which an outcome is found.
+
+    fit: the hand-eye transform alone, of the stops that agree, in stops of all; limit: the
+    largest valid residual (m); in_hand: whether the sensor is on the flange. missed(joints,
+    other_side): the residual (m) with the joint values multiplied by a matrix (joints, joints),
+    and with the sensor on the other side.
+    """
+
+    fit: Fit
+    total: int
+    limit: float
+    in_hand: bool
+    q: Array
+    missed: Callable[[Array, bool], float]
 
     @property
-    def stds(self) -> Array:
-        """Return 1 sigma (k,) of the parameters of the arm."""
-        first = self.chosen.fit.data.unknowns
-        return np.sqrt(np.diag(self.covariance)[first:first + len(self.arm.values)])
+    def arm(self) -> Arm:
+        """Return the arm as stated."""
+        return self.fit.state.arm
+
+
+def require_enough(usable: int) -> None:
+    """Raise DataError for fewer stops than the kinematics need."""
+    if usable < MINIMUM:
+        raise DataError(f'{usable} usable robot configurations; the kinematics need at least '
+                        f'{MINIMUM}, and 40 are a good number: record more, with all joints '
+                        'moving', reason=UNSOLVED)
 
 
 @single_threaded
-def solve(start: Fit, limit: float, cause: Callable[[], str]) -> Outcome:
-    """
-    Return the corrected arm and its hand-eye transform.
-
-    start: the hand-eye transform alone; limit: the largest valid residual (m); cause: the likely
-    error if it is exceeded, in words. Raises DataError.
-    """
-    chain = start.state.arm.chain
-    if start.noise_rms > HOPELESS * limit:
-        raise contradiction(start.noise_rms, HOPELESS * limit, cause())
-    richest = _fit(start, chain, GEOMETRY)
-    if richest.noise_rms > limit or richest.used.mean() < AGREEING:
-        misfit = float(np.median(start.data.distances(start.state)))
-        raise contradiction(max(misfit, richest.noise_rms), limit, cause())
+def solve(start: Start) -> Outcome:
+    """Return the corrected arm and its hand-eye transform; raises DataError."""
+    fit = start.fit
+    if fit.used.sum() < max(MINIMUM, AGREEING * start.total) or (
+            fit.residual_rms > HOPELESS * start.limit):
+        raise _contradiction(start)
+    richest = without_outliers(with_arm(fit, start.arm.freed(GEOMETRY)))
+    if richest.residual_rms > start.limit or richest.used.mean() < AGREEING:
+        raise _contradiction(start)
     _require_mount(richest)
-    fold = regions(start.data.q)
-    start = adjusted(replace(start, used=richest.used))
-    fits = [((), start), ((OFFSET,), _fit(start, chain, (OFFSET,))), (GEOMETRY, richest)]
-    models = tuple(Model(kinds, replace(fit, used=richest.used), _left_out(fit, fold))
-                   for kinds, fit in fits)
+    offsets = without_outliers(with_arm(fit, start.arm.freed([OFFSET])))
+    alone = adjusted(replace(fit, used=richest.used))
+    fold = _regions(fit.stops.q)
+    models = tuple(Model(each.state.arm.kinds, replace(each, used=richest.used),
+                         _left_out(each, fold)) for each in (alone, offsets, richest))
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
-    covariance = covariance * _misfit(models[-1])
-    return Outcome(models, chosen, covariance, _sigma_ratios(chosen.fit), wide.smooth_rms,
-                   tuple(_warnings(models, chosen)))
+    return Outcome(models, chosen, covariance * _misfit(models[-1]), _known(chosen.fit),
+                   wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
-def _fit(start: Fit, chain: Chain, kinds: Sequence[str]) -> Fit:
-    chosen = parameters(chain, kinds)
-    return without_outliers(with_arm(start, Arm(chain, chosen, np.zeros(len(chosen)))))
-
-
-def regions(q: Array) -> NDArray[np.intp]:
-    """Return the region (n,) of joint space of configurations (n, joints)."""
+def _regions(q: Array) -> NDArray[np.intp]:
+    """Return the region (n,) of joint space of stops (n, joints): halves of halves of halves."""
     groups = [np.arange(len(q))]
     while len(groups) < REGIONS and min(map(len, groups)) >= 2 * FEWEST_OF_REGION:
         halves = []
         for group in groups:
             centred = q[group] - q[group].mean(axis=0)
-            _, _, axes = np.linalg.svd(centred, full_matrices=False)
-            order = group[np.argsort(centred @ axes[0], kind='stable')]
-            halves += [order[:len(order) // 2], order[len(order) // 2:]]
+            longest = np.linalg.svd(centred, full_matrices=False)[2][0]
+            ordered = group[np.argsort(centred @ longest, kind='stable')]
+            halves += np.split(ordered, [len(group) // 2])
         groups = halves
     region = np.empty(len(q), dtype=np.intp)
     for number, group in enumerate(groups):
@@ -164,17 +169,16 @@ def regions(q: Array) -> NDArray[np.intp]:
 
 
 def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
-    """Return the errors (n,) of points, each predicted without its region."""
-    data, errors = fit.data, np.empty(len(fit.data))
+    """Return the errors (n,) of stops, each predicted without its region."""
+    errors = np.empty(len(fit.stops))
     for number in range(int(fold.max()) + 1):
-        in_region = fold == number
-        fit_without = adjusted(replace(fit, used=fit.used & ~in_region), rounds=FOLD_ROUNDS)
-        errors[in_region] = data.distances(fit_without.state)[in_region]
+        without = adjusted(replace(fit, used=fit.used & (fold != number)), rounds=FOLD_ROUNDS)
+        errors[fold == number] = fit.stops.distances(without.state)[fold == number]
     return errors
 
 
 def _better(model: Model, simpler: Model) -> bool:
-    """Return whether a model predicts left-out points better by more than one standard error."""
+    """Return whether a model predicts left-out stops better by more than one standard error."""
     used = model.fit.used
     gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
     return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
@@ -188,18 +192,15 @@ def _misfit(model: Model) -> float:
     residuals. A larger one shows errors of the arm that the model does not include.
     """
     fit, J = model.fit, model.fit.jacobian[model.fit.rows]
-    conditions = np.minimum(np.bincount(fit.data.block[fit.rows]), MOST_FREEDOM).sum()
+    conditions = np.minimum(np.bincount(fit.stops.station[fit.rows]), MOST_FREEDOM).sum()
     h = min(float(np.einsum('mi,mi->', J @ fit.covariance, J)) / conditions, MOST_SHARE)
-    return max(1.0, float((model.left_out_rms / fit.noise_rms) ** 2 * (1 - h) / (1 + h)))
+    return max(1.0, float((model.left_out_rms / fit.residual_rms) ** 2 * (1 - h) / (1 + h)))
 
 
-def _sigma_ratios(fit: Fit) -> Array:
-    """Return the posterior over the prior sigma (k,) of the parameters, without prior scales."""
-    first, arm = fit.data.unknowns, fit.state.arm
-    as_configured = replace(fit, weights=replace(
-        fit.weights, variances=np.ones_like(fit.weights.variances)))
-    variances = np.diag(as_configured.covariance)[first:first + len(arm.values)]
-    return np.sqrt(variances) / arm.stds
+def _known(fit: Fit) -> Array:
+    """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
+    stated, u = replace(fit, variances=np.ones_like(fit.variances)), fit.stops.unknowns
+    return np.sqrt(np.diag(stated.covariance)[u:]) / stated.stds
 
 
 def _require_mount(fit: Fit) -> None:
@@ -214,31 +215,26 @@ def _require_mount(fit: Fit) -> None:
 
 def _require_same_robot(arm: Arm) -> None:
     for kind, largest in LARGEST_ERROR.items():
-        for i, joint in enumerate(arm.chain.joints):
-            error = float(np.linalg.norm(arm.of(i, kind)))
-            if error > largest:
-                size = (mm(error) if kind == POSITION
-                        else f'{math.degrees(error):.2g} degrees')
-                raise DataError(
-                    f'the axis of {joint.name} would be {size} off the URDF, more than the error '
-                    'of any real arm: the URDF is of another robot, or of a variant of it')
+        sizes = np.linalg.norm(arm.errors[:, KINDS == kind], axis=1)
+        worst = int(np.argmax(sizes))
+        if sizes[worst] > largest:
+            words = (mm if kind == POSITION else degrees)(float(sizes[worst]))
+            raise DataError(
+                f'the axis of {arm.joints[worst].name} would be {words} off the URDF, more than '
+                'the error of any real arm: the URDF is of another robot, or of a variant of it')
 
 
-def _warnings(models: Sequence[Model], chosen: Model) -> list[str]:
-    sentences, last = [], models[-1]
-    dropped = int((~last.fit.used).sum())
-    if dropped:
-        sentences.append(f'{dropped} of {len(last.fit.used)} points contradict the others and are '
-                         'left out')
+def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
+    last = models[-1]
+    if dropped := int((~last.fit.used).sum()):
+        yield (f'{dropped} of {len(last.fit.used)} points contradict the others and are left out')
     if chosen is not last:
-        sentences.append(f'the model with {" and ".join(last.kinds)} predicts left-out points no '
-                         f'better than {" and ".join(chosen.kinds) or "the URDF as it is"}: the '
-                         'simpler one is the answer')
-    arm, q = last.fit.state.arm, last.fit.data.q
-    if one_configuration(arm, q):
-        sentences.append('all poses have one configuration of elbow and wrist: other '
-                         'configurations determine more joint parameters')
-    return sentences
+        yield (f'the model with {" and ".join(last.kinds)} predicts left-out points no better '
+               f'than {" and ".join(chosen.kinds) or "the URDF as it is"}: the simpler one is '
+               'the answer')
+    if one_configuration(chosen.fit.state.arm, last.fit.stops.q):
+        yield ('all poses have one configuration of elbow and wrist: other configurations '
+               'determine more joint parameters')
 
 
 def one_configuration(arm: Arm, q: Array) -> bool:
@@ -247,39 +243,21 @@ def one_configuration(arm: Arm, q: Array) -> bool:
 
     Then no straight line in joint space from the first configuration to another crosses one.
     """
-    joints, fractions = arm.chain.joints, np.linspace(0.0, 1.0, STEPS)[:, None, None]
-    if len(joints) != 6 or any(joint.kind != REVOLUTE for joint in joints):
+    if [joint.kind for joint in arm.joints] != [REVOLUTE] * 6:
         return False
+    fractions = np.linspace(0.0, 1.0, STEPS)[:, None, None]
     between = (q[0] + fractions * (q - q[0])).reshape(-1, 6)
-    return len(np.unique(np.sign(np.linalg.det(Arm(arm.chain).jacobians(between))))) == 1
+    return len(np.unique(np.sign(np.linalg.det(arm.freed(()).twists(between)[..., 0])))) == 1
 
 
-def too_few(usable: int) -> DataError:
-    """Return the error for fewer configurations than the kinematics need."""
-    return DataError(f'{usable} usable robot configurations; the kinematics need at least '
-                     f'{MINIMUM}, and 40 are a good number: record more, with all joints moving',
-                     reason=UNSOLVED)
-
-
-def contradiction(residual: float, limit: float, cause: str) -> DataError:
-    """Return the error for joint values, URDF and measured points that do not belong together."""
-    cause = cause or ('check that the URDF is of this robot, the unit and the sign of each joint, '
-                      'calibration_type, and that the target did not move')
-    return DataError(f'joint values and measured points contradict each other by {mm(residual)} '
-                     f'RMS, beyond the {mm(limit)} of a robot that is only inaccurate: {cause}',
-                     reason=UNSOLVED)
-
-
-def joint_notes(chain: Chain, readings: Mapping[str, Array]) -> list[str]:
+def joint_notes(arm: Arm, q: Array) -> list[str]:
     """
-    Return a sentence for each joint whose error is not determined.
+    Return a sentence for each joint whose error is not determined by values (n, joints).
 
     Raises DataError for values beyond the limits of a joint.
     """
     sentences = []
-    for joint in chain.joints:
-        value = joint.factor * readings[joint.follows] + joint.shift
-        low, high = float(value.min()), float(value.max())
+    for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
         for end in (low, high):
             if not joint.lower - BEYOND[joint.kind] <= end <= joint.upper + BEYOND[joint.kind]:
                 hint = ('; they seem to be degrees stated as radians'
@@ -289,71 +267,47 @@ def joint_notes(chain: Chain, readings: Mapping[str, Array]) -> list[str]:
                     f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres){hint}: check the '
                     'unit of the joint values, or the limits in the URDF')
         if high - low < STILL[joint.kind]:
-            size = (f'{math.degrees(high - low):.2g} degrees' if joint.kind == REVOLUTE
-                    else f'{(high - low) * 1e3:.2g} mm')
+            size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
             sentences.append(f'{joint.name} moves by {size} only: these configurations do not '
                              'determine its error')
     return sentences
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """
-    A possible error, in words, and its correction.
-
-    joints: (n, n) matrix that corrects the joint values; other_side: the other calibration_type;
-    unit: a factor on the points of the sensor.
-    """
-
-    words: str
-    joints: Array
-    other_side: bool = False
-    unit: float = 1.0
-
-
-def cause_of(chain: Chain, q: Array, on_flange: bool, refit: Callable[[Change], float]) -> str:
-    """
-    Return the error that explains joint values and measurements, '' if none does.
-
-    q: (n, joints); refit: gives the residual with a change.
-    """
-    as_stated, *changes = _changes(chain, on_flange, float(np.median(np.abs(q).max(axis=0))))
-    best, words = BETTER * refit(as_stated), ''
-    for change in changes:
+def _contradiction(start: Start) -> DataError:
+    """Return the refusal of stops that no arm explains, with the likely cause."""
+    stated = start.missed(np.eye(len(start.arm.joints)), False)
+    cause, best = ('check that the URDF is of this robot, the unit and the sign of each joint, '
+                   'calibration_type, and that the target did not move'), BETTER * stated
+    for words, joints, other_side in _changes(start):
         try:
-            rms = refit(change)
+            missed = start.missed(joints, other_side)
         except (DataError, np.linalg.LinAlgError):
             continue
-        if rms < best:
-            best, words = rms, change.words
-    constant = [joint.name for joint, extent in zip(chain.joints, np.ptp(q, axis=0), strict=True)
-                if extent == 0]
-    if words or not constant:
-        return words
-    return f'{constant[0]} has the same value throughout: check where its values come from'
+        if missed < best:
+            best, cause = missed, words
+    return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
+                     f'beyond the {mm(start.limit)} of a robot that is only inaccurate: {cause}',
+                     reason=UNSOLVED)
 
 
-def _changes(chain: Chain, on_flange: bool, largest: float) -> Iterator[Change]:
-    """Yield no change, then possible errors; largest: median of the joints' largest values."""
-    identity = np.eye(len(chain.joints))
-    revolute = np.array([joint.kind == REVOLUTE for joint in chain.joints])
-    yield Change('', identity)
-    for factor, words, possible in (
-            (math.radians(1), 'degrees stated as radians', largest > 2 * math.pi),
-            (math.degrees(1), 'radians stated as degrees', largest < math.radians(10))):
-        if possible:
-            yield Change(f'the joint values seem to be {words}', np.diag(
-                np.where(revolute, factor, 1.0)))
-    for joint, column in zip(chain.joints, identity, strict=True):
-        yield Change(f'{joint.name} seems to turn the other way than in the URDF',
-                     np.diag(1 - 2 * column))
-    if len(chain.joints) >= 3:
+def _changes(start: Start) -> Iterator[tuple[str, Array, bool]]:
+    """Yield possible errors in words, and what undoes them; see Start.missed."""
+    joints, identity = start.arm.joints, np.eye(len(start.arm.joints))
+    revolute = np.array([joint.kind == REVOLUTE for joint in joints])
+    largest = float(np.median(np.abs(start.q).max(axis=0)))
+    if largest > 2 * math.pi:
+        yield ('the joint values seem to be degrees stated as radians',
+               np.diag(np.where(revolute, math.radians(1), 1.0)), False)
+    if largest < math.radians(10):
+        yield ('the joint values seem to be radians stated as degrees',
+               np.diag(np.where(revolute, math.degrees(1), 1.0)), False)
+    for joint, column in zip(joints, identity, strict=True):
+        yield (f'{joint.name} seems to turn the other way than in the URDF',
+               np.diag(1 - 2 * column), False)
+    if len(joints) >= 3:
         coupled = identity.copy()
         coupled[2, 1] = 1.0
-        yield Change(
-            f'{chain.joints[2].name} seems to be counted from the horizontal, as some controllers '
-            f'do: add {chain.joints[1].name} to it', coupled)
-    other = OTHER_SIDE['eye_in_hand' if on_flange else 'eye_on_base']
-    yield Change(f'set calibration_type to {other}', identity, other_side=True)
-    for unit in (1e-3, 1e3):
-        yield Change('the unit of what the sensor measures seems to be wrong', identity, unit=unit)
+        yield (f'{joints[2].name} seems to be counted from the horizontal, as some controllers '
+               f'do: add {joints[1].name} to it', coupled, False)
+    other = 'eye_on_base' if start.in_hand else 'eye_in_hand'
+    yield f'set calibration_type to {other}', identity, True

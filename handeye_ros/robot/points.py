@@ -1,60 +1,39 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Points of fixed targets, measured by the sensor from many robot configurations.
-
-r = T(q) X s - c for a sensor on the flange, and X s - T(q) c for one beside the robot, in the axes
-of the sensor: s is the measured point, c the position of the target. The module also finds the
-hand-eye transform from such points without an initial value.
-"""
+"""The corrected arm from a table: joint values, and points that the sensor measured there."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from handeye_ros import se3
-from handeye_ros.arm import Arm, Chain, PRISMATIC
-from handeye_ros.data import Array
+from handeye_ros import __version__, se3
+from handeye_ros.arm import Arm, PRISMATIC
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.estimation.least_squares import graduated, Rows, System
-from handeye_ros.robot.estimate import (
-    adjusted,
-    Fit,
-    fitted,
-    LEAST_NOISE,
-    MINIMUM,
-    State,
-    Weights,
-)
-from handeye_ros.robot.outcome import (
-    cause_of,
-    Change,
-    joint_notes,
-    Outcome,
-    solve,
-    too_few,
-)
+from handeye_ros.frames import mount_frame, name_direction
+from handeye_ros.published import fixed_point
+from handeye_ros.robot.answer import Answer
+from handeye_ros.robot.estimate import first_fit, Fit, LEAST_NOISE
+from handeye_ros.robot.outcome import joint_notes, Outcome, require_enough, solve, Start
+from handeye_ros.robot.stops import Points, State, Stops
 from handeye_ros.tables import ANGLE, LENGTH, Table
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-SWEPT = 4000  # random rotations that are compared
-APART = 0.2  # smallest angle between two starts (rad)
-STARTS = 8  # number of refined starts
 ROUGH = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
-SEED = 0  # of the search: the same points give the same answer
-FEW = 2  # refined starts in the search for a cause
+FAR = 25.0  # squared residuals over their median: left out of the first fit
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class PointRows:
     """
-    The measurements.
+    The rows of a table, target by target.
 
     q: (n, joints) reported values of all joints; points: (n, 3) in the sensor frame; target: (n,)
-    index of its target in names; number: (n,) of the row or stop. reported: (n, 4, 4) poses of the
-    controller, None where there are none. on_flange: whether the sensor is on the flange.
+    index of each in names, ascending; number: (n,) of the row; in_hand: whether the sensor is on
+    the flange.
     """
 
     q: Array
@@ -62,190 +41,100 @@ class Points:
     target: NDArray[np.intp]
     names: tuple[str, ...]
     number: NDArray[np.intp]
-    on_flange: bool = True
-    reported: Array | None = None
+    in_hand: bool = True
 
     def __len__(self) -> int:
-        """Return the number of configurations."""
+        """Return the number of rows."""
         return len(self.q)
 
-    def select(self, rows: NDArray[Any]) -> Points:
-        """Return some rows, by their numbers or a mask; the names stay."""
-        fields = {name: getattr(self, name)[rows] for name in ('q', 'points', 'target', 'number')}
-        return replace(self, **fields, reported=None if self.reported is None
-                       else self.reported[rows])
 
-    @property
-    def unknowns(self) -> int:
-        """Return the number of unknowns without a prior: X and the targets."""
-        return 6 + 3 * len(self.names)
-
-    @property
-    def block(self) -> NDArray[np.intp]:
-        """Return the configuration (m,) of each residual."""
-        return np.repeat(np.arange(len(self)), 3)
-
-    @property
-    def component(self) -> NDArray[np.intp]:
-        """Return the noise component of each residual (m,): the axis of the sensor."""
-        return np.tile(np.arange(3), len(self))
-
-    def retracted(self, state: State, step: Array) -> State:
-        """Return a state after a step: X, targets, parameters of the arm, smooth."""
-        targets, arm_step = np.split(step[6:], [state.targets.size])
-        return replace(state, X=se3.perturb(state.X, step[:6]),
-                       targets=state.targets + targets.reshape(state.targets.shape)
-                       ).with_arm_step(arm_step)
-
-    def distances(self, state: State) -> Array:
-        """Return the distances of points (n,) from predictions without the smooth part (m)."""
-        residuals, _ = self._residuals_in_base(state, state.arm.forward(self.q))
-        return np.asarray(np.linalg.norm(residuals, axis=1))
-
-    def linearised(self, state: State, root: Array) -> tuple[Array, Array]:
-        """
-        Return residuals (3 n,) and their derivatives (3 n, u) by a step of the state.
-
-        root: (n, r) the smooth functions at the configurations.
-        """
-        T, twists = state.arm.with_twists(self.q)
-        n, t = len(self), len(state.targets)
-        R = T[:, :3, :3]
-        lever = self.points @ state.X[:3, :3].T
-        residuals, axes = self._residuals_in_base(state, T)
-        unit = np.broadcast_to(np.eye(3), (n, 3, 3))
-        by_mount = np.concatenate([unit, -se3.skew(lever)], axis=2)
-        by_targets = np.zeros((n, 3, 3 * t))
-        if self.on_flange:
-            sign, to_axes = 1.0, np.einsum('nij,nj->ni', R, lever + state.X[:3, 3])
-            by_mount, by_target = R @ by_mount, -unit
-        else:
-            sign, to_axes = -1.0, np.einsum('nij,nj->ni', R, state.targets[self.target])
-            by_target = -R
-        for k in range(3):
-            by_targets[np.arange(n), :, 3 * self.target + k] = by_target[:, :, k]
-        by_arm = sign * (twists[:, :3] - se3.skew(to_axes) @ twists[:, 3:])
-        by_smooth = np.einsum('nr,ij->nirj', sign * root, np.eye(3)).reshape(n, 3, -1)
-        J = np.concatenate([by_mount, by_targets, by_arm, by_smooth], axis=2)
-        residuals = residuals + sign * root @ state.smooth
-        turned = np.swapaxes(axes, 1, 2)
-        return (turned @ residuals[:, :, None]).ravel(), (turned @ J).reshape(3 * n, -1)
-
-    def _residuals_in_base(self, state: State, T: Array) -> tuple[Array, Array]:
-        """Return residuals (n, 3) and the axes of the sensor (n, 3, 3) in the base."""
-        X, targets = state.X, state.targets[self.target]
-        measured = self.points @ X[:3, :3].T + X[:3, 3]
-        R, a = T[:, :3, :3], T[:, :3, 3]
-        if self.on_flange:
-            return np.einsum('nij,nj->ni', R, measured) + a - targets, R @ X[:3, :3]
-        of_target = np.einsum('nij,nj->ni', R, targets) + a
-        return measured - of_target, np.broadcast_to(X[:3, :3], R.shape)
-
-
-def read_table(path: Path, chain: Chain, on_flange: bool) -> tuple[Points, tuple[str, ...]]:
+def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, tuple[str, ...]]:
     """
     Return the contents of a table, CSV or YAML, and a sentence for each peculiarity.
 
     A row for each configuration. Columns: the joints of the URDF with their unit
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
-    names the point where there are several, and `flange_x [mm]` ... `flange_qw` (or
-    `flange_roll [deg]` ...) are the controller's own poses.
-    Raises InputError and DataError.
+    names the point where there are several. Raises InputError and DataError.
     """
     table = Table(path)
-    kinds = {j.follows: LENGTH if j.kind == PRISMATIC else ANGLE for j in chain.joints}
+    kinds = {j.follows: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if table.has([name])}
-    q = chain.values(readings, path)
-    points = table.values(['x', 'y', 'z'], LENGTH)
+    q, points = arm.positions(readings, path), table.values(['x', 'y', 'z'], LENGTH)
     labels = table.text('target') if table.has(['target']) else ['target'] * len(points)
     names = tuple(dict.fromkeys(labels))
-    pose = [f'flange_{axis}' for axis in 'xyz']
-    reported = table.poses('flange') if table.has(pose) else None
     target = np.array([names.index(label) for label in labels], dtype=np.intp)
-    unused = [name for name in table.names if table.kind(name) == ANGLE
-              and name not in kinds and not name.startswith('flange_')]
-    sentences = [f'the column {name} is no joint between {chain.base} and {chain.flange}: it is '
-                 'not used' for name in unused]
-    data = Points(q, points, target, names, np.arange(1, len(points) + 1), on_flange, reported)
-    return data, (*sentences, *joint_notes(chain, readings))
+    order = np.argsort(target, kind='stable')
+    unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
+              for name in table.names if table.kind(name) == ANGLE and name not in kinds]
+    return (PointRows(q[order], points[order], target[order], names, order + 1, in_hand),
+            (*unused, *joint_notes(arm, q)))
 
 
-def first_fit(data: Points, arm: Arm, max_starts: int = STARTS) -> Fit:
-    """
-    Return the hand-eye transform alone, with the arm as stated, whatever its residuals.
+def start_of(rows: PointRows, arm: Arm, limit: float) -> Start:
+    """Return the hand-eye transform alone, with the arm as stated; raises DataError."""
+    require_enough(len(rows))
 
-    max_starts: starts that are refined. Raises DataError.
-    """
-    if len(data) < MINIMUM:
-        raise too_few(len(data))
-    rough, no_smooth = Weights(np.full(3, ROUGH), np.zeros(0)), np.zeros((len(data), 0))
+    def changed(joints: Array, other_side: bool) -> Fit:
+        return _alone(replace(rows, q=rows.q @ joints.T, in_hand=rows.in_hand != other_side), arm)
+    return Start(changed(np.eye(len(arm.joints)), False), len(rows), limit, rows.in_hand, rows.q,
+                 lambda joints, other_side: changed(joints, other_side).residual_rms)
 
-    def refit(state: State, weights: Array) -> State:
-        return System(rows, data.retracted, data.block).reweighted(state, weights)
 
-    def rows(at: State) -> Rows:
-        r, J = data.linearised(at, no_smooth)
+def _alone(rows: PointRows, arm: Arm) -> Fit:
+    """Return the hand-eye transform alone, whatever its residuals."""
+    parts = [rows.target == k for k in range(len(rows.names))]
+    stops = Stops.of(rows.q, tuple(Points(rows.points[part], rows.in_hand) for part in parts))
+    T = arm.forward(rows.q)
+    T = T if rows.in_hand else se3.inverse(T)
+    most = max(parts, key=np.count_nonzero)
+    X = fixed_point.solve_linear(T[most], rows.points[most]).T_flange_sensor
+    seen = se3.apply(T @ X, rows.points[:, None])[:, 0]
+    start = State(X, tuple(np.median(seen[part], axis=0) for part in parts), arm, np.zeros(0))
+
+    def linearised(state: State) -> Rows:
+        r, J = stops.linearised(state)
         return Rows(r / ROUGH, lambda: J / ROUGH)
 
-    def squares(at: State) -> Array:
-        return np.asarray((rows(at).residuals.reshape(-1, 3) ** 2).mean(axis=1))
-    solutions = [graduated(start, squares, refit)
-                 for start in starts(data, arm, max_starts, np.random.default_rng(SEED))]
-    state = min(solutions, key=lambda solution: float(np.median(squares(solution))))
-    final = squares(state)
-    used = final <= 25.0 * max(float(np.median(final)), (LEAST_NOISE / ROUGH) ** 2)
-    if used.sum() < MINIMUM:
-        raise too_few(int(used.sum()))
-    return adjusted(fitted(data, state, rough, used, no_smooth))
+    def squares(state: State) -> Array:
+        return (stops.distances(state) / ROUGH) ** 2 / 3
+    state = graduated(start, squares, System(linearised, stops.moved, stops.station).reweighted)
+    left = squares(state)
+    good = left <= FAR * max(float(np.median(left)), (LEAST_NOISE / ROUGH) ** 2)
+    return first_fit(stops, state, good, ROUGH)
 
 
-def starts(data: Points, arm: Arm, count: int, rng: np.random.Generator) -> list[State]:
+def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]) -> Answer:
     """
-    Return up to `count` starts, best first, with the arm as stated.
+    Return the corrected arm from a table of joint values and points (read_table).
 
-    For a given rotation of the sensor the other unknowns are linear, so the squared residual is a
-    quadratic function of the nine elements of the rotation. It is evaluated at random rotations.
+    inputs: path and sha256 of the files. Raises HandeyeError.
     """
-    T, n, t = arm.forward(data.q), len(data), len(data.names)
-    R, a = T[:, :3, :3], T[:, :3, 3]
-    unit = np.broadcast_to(np.eye(3), R.shape)
-    to_mount, to_target = (R, unit) if data.on_flange else (unit, R)
-    A = np.zeros((n, 3, 3 + 3 * t))
-    A[:, :, :3] = to_mount
-    for k in range(3):
-        A[np.arange(n), :, 3 + 3 * data.target + k] = -to_target[:, :, k]
-    b = a if data.on_flange else -a
-    M = np.einsum('nij,nk->nijk', to_mount, data.points).reshape(3 * n, 9)
-    columns = np.column_stack([M, b.ravel()])
-    flat = A.reshape(3 * n, -1)
-    inverse = np.linalg.pinv(flat, rcond=1e-9)
-    residuals = columns - flat @ (inverse @ columns)
-    gram = residuals.T @ residuals
-    rotations = Rotation.random(SWEPT, random_state=rng).as_matrix()
-    v = np.column_stack([rotations.reshape(-1, 9), np.ones(SWEPT)])
-    cost = np.einsum('ki,ij,kj->k', v, gram, v)
-    chosen: list[State] = []
-    for i in np.argsort(cost, kind='stable'):
-        turned = rotations[i]
-        if all(se3.angle(turned @ s.X[:3, :3].T) > APART for s in chosen):
-            linear = -inverse @ (columns @ v[i])
-            chosen.append(State(se3.transform(turned, linear[:3]), linear[3:].reshape(t, 3), arm,
-                                np.zeros((0, 3))))
-        if len(chosen) == count:
-            break
-    return chosen
+    rows, notes = read_table(path, arm, config.calibration_type == 'eye_in_hand')
+    outcome = solve(start_of(rows, arm, config.limits.residual))
+    return Answer(outcome, _calibration(outcome, rows, config, inputs), (*notes, *outcome.notes))
 
 
-def cause_of_points(data: Points, chain: Chain) -> str:
-    """Return the error that explains joint values and points, '' if none does."""
-    def refit(change: Change) -> float:
-        changed = replace(data, q=data.q @ change.joints.T, points=data.points * change.unit,
-                          on_flange=data.on_flange != change.other_side)
-        return first_fit(changed, Arm(chain), FEW).noise_rms
-    return cause_of(chain, data.q, data.on_flange, refit)
-
-
-def solve_points(data: Points, chain: Chain, limit: float) -> Outcome:
-    """Return the corrected arm from points that a sensor measured; see outcome.solve."""
-    return solve(first_fit(data, Arm(chain)), limit, lambda: cause_of_points(data, chain))
+def _calibration(outcome: Outcome, rows: PointRows, config: Config,
+                 inputs: Sequence[dict[str, str]]) -> Calibration:
+    """Return the hand-eye transform found from points, as a Calibration."""
+    fit = outcome.chosen.fit
+    config = replace(config, robot_base_frame=outcome.arm.base,
+                     robot_effector_frame=outcome.arm.flange)
+    covariance, parent = outcome.covariance[:6, :6], mount_frame(config)
+    std, direction = se3.worst_translation(covariance)
+    used = int(fit.used.sum())
+    quality = Quality(used, len(rows) - used, fit.residual_rms, outcome.chosen.left_out_rms,
+                      f'position along {name_direction(direction, parent)} (m)', std)
+    samples = [SampleReport(int(number), bool(good), rows.names[target], float(distance),
+                            '' if good else 'contradicts the others')
+               for number, good, target, distance in zip(
+                   rows.number, fit.used, rows.target, fit.stops.distances(fit.state),
+                   strict=True)]
+    target = {f'point_{name}': dict(zip('xyz', map(float, centre), strict=True))
+              for name, centre in zip(rows.names, fit.state.targets, strict=True)}
+    return Calibration(
+        config.name or 'kinematics', 'kinematics', parent, config.sensor_frame, fit.state.X,
+        covariance, {**target, 'robot_position_error': outcome.smooth}, quality,
+        tuple(sorted(samples, key=lambda sample: sample.stamp)),
+        {'version': __version__, 'config': flatten(config), 'inputs': list(inputs)})

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 
 from command import ROOT, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from handeye_ros.arm import chain_of  # noqa: E402
+from handeye_ros.arm import arm_of  # noqa: E402
 from handeye_ros.simulate import arm  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import BEST_EFFORT, Client, run_module  # noqa: E402
@@ -40,7 +40,7 @@ def test_a_pose_follows_every_joint_state(tmp_path: Path, client: Client) -> Non
         return bool(got)
     with running(command, cwd=ROOT):
         client.until(heard, 'a pose comes')
-    T = chain_of(urdf).forward(np.array([Q]))[0]
+    T = arm_of(urdf).forward(np.array([Q]))[0]
     p = got[0].pose.position
     np.testing.assert_allclose([p.x, p.y, p.z], T[:3, 3], atol=1e-12)
     assert (got[0].header.stamp.sec, got[0].header.frame_id) == (7, 'base')

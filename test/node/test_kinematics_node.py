@@ -37,4 +37,4 @@ def test_the_arm_is_corrected_from_the_stops_of_a_session(tmp_path: Path, client
     assert calibration.quality.holdout_rms < 6e-5, 'a fifth of that with the arm as stated'
     X, sigma = calibration.T_flange_sensor, np.sqrt(np.diag(calibration.covariance))[:3]
     assert (np.abs(X - true_transform(BAG))[:3, 3] < 4 * sigma).all()
-    assert len(read_arm(out / 'kinematics.yaml').parameters) == 30
+    assert len(read_arm(out / 'kinematics.yaml').values) == 30

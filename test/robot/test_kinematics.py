@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Joints and axes of simulated arms, found from a table of one ball; what is odd is refused."""
+"""Errors of simulated arms, found from tables and recordings; what is odd is refused."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -9,18 +9,21 @@ from pathlib import Path
 import sys
 
 from command import handeye
-from handeye_ros import se3
-from handeye_ros.arm import (
-    Arm,
-    chain_of,
-    corrected_urdf,
-    GEOMETRY,
-    parameters,
-    read_arm,
-)
+from handeye_ros import pipeline, se3
+from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
+from handeye_ros.bags.bag import read
+from handeye_ros.config import Config, TargetConfig
+from handeye_ros.errors import HandeyeError
+from handeye_ros.estimation.problem import Problem
+from handeye_ros.frames import in_mount
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.robot.outcome import one_configuration
-from handeye_ros.robot.points import solve_points
+from handeye_ros.robot import points, sources
+from handeye_ros.robot.outcome import one_configuration, solve
+from handeye_ros.robot.stops import Points, Profiles, State, Stops
+from handeye_ros.sampling.session import Session
+from handeye_ros.simulate import arm as simulated_arm
+from handeye_ros.simulate import SCENARIOS, simulate_samples
+from handeye_ros.targets import method_for
 import numpy as np
 import pytest
 
@@ -58,6 +61,11 @@ ODD = """<?xml version="1.0"?>
 """
 
 
+def with_errors(arm, rng):
+    arm = arm.freed(GEOMETRY)
+    return replace(arm, values=rng.normal(size=len(arm.values)) * arm.priors[arm.free])
+
+
 def poses(urdf, joints, q, frame):
     """Return what pinocchio makes of joint values (n, joints)."""
     model = pinocchio.buildModelFromXML(urdf)
@@ -73,74 +81,96 @@ def poses(urdf, joints, q, frame):
     return np.array(found)
 
 
-def odd_arm(rng):
-    chain = chain_of(ODD, flange='tip')
-    own = parameters(chain, GEOMETRY)
-    return Arm(chain, own, rng.normal(size=len(own)) * [p.prior for p in own])
-
-
 def test_an_odd_urdf_moves_as_in_pinocchio_and_so_does_the_corrected_one():
     rng = np.random.default_rng(0)
-    arm = odd_arm(rng)
-    chain, names = arm.chain, [joint.name for joint in arm.chain.joints]
-    assert chain.measured == ('slide', 'ns/joint-a', 'j.b')
-    given = {name: rng.uniform(-1, 1, 5) for name in chain.measured}
-    q = chain.values(given, 'test')
+    arm = with_errors(arm_of(ODD, flange='tip'), rng)
+    names = [joint.name for joint in arm.joints]
+    assert arm.measured == ('slide', 'ns/joint-a', 'j.b')
+    q = arm.positions({name: rng.uniform(-1, 1, 5) for name in arm.measured}, 'test')
     np.testing.assert_allclose(q[:, 3], 0.2 - 0.5 * q[:, 2])
-    np.testing.assert_allclose(chain.forward(q), poses(ODD, names, q, 'tip'), atol=1e-12)
+    np.testing.assert_allclose(arm.freed(()).forward(q), poses(ODD, names, q, 'tip'), atol=1e-12)
     corrected = corrected_urdf(ODD, arm)
     np.testing.assert_allclose(arm.forward(q), poses(corrected, names, q, 'tip'), atol=1e-10)
-    np.testing.assert_allclose(arm.forward(q), chain_of(corrected, flange='tip').forward(q),
-                               atol=1e-10)
     assert 'a mimic joint' in corrected
 
 
-@pytest.mark.parametrize('kind', ['six', 'odd'])
-def test_twists_are_the_derivatives_of_the_pose(kind):
+@pytest.mark.parametrize('urdf', [bench.urdf(bench.SIX), ODD])
+def test_twists_are_the_derivatives_of_the_pose(urdf):
     rng = np.random.default_rng(1)
-    chain = odd_arm(rng).chain if kind == 'odd' else chain_of(bench.urdf(bench.SIX))
-    own = parameters(chain, GEOMETRY)
-    arm, q = Arm(chain, own, np.zeros(len(own))), rng.uniform(-1, 1, (7, len(chain.joints)))
-    twists = arm.with_twists(q)[1]
-    for k, step in enumerate(1e-6 * np.eye(len(own))):
+    arm = arm_of(urdf, flange='tip' if urdf == ODD else '').freed(GEOMETRY)
+    q = rng.uniform(-1, 1, (7, len(arm.joints)))
+    twists = arm.twists(q)[:, :, arm.free]
+    for k, step in enumerate(1e-6 * np.eye(len(arm.values))):
         after, before = (replace(arm, values=s * step).forward(q) for s in (1, -1))
-        turn = se3.log_rotation(after[:, :3, :3] @ np.swapaxes(before[:, :3, :3], 1, 2))
-        moved = np.hstack([after[:, :3, 3] - before[:, :3, 3], turn]) / 2e-6
-        np.testing.assert_allclose(twists[:, :, k], moved, atol=2e-6, err_msg=str(own[k]))
+        np.testing.assert_allclose(twists[:, :, k], se3.difference(after, before) / 2e-6,
+                                   atol=2e-6)
 
 
-def write_table(path, chain, data, header='degrees'):
-    names = [f'{joint.name} [{header}]' for joint in chain.joints]
-    with path.open('w') as file:
-        print(','.join([*names, 'x [mm]', 'y [mm]', 'z [mm]']), file=file)
-        for q, point in zip(np.degrees(data.q), data.points * 1e3, strict=True):
-            print(','.join(f'{v:.5f}' for v in (*q, *point)), file=file)
+def point_stops(arm, q, in_hand, rng):
+    """Return stops at two points that fit nearly, and their state."""
+    X, ball = se3.perturb(np.eye(4), rng.normal(size=6)), rng.normal(size=3)
+    T = arm.forward(q) if in_hand else se3.inverse(arm.forward(q))
+    seen = se3.apply(se3.inverse(T @ X), ball[None])[:, 0]
+    return Stops(np.vstack([q, q]), (Points(seen, in_hand), Points(seen, in_hand)),
+                 rng.normal(size=(2 * len(q), 1))), State(X, (ball, ball), arm, np.zeros(3))
+
+
+def profile_stops(arm, q, in_hand, rng):
+    """Return stops at two spheres, and a state."""
+    scenario = replace(SCENARIOS['sphere' if in_hand else 'sphere_on_flange'], stations=(12, 0))
+    samples, _ = simulate_samples(scenario, rng)
+    config = Config(calibration_type=scenario.calibration_type,
+                    target=TargetConfig(type='sphere'))
+    method = method_for(config)
+    one = Profiles(Problem(method, in_mount(arm.forward(q), config), method.observe(samples),
+                           config))
+    targets = np.array([0.1, 0.2, 0.3, 0.02]), np.array([0.2, -0.1, 0.4, 0.02])
+    return Stops(np.vstack([q, q]), (one, one), rng.normal(size=(2 * len(q), 1))), State(
+        np.eye(4), targets, arm, np.zeros(3))
+
+
+@pytest.mark.parametrize('in_hand', [True, False])
+@pytest.mark.parametrize('measured', [point_stops, profile_stops])
+def test_residuals_have_their_derivatives(monkeypatch, measured, in_hand):
+    monkeypatch.setattr('handeye_ros.robot.stops.whitening', lambda *given: lambda values: values)
+    rng = np.random.default_rng(4)
+    arm = arm_of(simulated_arm.urdf()).freed(GEOMETRY)
+    stops, state = measured(arm, rng.uniform(-1, 1, (12, 6)), in_hand, rng)
+    J = stops.linearised(state)[1]
+    for k, step in enumerate(1e-6 * np.eye(J.shape[1])):
+        r = [stops.linearised(stops.moved(state, s * step))[0] for s in (1, -1)]
+        np.testing.assert_allclose(J[:, k], (r[0] - r[1]) / 2e-6, atol=1e-5)
+
+
+def solve_rows(rows, arm):
+    return solve(points.start_of(rows, arm, 1e-3))
 
 
 @pytest.fixture(scope='module')
-def solved(tmp_path_factory):
-    """Return a cell, the rows held out, and the folder of its answer from the command line."""
+def from_table(tmp_path_factory):
+    """Return a cell, the rows held out, the folder of the answer, and what was shown."""
     folder = tmp_path_factory.mktemp('kinematics')
     cell = bench.draw(bench.CASES['six'], 62, 3)
     first = np.arange(62) < 40
     (folder / 'arm.urdf').write_text(bench.urdf(bench.SIX))
-    write_table(folder / 'points.csv', cell.arm.chain, cell.data.select(first))
+    rows = np.hstack([np.degrees(cell.data.q), cell.data.points * 1e3])[first]
+    header = [*(f'{joint.name} [degrees]' for joint in cell.arm.joints), 'x [mm]', 'y [mm]',
+              'z [mm]']
+    np.savetxt(folder / 'points.csv', rows, '%.5f', ',', header=','.join(header), comments='')
     done = handeye('kinematics', 'points.csv', '--urdf', 'arm.urdf', '--out', 'out', cwd=folder)
     assert done.returncode == 0, done.stderr
-    return cell, cell.exact.select(~first), folder, done.stdout
+    return cell, bench.selected(cell.exact, ~first), folder, done.stdout
 
 
-def test_the_answer_in_files_predicts_points_that_were_held_out(solved):
-    cell, held, folder, result = solved
-    arm, X = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
-    values = X.target['point_target']
-    ball = np.array([values[axis] for axis in 'xyz'])
+def test_the_answer_in_files_predicts_points_that_were_held_out(from_table):
+    _, held, folder, result = from_table
+    arm, found = read_arm(folder / 'out'), read_calibration(folder / 'out/calibration.yaml')
+    ball = np.array([found.target['point_target'][axis] for axis in 'xyz'])
     urdf = (folder / 'out/corrected.urdf').read_text()
-    for T in (arm.forward(held.q),
-              poses(urdf, [j.name for j in arm.chain.joints], held.q, 'tool0')):
-        seen = se3.inverse(T @ X.T_flange_sensor) @ np.append(ball, 1)
-        assert bench.rms(seen[:, :3] - held.points) < 0.06
-    assert (X.parent_frame, X.method) == ('tool0', 'kinematics')
+    for T in (arm.forward(held.q), poses(urdf, [j.name for j in arm.joints], held.q, 'tool0')):
+        seen = se3.apply(se3.inverse(T @ found.T_flange_sensor), ball[None])[:, 0]
+        assert bench.rms(seen - held.points) < 0.06
+    assert (found.parent_frame, found.method) == ('tool0', 'kinematics')
     assert 'offset, direction, position' in result
 
 
@@ -151,83 +181,175 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     points[20] += [0, 0, 0.001]
     T = cell.arm.forward(cell.data.q) @ cell.X
     second = cell.ball + [0.02, 0.01, 0.0]
-    points[30:] = (se3.inverse(T[30:]) @ np.append(second, 1))[:, :3]
-    data = replace(cell.data, points=points, names=('a', 'b'),
-                   target=np.repeat([0, 1], [30, 10]))
-    fit = solve_points(data, cell.arm.chain, 1e-3).chosen.fit
+    points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
+    rows = replace(cell.data, points=points, names=('a', 'b'), target=np.repeat([0, 1], [30, 10]))
+    fit = solve_rows(rows, cell.arm.freed(())).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
-    np.testing.assert_allclose(fit.state.targets[1] - fit.state.targets[0], [0.02, 0.01, 0.0],
-                               atol=2e-4)
+    first, other = fit.state.targets
+    np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
+
+
+@pytest.mark.parametrize('in_hand', [True, False])
+def test_a_fifth_of_wrong_rows_is_left_out(in_hand):
+    cell = bench.draw(bench.Case(on_flange=in_hand), 40, 6)
+    points = cell.data.points.copy()
+    points[::5] += np.random.default_rng(0).normal(size=(8, 3)) * 0.1
+    outcome = solve_rows(replace(cell.data, points=points), cell.arm.freed(()))
+    assert np.flatnonzero(~outcome.chosen.fit.used).tolist() == list(range(0, 40, 5))
 
 
 def test_nothing_is_invented_of_a_robot_without_error():
     cell = bench.draw(bench.CASES['none'], 62, 1)
     first = np.arange(62) < 40
-    outcome = solve_points(cell.data.select(first), cell.arm.chain, 1e-3)
-    held = cell.exact.select(~first)
-    before, after, nees, _ = bench.judged(cell, bench.CASES['none'], outcome, held)
-    assert after < 1.05 * before and nees < 2
+    outcome = solve_rows(bench.selected(cell.data, first), cell.arm.freed(()))
+    before, after, nees, _ = bench.judged(cell, bench.CASES['none'], outcome,
+                                          bench.selected(cell.exact, ~first))
+    assert after < 1.05 * before
+    assert nees < 2
 
 
 def test_another_elbow_and_wrist_at_once_is_another_configuration():
-    arm = Arm(chain_of(bench.urdf(bench.SIX)))
+    arm = arm_of(bench.urdf(bench.SIX))
     q = np.array([[0.0, 0.1, 0.3, 0.0, 1.0, 0.0], [0.1, 0.2, 0.4, 0.2, 0.8, 0.3]])
     flipped = [0.0, 0.9, -2.2, 0.0, -1.0, 0.0]
-    assert one_configuration(arm, q) and not one_configuration(arm, np.vstack([q, flipped]))
+    assert one_configuration(arm, q)
+    assert not one_configuration(arm, np.vstack([q, flipped]))
 
 
-REFUSED = {
-    'another name': (lambda t: t.replace('joint_4', 'jiont_4'), 'no values of the joint joint_4'),
-    'radians': (lambda t: t.replace('degrees', 'rad'), 'degrees stated as radians'),
-    'no unit': (lambda t: t.replace(' [mm]', '', 1), 'names no unit'),
-    'few': (lambda t: '\n'.join(t.splitlines()[:8]), 'need at least'),
-}
-
-
-@pytest.mark.parametrize('name', REFUSED)
-def test_bad_tables_are_refused_in_a_sentence(solved, tmp_path, name):
-    change, words = REFUSED[name]
+@pytest.mark.parametrize(('change', 'words'), [
+    (lambda t: t.replace('joint_4', 'jiont_4'), 'no values of the joint joint_4'),
+    (lambda t: t.replace('degrees', 'rad'), 'degrees stated as radians'),
+    (lambda t: t.replace(' [mm]', '', 1), 'names no unit'),
+    (lambda t: '\n'.join(t.splitlines()[:8]), 'need at least'),
+])
+def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, words):
     table = tmp_path / 'points.csv'
-    table.write_text(change((solved[2] / 'points.csv').read_text()))
-    done = handeye('kinematics', table, '--urdf', solved[2] / 'arm.urdf', '--out', tmp_path,
-                   cwd=tmp_path)
-    assert done.returncode in (2, 3) and words in done.stderr and 'Traceback' not in done.stderr
-    assert not (tmp_path / 'calibration.yaml').exists()
+    table.write_text(change((from_table[2] / 'points.csv').read_text()))
+    with pytest.raises(HandeyeError, match=words):
+        points.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
 
 
-def wrong(cell, name):
-    q, points = cell.data.q.copy(), cell.data.points
-    if name == 'joint_5 seems to turn the other way':
-        q[:, 4] *= -1
-    elif name == 'stated as degrees':
-        q = np.radians(q)
-    elif name == 'counted from the horizontal':
-        q[:, 2] -= q[:, 1]
-    return replace(cell.data, q=q, points=points,
-                   on_flange=name != 'set calibration_type to eye_in_hand')
+COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
 
 
-@pytest.mark.parametrize('words', [
-    'joint_5 seems to turn the other way',
-    *(pytest.param(words, marks=pytest.mark.thorough) for words in (
-        'stated as degrees', 'counted from the horizontal',
-        'set calibration_type to eye_in_hand'))])
-def test_joint_values_that_contradict_the_points_are_named(solved, words):
-    with pytest.raises(Exception, match=words):
-        solve_points(wrong(solved[0], words), solved[0].arm.chain, 1e-3)
+@pytest.mark.parametrize(('words', 'joints', 'in_hand'), [
+    ('joint_5 seems to turn the other way', np.diag([1, 1, 1, 1, -1, 1]), True),
+    ('radians stated as degrees', np.eye(6) * np.radians(1), True),
+    ('joint_3 seems to be counted from the horizontal', COUPLED, True),
+    ('set calibration_type to eye_in_hand', np.eye(6), False),
+])
+def test_joint_values_that_contradict_the_points_are_named(from_table, words, joints, in_hand):
+    cell, rows = from_table[0], from_table[0].data
+    with pytest.raises(HandeyeError, match=words):
+        solve_rows(replace(rows, q=rows.q @ joints.T, in_hand=in_hand), cell.arm.freed(()))
 
 
-URDFS = {
-    'macros': ('<robot name="a"><xacro:macro/></robot>', 'xacro'),
-    'no xml': ('<robot', 'no valid URDF'),
-    'a loop': (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'closed loop'),
-    'no such link': (ODD, 'has no link tool9'),
-    'floating': (ODD.replace('type="continuous"', 'type="floating"'), 'floating'),
-}
+@pytest.mark.parametrize(('urdf', 'flange', 'words'), [
+    ('<robot name="a"><xacro:macro/></robot>', 'tip', 'xacro'),
+    ('<robot', 'tip', 'no valid URDF'),
+    (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'tip', 'closed loop'),
+    (ODD, 'tool9', 'has no link tool9'),
+    (ODD.replace('type="continuous"', 'type="floating"'), 'tip', 'floating'),
+])
+def test_bad_urdfs_are_refused_in_a_sentence(urdf, flange, words):
+    with pytest.raises(HandeyeError, match=words):
+        arm_of(urdf, flange=flange)
 
 
-@pytest.mark.parametrize('name', URDFS)
-def test_bad_urdfs_are_refused_in_a_sentence(name):
-    text, words = URDFS[name]
-    with pytest.raises(Exception, match=words):
-        chain_of(text, flange='tool9' if name == 'no such link' else 'tip')
+def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
+    text = (from_table[2] / 'out/kinematics.yaml').read_text()
+    (tmp_path / 'kinematics.yaml').write_text(text.replace('\n  direction:', '\n  directions:', 1))
+    with pytest.raises(HandeyeError, match='no kinematics.yaml'):
+        read_arm(tmp_path)
+
+
+def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
+    done = handeye('kinematics', ROOT / 'bags/arm', '--urdf', ROOT / 'bags/arm/robot.urdf',
+                   '--set', 'target.type=sphere', '--out', 'out', cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    arm, found = read_arm(tmp_path / 'out'), read_calibration(tmp_path / 'out/calibration.yaml')
+    assert found.quality.holdout_rms < 6e-5
+    assert (found.parent_frame, arm.kinds) == ('flange', GEOMETRY)
+    again = handeye('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
+                    'out/kinematics.yaml', '--out', 'again', cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    after = read_calibration(tmp_path / 'again/calibration.yaml')
+    np.testing.assert_allclose(after.T_flange_sensor, found.T_flange_sensor, atol=2e-5)
+
+
+@pytest.fixture(scope='module')
+def recorded():
+    """Return the arm, the session and the joint values of the recording in bags/."""
+    arm, config = read_urdf(ROOT / 'bags/arm/robot.urdf')[1], Config(
+        target=TargetConfig(type='sphere'))
+    recording = read(ROOT / 'bags/arm', config, arm=arm)
+    return arm, pipeline.gather(recording.profiles, recording.poses, config), recording, config
+
+
+def every_other(source, first):
+    stops = np.arange(first, len(source.samples), 2)
+    return replace(source, samples=source.samples[first::2], q=source.q[first::2],
+                   problem=source.problem.subset(stops))
+
+
+def test_two_recordings_give_one_answer(recorded):
+    """Also with other axes of the profile: the features are those of its plane."""
+    arm, session, recording, config = recorded
+    config = replace(config, profile=replace(config.profile, axes=('y', 'z')))
+    whole = sources.source_of(session, recording, arm, config)
+    both, one = (sources.solve_sources(given, arm) for given in (
+        [every_other(whole, 0), every_other(whole, 1)], [whole]))
+    assert both.arm.kinds == GEOMETRY
+    assert both.outcome.chosen.left_out_rms < 6e-5
+    assert both.calibration.quality.samples_used == len(whole.samples)
+    away = se3.difference(both.calibration.T_flange_sensor, one.calibration.T_flange_sensor)
+    assert away @ np.linalg.solve(both.calibration.covariance, away) < 6
+
+
+@pytest.mark.parametrize(('words', 'change'), [
+    ('joint_5 seems to turn the other way', lambda r, c: (
+        replace(r, joints=r.joints * [1, 1, 1, 1, -1, 1]), c)),
+    pytest.param('set calibration_type to eye_in_hand', lambda r, c: (
+        r, replace(c, calibration_type='eye_on_base')), marks=pytest.mark.thorough),
+    ('11 of 30 samples have no joint values', lambda r, c: (
+        replace(r, poses=r.poses[:len(r.poses) * 6 // 10],
+                joints=r.joints[:len(r.poses) * 6 // 10]), c)),
+])
+def test_joint_values_that_contradict_profiles_are_named(recorded, words, change):
+    arm, session, recording, config = recorded
+    recording, config = change(recording, config)
+    with pytest.raises(HandeyeError, match=words):
+        source = sources.source_of(session, recording, arm, config)
+        sources.solve_sources([every_other(source, 0)], arm)
+
+
+def test_a_urdf_of_another_robot_is_refused(recorded):
+    arm, session, recording, config = recorded
+    longer = replace(arm, joints=tuple(replace(
+        joint, origin=se3.transform(joint.origin[:3, :3], 1.1 * joint.origin[:3, 3]))
+        for joint in arm.joints))
+    with pytest.raises(HandeyeError, match='the URDF is of another robot'):
+        sources.solve_sources([sources.source_of(session, recording, longer, config)], longer)
+
+
+def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_path):
+    stated, rng, scenario = arm_of(simulated_arm.urdf()), np.random.default_rng(1), SCENARIOS[
+        'sphere']
+    scenario = replace(scenario, stations=(30, 0), tilt=0.6, robot=replace(
+        scenario.robot, geometry=1e-9, systematic=(0.0, 0.0)))
+    samples, truth = simulate_samples(scenario, rng)
+    real = np.array([station.T_base_flange for station in truth.stations])
+    arm = replace(with_errors(stated, rng), configurations=simulated_arm.inverse(real))
+    q = arm.joints_near(real)
+    np.testing.assert_allclose(arm.forward(q), real, atol=1e-9)
+    config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
+    method = method_for(config)
+    problem = Problem(method, stated.forward(q), method.observe(samples), config)
+    answer = sources.solve_sources([sources.Source(Session(config), samples, problem, q)], stated)
+    answer.save(simulated_arm.urdf(), tmp_path, ())
+    corrected = [replace(s, T_base_flange=T) for s, T in zip(
+        samples, read_arm(tmp_path).forward(q), strict=True)]
+    found = pipeline.solve(corrected, (), replace(
+        config, kinematics=str(tmp_path / 'kinematics.yaml')), 'laser')
+    away = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
+    assert away @ np.linalg.solve(found.covariance, away) < 22.5  # of chi-squared: 1 in 1000

@@ -1,0 +1,237 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a sensor measures of fixed targets at stops of an arm: residuals and their derivatives.
+
+A target gives profiles, with the residuals of the hand-eye estimate (docs/estimator.md), or
+points: r = T(q) X s - c for a sensor on the flange, and X s - T(q) c for one beside the robot, in
+the axes of the sensor; s is the measured point, c the position of the target. Several targets, or
+one at several positions, have sensor and arm in common; the errors of the arm act through the
+twists of the flange.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+from handeye_ros import se3
+from handeye_ros.arm import Arm
+from handeye_ros.data import Array
+from handeye_ros.estimation.least_squares import as_they_are
+from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.problem import Estimate, linearise, Problem
+from handeye_ros.frames import in_mount
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """
+    Residuals (m,) of one target in metres, and their derivatives.
+
+    by_own: (m, 6 + k) by X and the target; by_pose: (m, 6) by a shift of the flange and a turn
+    about it, in the base; white: what whitens values (m, ...).
+    """
+
+    values: Array
+    by_own: Array
+    by_pose: Array
+    white: Callable[[Array], Array] = as_they_are
+
+
+class Measured(Protocol):
+    """
+    Measurements of one target with k unknowns at n stops.
+
+    axes: residuals in one vector, each with a noise of its own; station: (m,) of the residuals.
+    """
+
+    @property
+    def axes(self) -> int: ...
+    @property
+    def unknowns(self) -> int: ...
+    @property
+    def station(self) -> NDArray[np.intp]: ...
+    def __len__(self) -> int: ...
+    def residuals(self, T_base_flange: Array, X: Array, target: Array) -> Residuals: ...
+    def moved(self, target: Array, step: Array) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Profiles of a target: a problem, whose poses are replaced by those of the arm."""
+
+    problem: Problem
+    axes: int = 1
+
+    def __len__(self) -> int:
+        """Return the number of stops."""
+        return len(self.problem.poses)
+
+    @property
+    def unknowns(self) -> int:
+        """Return the number of unknown parameters of the target."""
+        return len(self.problem.columns) - 6
+
+    @property
+    def station(self) -> NDArray[np.intp]:
+        """Return the stop (m,) of each residual."""
+        return self.problem.observations.station
+
+    def residuals(self, T_base_flange: Array, X: Array, target: Array) -> Residuals:
+        """Return the residuals with the sensor in its mount X (4, 4) and a state of the target."""
+        problem = replace(self.problem, poses=in_mount(T_base_flange, self.problem.config))
+        linear = linearise(problem, Estimate(X, target))
+        return Residuals(linear.residuals, linear.jacobian[:, problem.columns], linear.by_pose,
+                         whitening(linear, Noise()))
+
+    def moved(self, target: Array, step: Array) -> Array:
+        """Return the state of the target after a step (k,)."""
+        step = np.append(np.zeros(6), step)
+        return self.problem.retracted(Estimate(np.eye(4), target), step).target
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """The point (n, 3) that a target is, in the sensor frame; in_hand: of one on the flange."""
+
+    points: Array
+    in_hand: bool
+    axes: int = 3
+    unknowns: int = 3
+
+    def __len__(self) -> int:
+        """Return the number of stops."""
+        return len(self.points)
+
+    @property
+    def station(self) -> NDArray[np.intp]:
+        """Return the stop (m,) of each residual."""
+        return np.repeat(np.arange(len(self)), self.axes)
+
+    def residuals(self, T_base_flange: Array, X: Array, target: Array) -> Residuals:
+        """Return the residuals with the sensor in its mount X (4, 4) and the target (3,)."""
+        R, n = T_base_flange[:, :3, :3], len(self)
+        lever = self.points @ X[:3, :3].T
+        to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
+        if self.in_hand:
+            to_fixed = to_mount @ np.swapaxes(R, 1, 2)
+            seen = se3.apply(T_base_flange, (lever + X[:3, 3])[:, None])[:, 0]
+            values, sign, to_base, at = seen - target, 1.0, to_fixed, seen
+            values = (to_fixed @ values[:, :, None]).ravel()
+        else:
+            to_fixed = to_mount @ R
+            at = se3.apply(T_base_flange, target[None])[:, 0]
+            values = (to_mount @ (lever + X[:3, 3] - at)[:, :, None]).ravel()
+            sign, to_base = -1.0, to_mount
+        by_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
+        turn = -to_base @ se3.skew(at - T_base_flange[:, :3, 3])
+        by_pose = sign * np.concatenate([to_base, turn], axis=2)
+        return Residuals(values, by_own.reshape(3 * n, -1), by_pose.reshape(3 * n, 6))
+
+    def moved(self, target: Array, step: Array) -> Array:
+        """Return the position of the target after a step (3,)."""
+        return target + step
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """
+    An estimate: sensor in its mount X (4, 4), state of each target, and the arm.
+
+    smooth: (3 r,) coefficients of smooth functions, the remaining error of the robot.
+    """
+
+    X: Array
+    targets: tuple[Array, ...]
+    arm: Arm
+    smooth: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """
+    The measurements of all targets: q (n, joints) reported joint values, target by target.
+
+    root: (n, r) smooth functions of which the remaining error of the robot consists.
+    """
+
+    q: Array
+    measured: tuple[Measured, ...]
+    root: Array
+
+    @classmethod
+    def of(cls, q: Array, measured: tuple[Measured, ...]) -> Stops:
+        """Return the measurements of a robot without a smooth error."""
+        return cls(q, measured, np.zeros((len(q), 0)))
+
+    def __len__(self) -> int:
+        """Return the number of stops."""
+        return len(self.q)
+
+    @property
+    def axes(self) -> int:
+        """Return the number of residuals in one vector: they differ in their noise."""
+        return max(one.axes for one in self.measured)
+
+    @cached_property
+    def unknowns(self) -> int:
+        """Return the number of unknowns without a prior: X and the targets."""
+        return 6 + sum(one.unknowns for one in self.measured)
+
+    @cached_property
+    def parts(self) -> list[tuple[Measured, slice, slice]]:
+        """Return for each target its measurements, its stops, and the columns of its unknowns."""
+        parts, stop, column = [], 0, 6
+        for one in self.measured:
+            parts.append((one, slice(stop, stop + len(one)),
+                          slice(column, column + one.unknowns)))
+            stop, column = stop + len(one), column + one.unknowns
+        return parts
+
+    @cached_property
+    def station(self) -> NDArray[np.intp]:
+        """Return the stop (m,) of each residual."""
+        return np.concatenate([one.station + stops.start for one, stops, _ in self.parts])
+
+    def residuals(self, state: State) -> list[Residuals]:
+        """Return the residuals of each target, without the smooth error."""
+        T = state.arm.forward(self.q)
+        return [one.residuals(T[stops], state.X, target) for (one, stops, _), target in zip(
+            self.parts, state.targets, strict=True)]
+
+    def distances(self, state: State) -> Array:
+        """Return the length (n,) of the residual of each stop, RMS of several (m)."""
+        values = np.concatenate([found.values for found in self.residuals(state)])
+        vectors = np.bincount(self.station) / self.axes
+        return np.asarray(np.sqrt(np.bincount(self.station, values ** 2) / vectors))
+
+    def linearised(self, state: State) -> tuple[Array, Array]:
+        """
+        Return whitened residuals (m,), and their derivatives (m, u).
+
+        By X, the targets, the errors of the arm and the smooth error.
+        """
+        twists, rows = state.arm.twists(self.q)[:, :, state.arm.free], []
+        for found, (one, stops, columns) in zip(self.residuals(state), self.parts, strict=True):
+            station = one.station + stops.start
+            by_own = np.zeros((len(found.values), self.unknowns))
+            by_own[:, :6], by_own[:, columns] = found.by_own[:, :6], found.by_own[:, 6:]
+            by_arm = (found.by_pose[:, None] @ twists[station])[:, 0]
+            by_smooth = (self.root[station][:, :, None] * found.by_pose[:, None, :3]
+                         ).reshape(len(by_own), -1)
+            values = found.values + by_smooth @ state.smooth
+            rows.append(found.white(np.column_stack([by_own, by_arm, by_smooth, values])))
+        white = np.concatenate(rows)
+        return white[:, -1], white[:, :-1]
+
+    def moved(self, state: State, step: Array) -> State:
+        """Return a state after a step (u,)."""
+        targets = tuple(one.moved(target, step[columns]) for (one, _, columns), target in zip(
+            self.parts, state.targets, strict=True))
+        of_arm, smooth = np.split(step[self.unknowns:], [len(state.arm.values)])
+        return State(se3.perturb(state.X, step[:6]), targets,
+                     replace(state.arm, values=state.arm.values + of_arm), state.smooth + smooth)
