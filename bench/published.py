@@ -25,8 +25,9 @@ from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
-from handeye_ros.tabulated import hand_eye, points
-from handeye_ros.tabulated.sweeps import sweep_from
+from handeye_ros.tabulated.hand_eye import Views
+from handeye_ros.tabulated.points import Pairs
+from handeye_ros.tabulated.sweeps import sweep_from, SWEPT
 import numpy as np
 from paired import errors, grid, print_header, print_nearest, print_table
 from scipy.spatial.transform import Rotation
@@ -61,7 +62,7 @@ def two_frames(rng: np.random.Generator) -> Trial:
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
 
     def answers() -> Answers:
-        yield 'points', points.solve(camera, base).T_base_camera
+        yield 'points', Pairs(camera, base).solve(Config()).X
         yield 'Wu 2017, best of 210', wu2017.solve(camera, base).T_base_camera
     return Trial(T, exact, answers())
 
@@ -99,11 +100,15 @@ class Poses:
 
     def answers(self, T: np.ndarray, views: np.ndarray) -> Answers:
         """Yield what each makes of the poses."""
-        yield 'A X = X B', hand_eye.solve(T, views, None, self.on_base).T_flange_camera
-        noise = hand_eye.PoseNoise(*np.maximum(self.camera, 1e-9), *self.robot)
-        known = hand_eye.solve(T, views, noise, self.on_base).T_flange_camera
-        yield 'A X = X B, noise known', known
         T = se3.inverse(T) if self.on_base else T
+        poses = Views(T, views)
+        config = with_values(Config(), {
+            'calibration_type': 'eye_on_base' if self.on_base else 'eye_in_hand'}, 'cell')
+        yield 'A X = X B', poses.solve(config).X
+        (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
+        known, _ = poses.adjusted(poses.closed_form(), np.array(
+            [camera + robot, camera_turn, robot_turn]), self.on_base)
+        yield 'A X = X B, noise known', known.state[0]
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))
         for name in OPENCV if cv2 else ():
             try:
@@ -124,13 +129,14 @@ def off_by(T: np.ndarray, shift: float, turn: float, rng: np.random.Generator) -
 def by_tracker(rng: np.random.Generator) -> Trial:
     """Return a trial of arm, ball and block; tracker 0.02 mm, sensor 0.037 mm."""
     cell = simulate_tracker(rng)
-    config = with_values(Config(), {'noise.sensor': SENSOR.noise, 'target.radius': RADIUS}, 'cell')
-    sweep = sweep_from(cell.profiles, cell.poses, config, cell.q3_first, cell.q30)
+    config = with_values(Config(), {'noise.sensor': SENSOR.noise, 'target.radius': RADIUS,
+                                    'tracker.first_reading': cell.q3_first}, 'cell')
+    sweep = sweep_from(cell.profiles, cell.poses, config)
     parts = {**cell.reflector, 'ball': cell.reflector['ball'].mean(axis=0)}
     measured = jing2020.Tracker(**parts, h0=cell.h0, h1=cell.h1)
 
     def answers() -> Answers:
-        swept = (each[:, :3] for each in (sweep.ball, sweep.face_c, sweep.face_d))
+        swept = (sweep.points[sweep.part == part] for part in range(len(SWEPT)))
         yield 'Jing 2020', jing2020.solve(
             measured, jing2020.Sweep(*swept, sweep.q30)).T_flange_sensor
     field = grid((-0.02, 0.0, 0.02), (0.0,), (0.16, 0.175, 0.19))

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import sys
-from typing import Annotated, Any, TYPE_CHECKING
+from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
     Angles,
@@ -68,7 +68,7 @@ def solve(
         content = _read_files(method, path, settings)
         with doing('solving'):
             calibration = calibrate_files(method, content, settings)
-        field = method.field(content.data)
+        field = content.values.field()
     else:
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
@@ -97,7 +97,7 @@ def solve(
     typer.echo(saved)
 
 
-def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
+def _file_method(path: Path, settings: 'Config') -> 'FileMethod | None':
     """Return the method of a target that is solved from files, None for one of profiles."""
     from handeye_ros.targets import METHODS
     is_table = path.suffix in TABLES and path.is_file()
@@ -114,10 +114,9 @@ def _file_method(path: Path, settings: 'Config') -> 'FileMethod[Any] | None':
     return method
 
 
-def _read_files(method: 'FileMethod[Any]', path: Path, settings: 'Config') -> 'Given[Any]':
-    from handeye_ros.bags import bag
+def _read_files(method: 'FileMethod', path: Path, settings: 'Config') -> 'Given':
     with doing('reading the files'):
-        content = method.read(path, settings, bag.read)
+        content = method.read(path, settings)
     for warning in content.warnings:
         warn(warning)
     return content

@@ -25,7 +25,13 @@ from handeye_ros.published.estimators import (
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.tabulated.method import FileMethod, Input, plane_axes, require_trusted
+from handeye_ros.tabulated.method import (
+    FileMethod,
+    Input,
+    plane_axes,
+    require_trusted,
+    solve,
+)
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
@@ -118,24 +124,24 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
                       len(samples) + len(rejects) - len(stations), refusal)
 
 
-def compare_files(method: FileMethod[Any], given: Input[Any], config: Config,
+def compare_files(method: FileMethod, given: Input, config: Config,
                   T_true: Array | None = None, folds: int = FOLDS,
                   progress: Progress = lambda doing: None) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
     progress(method.name)
     start, X, refusal = time.perf_counter(), None, None
-    measured = Measurements(method, given.data, config)
+    measured = Measurements(method, given.values, config)
     total = len(measured)
     try:
-        answer = method.solve(given.data, config)
-        measured = replace(measured, data=answer.agreed)
+        answer = solve(method, given.values, config)
+        measured = replace(measured, values=answer.agreed)
         require_trusted(method, answer, config)
         X = answer.X
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start
     judge = _Judge(measured, T_true, folds, progress, plane_axes(method, config),
-                   method.field(measured.data))
+                   measured.values.field())
     return Comparison(tuple(judge.rows(X, refusal, seconds)), len(measured),
                       total - len(measured), refusal, method.over)
 

@@ -15,18 +15,16 @@ import math
 from typing import Any, TypeAlias
 
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.refusals import missing_motion, require_certain, require_rotations
+from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, Sample
 from handeye_ros.errors import SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import fit as fit_target
-from handeye_ros.frames import mount_frame
 from handeye_ros.outcome import measured_points
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
-from handeye_ros.tabulated import hand_eye
-from handeye_ros.tabulated.method import FileMethod, require_trusted
+from handeye_ros.tabulated.method import FileMethod, require_trusted, solve
 from handeye_ros.targets import line, plate
 import numpy as np
 from numpy.typing import NDArray
@@ -94,22 +92,22 @@ class _GivenTransform(Problem):
 class Measurements:
     """Values read from files, without those that the target's own method drops."""
 
-    method: FileMethod[Any]
-    data: Any
+    method: FileMethod
+    values: Any
     config: Config
 
     def __len__(self) -> int:
         """Return the number of samples."""
-        return len(self.method.samples(self.data))
+        return len(self.values.samples)
 
     def subset(self, samples: NDArray[np.intp]) -> Measurements:
         """Return some of the samples (ascending indices)."""
-        return replace(self, data=self.method.subset(self.data, samples))
+        return replace(self, values=self.values.subset(samples))
 
     def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
                   ) -> Array | None:
         """Return distances (m) of `measured` samples for X, the target fitted to `fitted` ones."""
-        return self.method.residuals(self.data, X, fitted, measured, self.config)
+        return np.asarray(self.values.residuals(X, fitted, measured))
 
 
 Given: TypeAlias = Stations | Measurements
@@ -203,20 +201,19 @@ def _zheng(stations: Stations) -> Array:
 
 
 def _from_files(given: Measurements) -> Array:
-    answer = given.method.solve(given.data, given.config)
+    answer = solve(given.method, given.values, given.config)
     require_trusted(given.method, answer, given.config)
     return answer.X
 
 
 def _park(given: Measurements) -> Array:
-    require_rotations(given.data.T_fixed_mount, mount_frame(given.config),
-                      hand_eye.LOST)
-    return hand_eye.closed_form(given.data.T_fixed_mount, given.data.T_camera_target)[0]
+    given.values.require_determined(given.config)
+    return np.asarray(given.values.closed_form()[0])
 
 
 def _cn105021139a(given: Measurements) -> Array:
     return np.asarray(cn105021139a.solve_motions(*cn105021139a.motions(
-        given.data.T_fixed_mount, given.data.T_camera_target)))
+        given.values.T, given.values.T_camera_target)))
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
@@ -241,7 +238,7 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'points': (
         Estimator('points', _from_files),
         Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(
-            given.data.in_camera, given.data.in_base).T_base_camera),
+            given.values.in_camera, given.values.in_base).T_base_camera),
     ),
     'hand_eye': (
         Estimator('hand_eye', _from_files),
@@ -249,7 +246,7 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('CN105021139A', _cn105021139a),
     ),
     'tracker': (
-        Estimator('tracker', lambda given: given.data.chain(given.config).T_flange_sensor),
+        Estimator('tracker', lambda given: given.values.chain().T_flange_sensor),
     ),
 }
 """By target, its own method first."""

@@ -3,8 +3,6 @@
 """Targets that are solved from files of measured values, one file each."""
 from __future__ import annotations
 
-from typing import Any
-
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError
 from handeye_ros.tabulated.hand_eye import HAND_EYE
@@ -12,10 +10,10 @@ from handeye_ros.tabulated.method import FileMethod
 from handeye_ros.tabulated.points import POINTS
 from handeye_ros.tabulated.tracker import TRACKER
 
-FILE_METHODS: dict[str, FileMethod[Any]] = {m.name: m for m in (POINTS, HAND_EYE, TRACKER)}
+FILE_METHODS: dict[str, FileMethod] = {m.name: m for m in (POINTS, HAND_EYE, TRACKER)}
 
 
-def of(config: Config) -> FileMethod[Any] | None:
+def of(config: Config) -> FileMethod | None:
     """
     Return the file method of a configuration, None for targets seen by profiles.
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.bags import bag
 from handeye_ros.config import load
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
@@ -20,6 +19,7 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.simulate import FILE_SCENES
 from handeye_ros.tabulated import FILE_METHODS
+from handeye_ros.tabulated.method import solve
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -41,7 +41,7 @@ def answer(name: str, folder: Path) -> Array:
     path.write_text(text, encoding='utf-8')
     config = load(ROOT / 'config' / f'{name}.yaml')
     method = FILE_METHODS[name]
-    X = method.solve(method.read(path, config, bag.read).data, config).X
+    X = solve(method, method.read(path, config).values, config).X
     return np.concatenate([X[:3, 3], se3.log_rotation(X[:3, :3])])
 
 

@@ -1,0 +1,307 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Points, A X = X B and the tracker: the truth, honest covariances, outliers, refusals."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from handeye_ros import se3
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array
+from handeye_ros.errors import DataError
+from handeye_ros.published import cn105021139a, jing2020, wu2017
+from handeye_ros.simulate.measured import RADIUS, simulate_tracker, TrackerCell
+from handeye_ros.tabulated.hand_eye import HAND_EYE, Views
+from handeye_ros.tabulated.method import Answer, solve
+from handeye_ros.tabulated.points import Pairs, POINTS
+from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
+from handeye_ros.tabulated.tracker import session_of, TRACKER
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tracker_session import session, T_flange_sensor
+
+IN_HAND = Config()
+ON_BASE = with_values(IN_HAND, {'calibration_type': 'eye_on_base'}, 'test')
+
+
+def chi_squared(found: Answer, T_true: Array) -> float:
+    """Return the squared error over the covariance, 1 on average."""
+    delta = se3.difference(found.X, T_true)
+    return float(delta @ np.linalg.solve(found.covariance, delta) / 6)
+
+
+def off(T: Array, T_true: Array) -> float:
+    return float(np.abs(se3.difference(T, T_true)).max())
+
+
+def pairs(seed: int, noise: float = 0.0, count: int = 10, wrong: int = 0) -> tuple[Array, Pairs]:
+    """Return T_base_camera and points in both frames, the first ones wrong."""
+    rng = np.random.default_rng(seed)
+    T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
+    base = rng.uniform(-0.15, 0.15, (count, 3)) + [0.6, 0.1, 0.3]
+    camera = se3.apply(se3.inverse(T), base) + noise * rng.normal(size=(count, 3))
+    camera[:wrong] += 5e-3 * rng.normal(size=(wrong, 3))
+    return T, Pairs(camera, base)
+
+
+@pytest.mark.parametrize('count', [4, 10, 60])
+def test_points_without_noise(count: int) -> None:
+    T, points = pairs(count, count=count)
+    found = solve(POINTS, points, ON_BASE)
+    assert off(found.X, T) < 1e-9 and found.used.all()
+
+
+def test_points_are_as_sure_as_they_say_and_nearer_than_the_best_quadruple() -> None:
+    squares, noise, ours, published = [], [], [], []
+    for seed in range(100):
+        T, points = pairs(seed, 3e-5)
+        found = points.solve(ON_BASE)
+        squares.append(chi_squared(found, T))
+        noise.append(found.target['point_noise'])
+        if seed < 50:
+            quadruple = wu2017.solve(points.in_camera, points.in_base).T_base_camera
+            ours.append(np.abs(se3.difference(found.X, T)))
+            published.append(np.abs(se3.difference(quadruple, T)))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+    assert np.median(noise) == pytest.approx(3e-5, rel=0.1)
+    assert (np.median(ours, axis=0) < 0.9 * np.median(published, axis=0)).all()
+
+
+@pytest.mark.parametrize(('count', 'wrong'), [(5, 1), (10, 2), (30, 8)])
+def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
+    for seed in range(5):
+        T, points = pairs(seed, 3e-5, count, wrong)
+        found = solve(POINTS, points, ON_BASE)
+        assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
+        assert found.off[:wrong].min() > 5 * found.residual_rms
+        assert found.residual_rms < found.holdout_rms < 1e-3
+
+
+def test_points_in_another_order_are_refused() -> None:
+    _, points = pairs(1)
+    with pytest.raises(DataError, match='same points in the same order'):
+        solve(POINTS, replace(points, in_base=points.in_base[::-1]), ON_BASE)
+
+
+NOISE, ROBOT = (1e-4, 1e-3), (3e-5, 1e-4)
+
+
+def views(seed: int, noise: tuple[float, float] = (0.0, 0.0), count: int = 12,
+          robot: tuple[float, float] = (0.0, 0.0), on_base: bool = False
+          ) -> tuple[Array, Array, Views]:
+    """Return X, Z and the views, with noise of camera and robot (m, rad)."""
+    rng = np.random.default_rng(seed)
+    X = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
+    Z = se3.transform(Rotation.random(random_state=rng).as_matrix(), np.array([0.7, 0.1, 0.2]))
+    turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * [30, 30, 60], degrees=True)
+    seen = se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
+                         rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
+    T = Z @ se3.inverse(seen) @ se3.inverse(X)
+    T = (se3.inverse(disturbed(se3.inverse(T), robot, rng)) if on_base
+         else disturbed(T, robot, rng))
+    return X, Z, Views(T, disturbed(seen, noise, rng))
+
+
+def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) -> Array:
+    shift, turn = rng.normal(size=(2, len(T), 3)) * np.array(noise)[:, None, None]
+    return se3.transform(se3.exp_rotation(turn) @ T[:, :3, :3], T[:, :3, 3] + shift)
+
+
+@pytest.mark.parametrize('count', [3, 12])
+@pytest.mark.parametrize('config', [IN_HAND, ON_BASE])
+def test_views_without_noise(count: int, config: Config) -> None:
+    X, Z, poses = views(count, count=count)
+    found = solve(HAND_EYE, poses, config)
+    assert off(found.X, X) < 1e-9
+    translation = list(found.target['pose']['translation'].values())
+    assert translation == pytest.approx(Z[:3, 3], abs=1e-9)
+
+
+@pytest.mark.parametrize('on_base', [False, True])
+def test_views_are_as_sure_as_they_say(on_base: bool) -> None:
+    """The robot turns about its flange, which is elsewhere with the camera on the base."""
+    squares = []
+    for seed in range(40):
+        X, _, poses = views(seed, NOISE, 20, (1e-4, 1e-3), on_base)
+        squares.append(chi_squared(poses.solve(ON_BASE if on_base else IN_HAND), X))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('noise', 'robot', 'count'), [
+    (NOISE, (0.0, 0.0), 12), ((1e-9, 1e-9), (1e-4, 5e-4), 12), ((1e-4, 2e-4), (1e-4, 1e-3), 12),
+    ((1e-4, 1e-2), ROBOT, 12), (NOISE, ROBOT, 5)])
+def test_whoever_is_noisy_nearer_than_closed_forms_and_near_the_noise_known(
+        noise: tuple[float, float], robot: tuple[float, float], count: int) -> None:
+    errors = []
+    for seed in range(1000, 1030):
+        X, _, poses = views(seed, noise, count, robot)
+        (camera, camera_turn), (shift, turn) = np.square([noise, robot])
+        known, _ = poses.adjusted(poses.closed_form(), np.array(
+            [camera + shift, camera_turn, turn]), False)
+        motions = cn105021139a.motions(poses.T, poses.T_camera_target)
+        answers = (poses.solve(IN_HAND).X, known.state[0], poses.closed_form()[0],
+                   cn105021139a.solve_motions(*motions))
+        deltas = np.array([se3.difference(answer, X) for answer in answers])
+        errors.append(np.linalg.norm(deltas.reshape(4, 2, 3), axis=2))
+    ours, known, closed, published = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (ours < closed).all() and (ours < published).all()
+    assert (ours < 1.15 * known).all()
+
+
+@pytest.mark.thorough
+def test_as_near_as_opencv_on_a_hundred_seeds() -> None:
+    cv2 = pytest.importorskip('cv2', reason='needs opencv-python-headless<5')
+    names = ('TSAI', 'PARK', 'HORAUD', 'ANDREFF', 'DANIILIDIS')
+    errors: dict[str, list[tuple[float, float]]] = {name: [] for name in ('ours', *names)}
+    for seed in range(100):
+        X, _, poses = views(seed, NOISE, robot=ROBOT)
+        T, seen = poses.T, poses.T_camera_target
+        answers = {'ours': poses.solve(IN_HAND).X}
+        for name in names:
+            R, t = cv2.calibrateHandEye(
+                T[:, :3, :3], T[:, :3, 3], seen[:, :3, :3], seen[:, :3, 3],
+                method=getattr(cv2, f'CALIB_HAND_EYE_{name}'))
+            answers[name] = se3.transform(R, t[:, 0])
+        for name, answer in answers.items():
+            delta = se3.difference(answer, X)
+            errors[name].append((np.linalg.norm(delta[:3]), np.linalg.norm(delta[3:])))
+    median = {name: np.median(values, axis=0) for name, values in errors.items()}
+    assert all((median['ours'] <= median[name]).all() for name in names)
+
+
+def test_derivatives_are_those_of_the_differences() -> None:
+    X, Z, poses = views(1)
+    J = poses.derivatives((X, Z))
+    for k, step in enumerate(1e-6 * np.eye(6)):
+        for state, slope in (((se3.perturb(X, step), Z), J[:, :, k]),
+                             ((X, se3.perturb(Z, step)), J[:, :, 6 + k])):
+            np.testing.assert_allclose(poses.differences(state) / 1e-6, slope, atol=1e-5)
+
+
+@pytest.mark.parametrize('on_base', [False, True])
+def test_a_cause_has_the_covariance_of_its_errors(on_base: bool) -> None:
+    rng, turn = np.random.default_rng(0), 1e-4
+    X, Z, poses = views(1, count=4)
+    differences = []
+    for _ in range(4000):
+        robot = se3.inverse(poses.T) if on_base else poses.T
+        T = disturbed(robot, (0.0, turn), rng)
+        differences.append(replace(poses, T=se3.inverse(T) if on_base else T).differences((X, Z)))
+    made = np.einsum('kni,knj->nij', differences, differences) / len(differences) / turn ** 2
+    np.testing.assert_allclose(made, poses.causes((X, Z), on_base)[2], atol=0.1)
+
+
+def test_a_wrong_view_is_left_out() -> None:
+    X, _, poses = views(5, NOISE, robot=ROBOT)
+    seen = poses.T_camera_target.copy()
+    seen[4] = se3.perturb(seen[4], np.array([5e-3, 0, 0, 0, 0.02, 0]))
+    found = solve(HAND_EYE, replace(poses, T_camera_target=seen), IN_HAND)
+    assert not found.used[4] and found.used.sum() >= 10
+    assert np.linalg.norm(se3.difference(found.X, X)[:3]) < 1e-3
+    assert found.residual_rms < found.holdout_rms < 1e-3
+
+
+SENSOR = 3.7e-5
+CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 'test')
+
+
+def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep, noise: float = SENSOR) -> Answer:
+    """Return the answer; noise: 1 sigma of the sensor, or more than 1 mm of both instruments."""
+    parts = [sweep.ball, sweep.face_c, sweep.face_d]
+    count = [len(points) for points in parts]
+    stamps = np.concatenate([np.arange(n) + 10_000 * (k > 0) for k, n in enumerate(count)])
+    rows = [(kind, point) for kind in ('arc', 'line', 'ball', 'face_c', 'face_d')
+            for point in np.atleast_2d(getattr(measured, kind))]
+    config = with_values(CELL, {
+        'tracker.h0': measured.h0, 'tracker.h1': measured.h1,
+        'tracker.noise': min(noise, 0.01) if noise > 1e-3 else 2e-5}, 'test')
+    swept = Sweep(np.repeat(range(3), count), np.concatenate(parts), np.full(sum(count), noise),
+                  stamps, sweep.q30)
+    return solve(TRACKER, session_of(rows, swept, config), config)
+
+
+@pytest.mark.parametrize('skew', [0.0, 4.0])
+def test_the_tracker_without_noise(skew: float) -> None:
+    """The block may be crooked; the ball and the faces are what was swept."""
+    found = tracked(*session(1, skew=skew))
+    assert off(found.X, T_flange_sensor) < 1e-9
+    assert found.target['face_angle'] == pytest.approx(np.deg2rad(90.0 + skew))
+    assert found.target['radius'] == pytest.approx(0.01905)
+
+
+def test_the_tracker_is_as_sure_as_it_says() -> None:
+    squares = [chi_squared(tracked(*session(seed, 2e-5, SENSOR)), T_flange_sensor)
+               for seed in range(4)]
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+def of_cell(cell: TrackerCell) -> Config:
+    return with_values(CELL, {'tracker.h0': cell.h0, 'tracker.h1': cell.h1,
+                              'tracker.first_reading': cell.q3_first}, 'test')
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_the_tracker_from_profiles(seed: int) -> None:
+    """Noise as in the paper, and the faults of the sensor beside it; against the truth."""
+    cell = simulate_tracker(np.random.default_rng(seed))
+    config = of_cell(cell)
+    rows = [(kind, point) for kind, points in cell.reflector.items() for point in points]
+    sweep = sweep_from(cell.profiles, cell.poses, config)
+    found = solve(TRACKER, session_of(rows, sweep, config), config)
+    e_v, e_theta, e_p = jing2020.errors(found.X, cell.T_flange_sensor)
+    assert e_v < 1e-3 and e_theta < np.deg2rad(0.07) and e_p < 0.25e-3
+    assert found.target['radius'] == pytest.approx(RADIUS, abs=2e-5)
+    std = np.sqrt(np.diag(found.covariance))
+    assert 1e-6 < std[:3].max() < 0.25e-3 and 1e-6 < std[3:].max() < 1e-3
+
+
+@pytest.mark.parametrize('seed', [1003, 1011, 1035])
+def test_the_rim_of_the_ball_is_no_block(seed: int) -> None:
+    cell = simulate_tracker(np.random.default_rng(seed))
+    sweep = sweep_from(cell.profiles, cell.poses, of_cell(cell))
+    ball, *faces = (sweep.points[sweep.part == part] for part in range(len(SWEPT)))
+    assert faces[0][:, 2].min() > ball[:, 2].max()
+    along = jing2020.fit_swept_ball(ball, sweep.q30, jing2020.SWEEP)[0]
+    angle = jing2020.face_angle(*(jing2020.swept(face, sweep.q30, along) for face in faces))
+    assert np.degrees(angle) == pytest.approx(90.0, abs=0.05)
+
+
+def test_wrong_points_of_the_tracker_are_left_out() -> None:
+    measured, sweep = session(2, 2e-5, SENSOR)
+    measured.arc[5] += [1e-3, 0, 0]
+    measured.face_c[1] += [3e-3, 2e-3, -1e-3]
+    found = tracked(measured, sweep)
+    assert chi_squared(found, T_flange_sensor) < 4
+    assert np.flatnonzero(~found.used).tolist() == [
+        5, len(measured.arc) + len(measured.line) + 1]
+
+
+def test_what_of_the_tracker_cannot_carry_an_answer_is_refused() -> None:
+    measured, sweep = session(0, 2e-5, SENSOR)
+    order = np.random.default_rng(1).permutation(30)
+    wrong = measured.face_c + np.linspace(0, 9e-3, len(measured.face_c))[:, None]
+    for change, words in (
+            ({'face_d': measured.face_c + 1e-3 * np.ones(3)}, 'nearly parallel'),
+            ({'arc': measured.arc[order]}, 'the points of the arc go back and forth'),
+            ({'line': measured.line[order]}, 'the points of the line go back and forth'),
+            ({'face_c': wrong}, 'contradict each other')):
+        with pytest.raises(DataError, match=words):
+            tracked(replace(measured, **change), sweep)
+
+
+def test_a_sweep_that_is_none_is_refused() -> None:
+    cell = simulate_tracker(np.random.default_rng(5))
+    turned = [replace(pose, quaternion=np.roll(pose.quaternion, i // 80))
+              for i, pose in enumerate(cell.poses)]
+    aside = [replace(pose, translation=pose.translation[[1, 0, 2]]) for pose in cell.poses]
+    late = [replace(pose, stamp=pose.stamp + 10 ** 12) for pose in cell.poses]
+    for profiles, poses, words in (
+            (cell.profiles, turned, 'the flange turns by'),
+            (cell.profiles, aside, 'mm aside; move P3 alone'),
+            (cell.profiles[:50], cell.poses, 'profiles show the block'),
+            (cell.profiles[80:], cell.poses, '0 profiles show the ball'),
+            (cell.profiles, late, 'no profile lies within the time of the poses')):
+        with pytest.raises(DataError, match=words):
+            sweep_from(profiles, poses, of_cell(cell))
