@@ -51,12 +51,10 @@ from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
 from handeye_ros.simulate.stations import Stops
 from handeye_ros.verification.check import Check, check
-from handeye_ros.verification.decision import Verification
+from handeye_ros.verification.fit import StationSet
 from handeye_ros.verification.routines import Routine, ROUTINES, settings_for, TEETH
-from handeye_ros.verification.shapes import StationSet
-from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.tooth_gauge import stations_of_pass
-from handeye_ros.verification.verify import verify
+from handeye_ros.verification.stations import stations_of, stations_of_pass
+from handeye_ros.verification.verify import Verification, verify
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2

@@ -12,7 +12,7 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.verification.decision import time_of
+from handeye_ros.verification.verify import time_of
 import numpy as np
 from rich.markup import escape
 from rich.table import Table

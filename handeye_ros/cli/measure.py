@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
     from handeye_ros.verification.check import Check
+    from handeye_ros.verification.fit import StationSet
     from handeye_ros.verification.routines import Routine
-    from handeye_ros.verification.shapes import StationSet
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
 Bags = Annotated[list[Path], typer.Argument(
@@ -63,9 +63,8 @@ def verify(
     """
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results.calibration_file import input_values
-    from handeye_ros.verification import decision
+    from handeye_ros.verification import verify as verification
     from handeye_ros.verification.routines import routine_of, settings_for
-    from handeye_ros.verification.verify import verify as verified
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
@@ -74,17 +73,17 @@ def verify(
     measured, reasons = zip(*(_stations(routine, bag, answer, settings) for bag in bags),
                             strict=True)
     result = replace(
-        verified(routine, measured, answer, settings, next(filter(None, reasons), '')),
+        verification.verify(routine, measured, answer, settings, next(filter(None, reasons), '')),
         inputs=tuple(map(str, bags)), calibration_file=input_values(calibration),
         created=datetime.now(UTC).isoformat(timespec='seconds'))
-    show(decision.table(result))
+    show(verification.table(result))
     if out:
-        write_whole(out, decision.yaml_text(result))
+        write_whole(out, verification.yaml_text(result))
     if stations:
-        write_whole(stations, decision.stations_csv(result))
+        write_whole(stations, verification.stations_csv(result))
     if protocol:
         from handeye_ros.results.verification_file import protocol as protocol_of
-        write_whole(protocol, protocol_of(decision.values(result)))
+        write_whole(protocol, protocol_of(verification.values(result)))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':
@@ -95,11 +94,10 @@ def _stations(routine: 'Routine', bag: Path, calibration: 'Calibration', config:
               ) -> tuple['StationSet', str]:
     """Return what a recording shows of the artefact, and why the first stop was rejected."""
     from handeye_ros.verification.routines import TEETH
+    from handeye_ros.verification.stations import stations_of, stations_of_pass
     if routine.target == TEETH:
-        from handeye_ros.verification.tooth_gauge import stations_of_pass
         with flowing(bag, config, 'reading the recording') as (source, track, _):
             return stations_of_pass(list(source.profiles()), track, config), ''
-    from handeye_ros.verification.stations import stations_of
     session = gathered(bag, config)
     used = {report.stamp for report in calibration.samples if report.used}
     if any(sample.stamp in used for sample in session.samples):

@@ -50,8 +50,8 @@ from handeye_ros.results import calibration_file, exports
 from handeye_ros.sampling.features import result_of, sample_of
 from handeye_ros.sampling.session import judged, Outcome, Session, silent_poses
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.verification.decision import sentence, time_of, Verification, yaml_text
 from handeye_ros.verification.session import VerificationSession
+from handeye_ros.verification.verify import sentence, time_of, Verification, yaml_text
 import numpy as np
 
 # Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A verification from its YAML (see verification/decision.py): values for print, and the protocol.
+A verification from its YAML (see verification/verify.py): values for print, and the protocol.
 
 The protocol is one HTML file for an inspector; it opens without a network.
 """

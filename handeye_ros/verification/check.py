@@ -1,44 +1,48 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether a calibration still holds, by a short recording of its target.
+Whether a calibration still holds, by a short recording of its target; if not, what has changed.
 
-The recording is compared with what the calibration predicts for it (see causes). The sentence
-names the cause. If the stops do not distinguish several causes, it names these and their odds.
-If nothing changed, it states the smallest change
-that the check would have detected.
+r = g(p; target) are the residuals of the recording at the answer of the calibration. With nothing
+changed, r = G dX + J dη + e: dX, dη are the errors of the calibration's transform and target with
+their joint covariance, e is the noise. A moved target adds T m, a moved sensor -G m, m a twist; a
+changed robot adds an error of each pose, smooth over the poses or white. Each has a normal prior,
+averaged over SCALES, so each cause has a marginal likelihood. A change is reported if the causes
+together are EVIDENCE times as likely as none: by Markov's inequality the probability of a false
+alarm is at most 1 / EVIDENCE (Wald 1945). If the stops do not distinguish several causes, the
+sentence names these and their odds; if nothing changed, the smallest change that would have shown.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 import math
 from typing import Any
 
+from handeye_ros import frames, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.problem import Target, UNUSED
-from handeye_ros.frames import mounted, sensor_axes
 from handeye_ros.targets import METHODS
-from handeye_ros.verification.causes import (
-    agreeing,
-    Cause,
-    causes,
-    Comparison,
-    EVIDENCE,
-    smallest_moves,
-)
-from handeye_ros.verification.shapes import StationSet
+from handeye_ros.targets.common import edges_of
+from handeye_ros.verification.fit import agreeing, contradictions, root_of, StationSet
 from handeye_ros.verification.stations import compared
-from handeye_ros.verification.verify import too_few
+from handeye_ros.verification.verify import LEAST_STATIONS, too_few
 import numpy as np
+import scipy.linalg
 
 FORMAT = 'handeye_ros/check/2'
-LEAST_STATIONS = 4
+EVIDENCE = 100.0
+SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
+LEVER = 0.1  # m: a scale over it is that of a turn
+SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
+SMOOTHNESS = (1.0, 2.0)  # times as far; bench/verify.py --check: one joint's error reaches further
+ITERATIONS = 6
 SURE = 0.95  # probability with which one cause, or some together, are named
 KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
+STILL = np.zeros(6)  # no move
 MORE = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 degrees '
         'about x and y: an error of the robot differs there, a move does not')
 
@@ -89,104 +93,263 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     reason: why other stations gave no sample. Raises DataError, and InputError for a calibration
     without a target to compare with.
     """
-    method = METHODS.get(calibration.method)
-    joint = calibration.target.get('joint')
-    if method is None or not isinstance(joint, Mapping):
-        raise _no_target(calibration)
-    if len(samples) < LEAST_STATIONS:
-        raise too_few(len(samples), LEAST_STATIONS, reason)
-    comparison, left_out = agreeing(_comparison(samples, calibration, method, joint, config))
+    whole = _comparison(samples, calibration, config, reason)
+
+    def without(left_out: Collection[int]) -> tuple[_Comparison, dict[int, float]]:
+        rest = replace(whole, stations=whole.stations.without(left_out))
+        rows = rest.residuals()
+        moves = np.hstack([rows.target, rows.sensor])
+        changed = rows.covariance + moves * np.tile(_prior(SCALES[-1]), 2) @ moves.T
+        W = np.asarray(np.linalg.inv(changed))
+        return rest, contradictions(W, rows.r, rest.stations.row_groups)
+
+    comparison, left_out = agreeing(without, len(samples))
+    rows = comparison.residuals()
     count = len(np.unique(comparison.stations.observations.station))
     if count < LEAST_STATIONS:
         raise too_few(count, LEAST_STATIONS, reason)
-    unchanged, explanations = causes(comparison)
-    return _result(comparison, unchanged, explanations, samples[0].stamp,
-                   [k + 1 for k in left_out])
+
+    causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
+              _Cause('robot', _robot_likelihood(comparison, rows), STILL, 0.0, 0.0))
+    likelihood = np.array([cause.likelihood for cause in causes])
+    together = float(np.logaddexp.reduce(likelihood))
+    evidence = together - math.log(len(causes)) - rows.likelihood(np.zeros_like(rows.covariance))
+    odds = {cause.name: float(np.exp(cause.likelihood - together)) for cause in causes}
+    target_axes, target_shows = _smallest_shifts(rows.target, rows.covariance)
+    sensor_axes, sensor_shows = _smallest_shifts(rows.sensor, rows.covariance)
+    if evidence < math.log(EVIDENCE):
+        verdict, sentence = 'unchanged', _unchanged(
+            target_axes, target_shows, sensor_axes, sensor_shows)
+    else:
+        verdict, sentence = _changed(sorted(causes, key=lambda cause: -cause.likelihood), odds)
+    if left_out:
+        stops = [k + 1 for k in left_out]
+        sentence += f'. Left out, as they contradict the others: stops {stops}'
+    target, sensor, _ = causes
+    return Check(
+        samples[0].stamp, verdict, sentence, count, float(np.sqrt((rows.r ** 2).mean())),
+        math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
+        sensor.turn, sensor.displacement, sensor.displacement_std,
+        np.where(target_shows < UNSEEN, target_shows, np.nan).tolist(), target_axes.tolist(),
+        np.where(sensor_shows < UNSEEN, sensor_shows, np.nan).tolist(), sensor_axes.tolist(),
+        [k + 1 for k in left_out])
 
 
-def _comparison(samples: Sequence[Sample], calibration: Calibration, method: Target,
-                joint: Mapping[str, Any], config: Config) -> Comparison:
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """
+    Residuals r (m,), their covariance (m, m) without a change, and derivatives by changes.
+
+    target, sensor (m, 6): by a move of these; robot (m, 6): by the error of the pose of its
+    station.
+    """
+
+    r: Array
+    covariance: Array
+    target: Array
+    sensor: Array
+    robot: Array
+
+    def likelihood(self, added: Array, r: Array | None = None) -> float:
+        """Return the log marginal likelihood; added: covariance (m, m) of a change."""
+        factor = np.linalg.cholesky(self.covariance + added)
+        z = scipy.linalg.solve_triangular(factor, self.r if r is None else r, lower=True)
+        return float(-0.5 * z @ z - np.log(np.diag(factor)).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """
+    A recording with the calibration that it is compared with.
+
+    X (4, 4), state (s,): calibrated sensor plane in the mount, and calibrated target; covariance
+    (6 + k, 6 + k): their joint covariance; noise_scale: factor of the stated noise.
+    """
+
+    method: Target
+    stations: StationSet
+    X: Array
+    state: Array
+    covariance: Array
+    config: Config
+    noise_scale: float
+
+    @property
+    def middle(self) -> Array:
+        """Return the middle (3,) of the observed points, about which the target turns."""
+        return np.asarray(self.stations.points(self.X).mean(axis=0))
+
+    def residuals(self, cause: str = '', move: Array = STILL) -> _Residuals:
+        """Return the residuals after a move of the target or the sensor."""
+        X = se3.perturb(self.X, move) if cause == 'sensor' else self.X
+        back = se3.exp_rotation(-move[3:]) if cause == 'target' else np.eye(3)
+        points = p = self.stations.points(X)
+        if cause == 'target':
+            p = (p - self.middle - move[:3]) @ back.T + self.middle
+        obs, noise = self.stations.observations, self.config.noise
+        at = self.method.conditions(p, obs.kind, self.state, self.config)
+        by_p = at.dg_dp @ back
+        by_X = np.einsum('mi,mij->mj', by_p, self.stations.by_calibration(X))
+        errors = np.hstack([np.hstack([by_X, at.dg_dtarget]) @ root_of(self.covariance),
+                            self._setbacks(X, by_p)])
+        # the error of the sensor's field differs from stop to stop, as that of the pose does
+        S = scipy.linalg.block_diag(*self.stations.noise(X, by_p, noise, noise.distortion))
+        flange = self.stations.poses[obs.station, :3, 3]
+        return _Residuals(at.g, self.noise_scale ** 2 * S + errors @ errors.T,
+                          np.hstack([by_p, se3.cross(p - self.middle, by_p)]), -by_X,
+                          np.hstack([by_p, se3.cross(points - flange, by_p)]))
+
+    def _setbacks(self, X: Array, by_p: Array) -> Array:
+        """Return the set-backs (m, e) of the ends of each kind at each edge, 1 sigma."""
+        obs = edges_of(self.stations.observations)
+        R = self.stations.poses[obs.station, :3, :3]
+        out = np.einsum('mi,mij,jk,mk->m', by_p, R, X[:3, [0, 2]], obs.outward)
+        groups = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
+        columns = [np.where((obs.kind == k) & (obs.end == e), out, 0.0)
+                   for k, e in sorted(groups)]
+        return self.config.target.setback_std * np.reshape(columns, (-1, len(out))).T
+
+
+def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str
+                ) -> _Comparison:
+    no_target = InputError(
+        f'the calibration (method {calibration.method}) does not hold what a check compares with: '
+        'the target with its covariance. Solve its recording again with this version, as one of '
+        f'{", ".join(METHODS)}, or measure a known object with "handeye verify"')
+    method, joint = METHODS.get(calibration.method), calibration.target.get('joint')
+    if method is None or not isinstance(joint, Mapping):
+        raise no_target
+    if len(samples) < LEAST_STATIONS:
+        raise too_few(len(samples), LEAST_STATIONS, reason)
     size = 6 + len(method.labels)
     try:
         state = np.array(joint['state'], dtype=float)
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
-        raise _no_target(calibration) from error
-    stations = StationSet(mounted(samples, config), method.observe(samples))
-    X = calibration.T_flange_sensor @ sensor_axes(config)
+        raise no_target from error
+    stations = StationSet(frames.mounted(samples, config), method.observe(samples))
+    X = calibration.T_flange_sensor @ frames.sensor_axes(config)
     obs = method.relabel(stations.observations, stations.points(X), state, config)
     stations = replace(stations, observations=obs.select(obs.kind != UNUSED))
-    return Comparison(method, stations, X, state, covariance, config, scale)
+    return _Comparison(method, stations, X, state, covariance, config, scale)
 
 
-def _no_target(calibration: Calibration) -> InputError:
-    return InputError(
-        f'the calibration (method {calibration.method}) does not hold what a check compares with: '
-        'the target with its covariance. Solve its recording again with this version, as one of '
-        f'{", ".join(METHODS)}, or measure a known object with "handeye verify"')
+def _prior(scale: float) -> Array:
+    return np.repeat([scale, scale / LEVER], 3) ** 2
 
 
-def _result(comparison: Comparison, unchanged: float, explanations: Sequence[Cause], stamp: int,
-            left_out: list[int]) -> Check:
-    likelihood = np.array([cause.likelihood for cause in explanations])
-    evidence = float(np.logaddexp.reduce(likelihood) - np.log(len(explanations)) - unchanged)
-    odds = np.exp(likelihood - np.logaddexp.reduce(likelihood))
-    order = np.argsort(-odds)
-    likeliest = order[:int(np.searchsorted(np.cumsum(odds[order]), SURE)) + 1]
-    named = [explanations[k] for k in likeliest]
-    axes, detectable = zip(*(smallest_moves(comparison, name) for name in ('target', 'sensor')),
-                           strict=True)
-    target, sensor = explanations[:2]
-    if evidence < math.log(EVIDENCE):
-        verdict, sentence = 'unchanged', _unchanged(axes, detectable)
-    else:
-        verdict = ' or '.join(cause.name for cause in named)
-        sentence = '; or '.join(map(_cause_sentence, named))
-        if len(named) > 1:
-            text = ', '.join(f'{explanations[k].name} {odds[k]:.0%}' for k in likeliest)
-            sentence = f'these stops cannot decide ({text}): {sentence}. {MORE}'
-    if left_out:
-        sentence += f'. Left out, as they contradict the others: stops {left_out}'
-    g = comparison.conditions(comparison.points).g
-    count = len(np.unique(comparison.stations.observations.station))
-    return Check(stamp, verdict, sentence, count, float(np.sqrt((g ** 2).mean())),
-                 math.exp(min(evidence, 700.0)),
-                 {cause.name: float(p) for cause, p in zip(explanations, odds, strict=True)},
-                 *target.size, *sensor.size, sensor.displacement, sensor.displacement_std,
-                 _finite(detectable[0]), axes[0].tolist(), _finite(detectable[1]),
-                 axes[1].tolist(), left_out)
+@dataclass(frozen=True, eq=False)
+class _Cause:
+    """Log likelihood, most likely move (6,) and its largest displacement of a point (m)."""
+
+    name: str
+    likelihood: float
+    move: Array
+    displacement: float
+    displacement_std: float
+
+    @property
+    def shift(self) -> float:
+        """Return the shift of the move (m)."""
+        return float(np.linalg.norm(self.move[:3]))
+
+    @property
+    def turn(self) -> float:
+        """Return the turn of the move (rad)."""
+        return float(np.linalg.norm(self.move[3:]))
+
+    @property
+    def sentence(self) -> str:
+        """Return what has changed, and what follows from it."""
+        turn = f'{math.degrees(self.turn):.3f} degrees'
+        off = f'{mm(self.displacement)} ± {mm(2 * self.displacement_std)}'
+        return {
+            'target': f'the target, or the base of the robot, moved by up to {off} where it was '
+                      f'seen, and turned by {turn}; the calibration holds',
+            'sensor': f'the sensor moved on the flange by {mm(self.shift)} and {turn}: points are '
+                      f'off by up to {off}; calibrate again',
+            'robot': 'the poses of the robot err otherwise than before (mastering, a joint, '
+                     'wear), or repeat worse than noise.robot_* says: check the robot before the '
+                     'sensor'}[self.name]
 
 
-def _finite(detectable: Array) -> list[float]:
-    return [float(v) if v < UNSEEN else math.nan for v in detectable]
+def _moved(comparison: _Comparison, name: str) -> _Cause:
+    """Return the cause of a moved target or sensor."""
+    move, scale = STILL, SCALES[-1]
+    for _ in range(ITERATIONS):
+        rows = comparison.residuals(name, move)
+        D = getattr(rows, name)
+        gain = np.linalg.solve(rows.covariance, D).T
+        C = np.linalg.inv(gain @ D + np.diag(1 / _prior(scale)))
+        linear = rows.r + D @ move
+        move = C @ gain @ linear
+        likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in SCALES]
+        scale = SCALES[int(np.argmax(likelihood))]
+    by_move = comparison.stations.by_calibration(comparison.X)
+    if name == 'target':
+        lever = comparison.stations.points(comparison.X) - comparison.middle
+        by_move = np.concatenate([np.broadcast_to(np.eye(3), (len(lever), 3, 3)),
+                                  -se3.skew(lever)], axis=2)
+    displacements = np.linalg.norm(by_move @ move, axis=1)
+    worst = int(np.argmax(displacements))
+    std = np.sqrt(np.trace(by_move[worst] @ C @ by_move[worst].T))
+    return _Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), move,
+                  float(displacements[worst]), float(std))
 
 
-def _cause_sentence(cause: Cause) -> str:
-    shift, rotation = cause.size
-    off = f'{mm(cause.displacement)} ± {mm(2 * cause.displacement_std)}'
-    if cause.name == 'target':
-        return (f'the target, or the base of the robot, moved by up to {off} where it was seen, '
-                f'and turned by {math.degrees(rotation):.3f} degrees; the calibration holds')
-    if cause.name == 'sensor':
-        return (f'the sensor moved on the flange by {mm(shift)} and {math.degrees(rotation):.3f} '
-                f'degrees: points are off by up to {off}; calibrate again')
-    return ('the poses of the robot err otherwise than before (mastering, a joint, wear), or '
-            'repeat worse than noise.robot_* says: check the robot before the sensor')
+def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
+    """Return the log likelihood of pose errors: smooth in base or flange, or white."""
+    station = comparison.stations.observations.station
+    # the flange in the base again
+    T = frames.in_mount(comparison.stations.poses[station], comparison.config)
+    away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
+    cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
+    square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
+    smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTHNESS)
+    kernels = ((rows.robot, smooth), (rows.robot, smoother), (rows.sensor, smoother),
+               (rows.robot, station[:, None] == station))
+    likelihood = [rows.likelihood(D * _prior(s) @ D.T * kernel) for s in SCALES
+                  for D, kernel in kernels]
+    return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
 
 
-def _unchanged(axes: Sequence[Array], detectable: Sequence[Array]) -> str:
+def _smallest_shifts(D: Array, unchanged: Array) -> tuple[Array, Array]:
+    """
+    Return axes (3, 3), as rows, and the smallest detectable shifts (3,) along them.
+
+    D: (m, 6) derivatives of the residuals by a move; unchanged: (m, m) their covariance.
+    The smallest comes first; it is infinite where none would show.
+    """
+    information = D.T @ np.linalg.solve(unchanged, D)
+    occam = np.linalg.slogdet(np.eye(6) + information * _prior(1e-3))[1]
+    sigmas = np.sqrt(2 * np.log(3 * len(SCALES) * EVIDENCE) + occam) + 1.64  # with 95 %
+    values, axes = np.linalg.eigh(information[:3, :3])
+    return axes.T[::-1], (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
+
+
+def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
+    """Return verdict and sentence; likeliest: the causes, the most likely first."""
+    sums = np.cumsum([odds[cause.name] for cause in likeliest])
+    named = likeliest[:int(np.searchsorted(sums, SURE)) + 1]
+    sentence = '; or '.join(cause.sentence for cause in named)
+    if len(named) > 1:
+        text = ', '.join(f'{cause.name} {odds[cause.name]:.0%}' for cause in named)
+        sentence = f'these stops cannot decide ({text}): {sentence}. {MORE}'
+    return ' or '.join(cause.name for cause in named), sentence
+
+
+def _unchanged(axes: Array, shifts: Array, flange_axes: Array, sensor_shifts: Array) -> str:
     """Return which changes were detectable, and which were not."""
-    moves = list(zip(detectable[0], axes[0], strict=True))
-    visible = [f'{mm(size)} along {_axis(axis)}' for size, axis in moves if size < UNSEEN]
-    invisible = [_axis(axis) for size, axis in moves if size >= UNSEEN]
-    sensor = detectable[1][-1]
+    visible = [f'{mm(size)} along {_axis(axis)}' for size, axis in zip(shifts, axes, strict=True)
+               if size < UNSEEN]
+    invisible = [_axis(axis) for size, axis in zip(shifts, axes, strict=True) if size >= UNSEEN]
     text = ('the calibration holds, and the target is where it was. Shifts of the target would '
             f'have shown from {", ".join(visible)} of the base on')
     text += f'; a slide along {" or ".join(invisible)} cannot be seen' if invisible else ''
     return text + ('; those of the sensor ' + (
-        f'from {mm(sensor)} on in every direction' if sensor < UNSEEN else
-        f'from {mm(detectable[1][0])} on, but none along {_axis(axes[1][-1])} of the flange'))
+        f'from {mm(sensor_shifts[-1])} on in every direction' if sensor_shifts[-1] < UNSEEN else
+        f'from {mm(sensor_shifts[0])} on, but none along {_axis(flange_axes[-1])} of the flange'))
 
 
 def _axis(axis: Array) -> str:

@@ -1,30 +1,161 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The verification routines, by name."""
+"""The verification routines, by name, and the shapes that they fit."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-import math
 
-from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
-from handeye_ros.data import Array, EdgePoint, Sample
+from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError
-from handeye_ros.estimation.problem import Observations
-from handeye_ros.profiles.circles import fit_circle
-from handeye_ros.targets import METHODS
-from handeye_ros.targets.common import edge_noise, ObservationRows
-from handeye_ros.verification import shapes, tooth_gauge
-from handeye_ros.verification.decision import Quantity
-from handeye_ros.verification.fixed_fit import FixedFit
-from handeye_ros.verification.shapes import BAGS, Kinds, Shape, StationSet
+from handeye_ros.verification.fit import Fit, Measurand, Numbers, Shape, StationSet
+from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 
 TEETH = 'teeth'  # the target of a routine that takes points while the robot moves
-LENGTHS = 'lengths (verify.lengths)'
-TRIALS = 300  # random pairs of edge points in the search for a common edge
+
+
+def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+    """Return a straight line; kinds 0 and 1 are its two distances."""
+    p, kind = stations.points(X), stations.observations.kind
+    middle = p.mean(axis=0)
+    frame = np.linalg.svd(p - middle)[2].T
+
+    def distance(p: Array, q: Array) -> Array:
+        local = (p - middle) @ frame
+        away = local[:, 1:] - q[:2] - local[:, :1] * q[2:]
+        return np.asarray(np.where(kind == 0, away[:, 0], away[:, 1]))
+
+    return Shape(stations, np.zeros(4), distance)
+
+
+def point(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+    """Return one point; kinds 0 to 2 are its distances along x, y and z."""
+    middle, kind = stations.points(X).mean(axis=0), stations.observations.kind[:, None]
+
+    def distance(p: Array, q: Array) -> Array:
+        return np.asarray(np.take_along_axis(p - middle - q, kind, 1)[:, 0])
+
+    reference = nominal.reference or (None, None, None)
+    return Shape(stations, np.zeros(3), distance, lambda q: np.asarray(middle + q),
+                 tuple(map(Measurand, 'xyz', reference)))
+
+
+def free_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+    """Return independent planes; of two, the angle between them is measured."""
+    count = int(stations.bags.max()) + 1
+    start, distance, placed = _planes(stations, X, np.arange(count))
+    if count != 2:
+        return Shape(stations, start, distance)
+
+    def angle(q: Array) -> Array:
+        (a, b), _ = placed(q)
+        return np.array([np.arctan2(np.linalg.norm(np.cross(a, b)), np.abs(a @ b))])
+
+    return Shape(stations, start, distance, angle,
+                 (Measurand('angle between the faces', np.pi / 2, 'rad'),))
+
+
+def parallel_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+    """Return blocks of parallel planes: heights over the first of each block."""
+    bags = int(stations.bags.max()) + 1
+    blocks = bags - len(nominal.lengths)
+    block, face = np.divmod(np.arange(bags), bags // blocks)
+    start, distance, placed = _planes(stations, X, block)
+
+    def heights(q: Array) -> Array:
+        _, height = placed(q)
+        return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
+
+    return Shape(stations, start, distance, heights, tuple(
+        Measurand(f'height of face {f} over face 0' + (
+            f' of block {b + 1}' if blocks > 1 else ''), length, characteristic='E')
+        for b, f, length in zip(block[face > 0], face[face > 0], nominal.lengths, strict=True)))
+
+
+def _planes(stations: StationSet, X: Array, plane_set: Numbers) -> tuple[
+        Array, Callable[[Array, Array], Array], Callable[[Array], tuple[Array, Array]]]:
+    """
+    Return start and distances of a plane for each bag, and its normals (b, 3) and heights (b,).
+
+    plane_set: (b,) the set of parallel planes of each bag. The unknowns are two tilts of each
+    set, and one height of each plane over the middle of its points.
+    """
+    p, bag, sets = stations.points(X), stations.row_bags, int(plane_set.max()) + 1
+    middles = np.array([p[bag == k].mean(axis=0) for k in range(len(plane_set))])
+    centred = p - middles[bag]
+    frames = np.array([np.linalg.svd(centred[plane_set[bag] == k], full_matrices=False)[2].T
+                       for k in range(sets)])
+    for k in range(sets):  # upwards from the first of a set to the last
+        reach = (middles[plane_set == k] - middles[plane_set == k][0]) @ frames[k][:, 2]
+        frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or 1.0)
+
+    def normals(q: Array) -> Array:
+        tilt = q[:2 * sets].reshape(sets, 2)
+        n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilt)
+        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[plane_set])
+
+    def distance(p: Array, q: Array) -> Array:
+        return np.asarray(((p - middles[bag]) * normals(q)[bag]).sum(axis=1) - q[2 * sets + bag])
+
+    def placed(q: Array) -> tuple[Array, Array]:
+        n = normals(q)
+        return n, (middles * n).sum(axis=1) + q[2 * sets:]
+
+    return np.zeros(2 * sets + len(plane_set)), distance, placed
+
+
+def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+    """Return one sphere of each bag; measured: the radii, and the distances of the centres."""
+    p, bag = stations.points(X), stations.row_bags
+    count = int(bag.max()) + 1
+    start = np.concatenate([_sphere_through(p[bag == k]) for k in range(count)])
+
+    def distance(p: Array, q: Array) -> Array:
+        balls = q.reshape(count, 4)[bag]
+        return np.asarray(np.linalg.norm(p - balls[:, :3], axis=1) - balls[:, 3])
+
+    def values(q: Array) -> Array:
+        balls = q.reshape(count, 4)
+        return np.append(balls[:, 3], np.linalg.norm(np.diff(balls[:, :3], axis=0), axis=1))
+
+    radii = [Measurand('radius' if count == 1 else f'radius of ball {k}', nominal.radius or None,
+                       characteristic='PS') for k in range(1, count + 1)]
+    distances = [Measurand(f'distance of balls {k} and {k + 1}', length, characteristic='SD')
+                 for k, length in enumerate(nominal.lengths, 1)]
+    return Shape(stations, start, distance, values, (*radii, *distances))
+
+
+def _sphere_through(p: Array) -> Array:
+    """Return centre and radius (4,) of the algebraic sphere fit to points (n, 3)."""
+    middle = p.mean(axis=0)
+    centred = p - middle
+    A = np.column_stack([2 * centred, np.ones(len(p))])
+    x = np.linalg.lstsq(A, (centred ** 2).sum(axis=1), rcond=None)[0]
+    return np.append(x[:3] + middle, np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
+
+
+def _point_scatter(shape: Shape, X: Array, fit: Fit) -> list[tuple[Measurand, float, int]]:
+    """Return 3 sigma of the points along x, y and z of the base."""
+    p, kind = shape.stations.points(X), shape.stations.observations.kind
+    return [(Measurand(f'3 sigma of the points along {axis}', None),
+             3 * float(p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1)
+            for k, axis in enumerate('xyz')]
+
+
+def _form_error(name: str, symbol: str, shape: Shape, X: Array, fit: Fit
+                ) -> list[tuple[Measurand, float, int]]:
+    """Return the form error of each face or ball: highest point less lowest point."""
+    bag = shape.stations.row_bags
+    distances = [fit.distances[bag == k] for k in range(int(bag.max()) + 1)]
+    return [(Measurand(f'{name} {k}, noise included', None, characteristic=symbol),
+             float(np.ptp(part)), len(part) - 1) for k, part in enumerate(distances, 1)]
+
+
+def _nothing(shape: Shape, X: Array, fit: Fit) -> list[tuple[Measurand, float, int]]:
+    return []
 
 
 @dataclass(frozen=True)
@@ -33,152 +164,19 @@ class Routine:
     One way to verify a calibration.
 
     says: what it measures. target: the target.type whose features the stations give, or TEETH
-    where points are taken while the robot moves. bags: smallest and largest number; lengths: valid
-    numbers of verify.lengths for a number of bags. observe(samples, poses (n, 4, 4), X): the
-    conditions of one bag, where the robot stops; shape(stations, points (m, 3), nominal): the
-    stations that take part, and the shape to fit. names(bags, values): name, unit and
-    characteristic (see Quantity) of each value; spread(stations, X, fit): further quantities, from
-    single stations.
+    where points are taken while the robot moves. bags: smallest and largest number. shape: what
+    is fitted to the stations, with the sensor plane at X (4, 4) in the mount. scatter: further
+    values, each with its degrees of freedom. lengths: valid numbers of verify.lengths for a number
+    of bags.
     """
 
     name: str
     says: str
     target: str
     bags: tuple[int, int]
-    observe: Callable[[Sequence[Sample], Array, Array], Observations]
-    shape: Callable[[StationSet, Array, VerifyConfig], tuple[StationSet, Shape]]
-    names: Callable[[int, int], Iterator[tuple[str, str, str]]]
+    shape: Callable[[StationSet, Array, VerifyConfig], Shape]
+    scatter: Callable[[Shape, Array, Fit], list[tuple[Measurand, float, int]]] = _nothing
     lengths: Callable[[int], tuple[int, ...]] = lambda bags: (0,)
-    spread: Callable[[StationSet, Array, FixedFit], tuple[Quantity, ...]] = lambda *_: ()
-
-
-def faces(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return the normal points of all face lines."""
-    return METHODS['plane'].observe(samples)
-
-
-def arcs(samples: Sequence[Sample], poses: Array, X: Array) -> Observations:
-    """Return the normal points of all arcs."""
-    return METHODS['sphere'].observe(samples)
-
-
-def edge_points(samples: Sequence[Sample], poses: Array, X: Array, line: bool) -> Observations:
-    """
-    Return the distances of one edge point per station, the one nearest a common line or point.
-
-    line: two distances from a line, else three from a point.
-    """
-    edges = [(station, f) for station, sample in enumerate(samples)
-             for f in sample.features if isinstance(f, EdgePoint)]
-    rows = ObservationRows()
-    if edges:
-        station = np.array([s for s, _ in edges])
-        in_mount = np.array([f.point for _, f in edges]) @ X[:3, [0, 2]].T + X[:3, 3]
-        p = np.array([se3.apply(poses[s], m[None])[0]
-                      for s, m in zip(station, in_mount, strict=True)])
-        for k in _common(p, station, line):
-            s, edge = edges[k]
-            for direction in range(2 if line else 3):
-                rows.add(s, edge.point, direction, edge_noise(edge), 0)
-    return rows.observations()
-
-
-def _common(p: Array, station: Array, line: bool) -> list[int]:
-    """Return for each station the point (k, 3) nearest to the best common line or point."""
-    rng = np.random.default_rng(0)
-    best, chosen = np.inf, np.empty(0, dtype=int)
-    for _ in range(TRIALS):
-        a, b = rng.integers(len(p), size=2)
-        away = p - p[a]
-        if line:
-            way = p[b] - p[a]
-            size = float(np.linalg.norm(way))
-            if size < 1e-9:
-                continue
-            away = away - (away @ way)[:, None] * way / size ** 2
-        distance = np.linalg.norm(away, axis=1)
-        order = np.lexsort([distance, station])
-        first = order[np.unique(station[order], return_index=True)[1]]
-        cost = float(np.median(distance[first]) + 0.1 * distance[first].mean())
-        if cost < best:
-            best, chosen = cost, first
-    return [int(k) for k in chosen]
-
-
-def fit_all(shape: Callable[[Array, Kinds, VerifyConfig], Shape]
-            ) -> Callable[[StationSet, Array, VerifyConfig], tuple[StationSet, Shape]]:
-    """Return the fit of a shape to all observations."""
-    def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[StationSet, Shape]:
-        return stations, shape(p, stations.observations.kind, nominal)
-
-    return fitted
-
-
-def _point_scatter(stations: StationSet, X: Array, fit: FixedFit) -> tuple[Quantity, ...]:
-    """Return 3 sigma of the points along x, y and z of the base."""
-    p, kind = stations.points(X), stations.observations.kind % BAGS
-    return tuple(_spread(f'3 sigma of the points along {axis}', 3 * float(
-        p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1) for k, axis in enumerate('xyz'))
-
-
-def _centre_scatter(stations: StationSet, X: Array) -> tuple[Quantity, ...]:
-    """
-    Return 1 sigma per axis of the centres of arcs about the centre of their ball.
-
-    An arc determines its centre in the light plane: two conditions on the centre of the ball.
-    """
-    obs, poses = stations.observations, stations.poses
-    bag = obs.kind // BAGS
-    quantities = []
-    for k in range(int(bag.max()) + 1):
-        rows, values = [], []
-        for station in np.unique(obs.station[bag == k]):
-            sensor = poses[station] @ X
-            axes = sensor[:3, [0, 2]].T
-            rows.append(axes)
-            centre = fit_circle(obs.points[obs.station == station])[:2]
-            values.append(centre + axes @ sensor[:3, 3])
-        A, b = np.concatenate(rows), np.concatenate(values)
-        deviation = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
-        freedom = max(len(b) - 3, 1)
-        quantities.append(_spread(f'scatter of the centre of ball {k + 1}, 1 sigma',
-                                  float(np.sqrt(deviation @ deviation / freedom)), freedom))
-    return tuple(quantities)
-
-
-def _form_error(name: str, symbol: str, stations: StationSet, X: Array, fit: FixedFit
-                ) -> tuple[Quantity, ...]:
-    """Return the form error of each face or ball: highest point less lowest point."""
-    bag = stations.observations.kind // BAGS
-    distances = [fit.distances[bag == k] for k in range(int(bag.max()) + 1)]
-    return tuple(_spread(f'{name} {k}, noise included', float(np.ptp(part)), len(part) - 1, symbol)
-                 for k, part in enumerate(distances, 1))
-
-
-def _ball_scatter(stations: StationSet, X: Array, fit: FixedFit) -> tuple[Quantity, ...]:
-    """Return the form error of each ball, and the scatter of its centre between stops."""
-    return (*_form_error('form error of ball', 'PF', stations, X, fit),
-            *_centre_scatter(stations, X))
-
-
-def _spread(name: str, value: float, freedom: int, symbol: str = '') -> Quantity:
-    """Return a standard deviation with its own 1 sigma, for normal scatter."""
-    return Quantity(name, value, value / math.sqrt(2 * max(freedom, 1)), 0.0,
-                    characteristic=symbol)
-
-
-def _named(*names: tuple[str, str, str]) -> Callable[[int, int], Iterator[tuple[str, str, str]]]:
-    """Return the same name, unit and characteristic for each value."""
-    return lambda bags, values: iter(names)
-
-
-def _heights(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
-    """Yield the names of the heights of blocks with equally many faces each."""
-    blocks = bags - values
-    for k in range(values):
-        block, face = divmod(k, values // blocks)
-        suffix = f' of block {block + 1}' if blocks > 1 else ''
-        yield f'height of face {face + 1} over face 0{suffix}', 'm', 'E'
 
 
 def _blocks(bags: int) -> tuple[int, ...]:
@@ -186,34 +184,22 @@ def _blocks(bags: int) -> tuple[int, ...]:
     return tuple(bags - n for n in (1, 2, 3) if bags % n == 0 and bags > n)
 
 
-def _balls(bags: int, values: int) -> Iterator[tuple[str, str, str]]:
-    for k in range(1, bags + 1):
-        yield ('radius' if bags == 1 else f'radius of ball {k}'), 'm', 'PS'
-    for k in range(1, bags):
-        yield f'distance of balls {k} and {k + 1}', 'm', 'SD'
-
-
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
-    Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1),
-            partial(edge_points, line=True), fit_all(shapes.line), _named()),
-    Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), faces,
-            fit_all(shapes.free_planes), _named(),
-            spread=partial(_form_error, 'flatness of face', 'F')),
+    Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1), line),
+    Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), free_planes,
+            partial(_form_error, 'flatness of face', 'F')),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            (1, 1), partial(edge_points, line=False), fit_all(shapes.point),
-            _named(('x', 'm', ''), ('y', 'm', ''), ('z', 'm', '')), spread=_point_scatter),
-    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), arcs, fit_all(shapes.spheres), _balls,
-            spread=_ball_scatter),
-    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), arcs, fit_all(shapes.spheres),
-            _balls, lambda bags: (bags - 1,), spread=_ball_scatter),
+            (1, 1), point, _point_scatter),
+    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), spheres,
+            partial(_form_error, 'form error of ball', 'PF')),
+    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), spheres,
+            partial(_form_error, 'form error of ball', 'PF'), lambda bags: (bags - 1,)),
     Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
-            (2, 12), faces, fit_all(shapes.parallel_planes), _heights, _blocks),
-    Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), faces,
-            fit_all(shapes.free_planes), _named(('angle between the faces', 'rad', '')),
-            spread=partial(_form_error, 'flatness of face', 'F')),
+            (2, 12), parallel_planes, lengths=_blocks),
+    Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), free_planes,
+            partial(_form_error, 'flatness of face', 'F')),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
-            faces, tooth_gauge.fitted, _named(('pitch', 'm', 'E'), ('height', 'm', 'E')),
-            lambda bags: (2,)),
+            teeth, lengths=lambda bags: (2,)),
 )}
 """The routines of `handeye verify`."""
 
@@ -236,7 +222,7 @@ def settings_for(routine: Routine, config: Config, bags: int) -> Config:
         raise _wrong_count(routine, 'bags', bags, range(fewest, most + 1))
     lengths, count = routine.lengths(bags), len(config.verify.lengths)
     if count not in lengths:
-        raise _wrong_count(routine, LENGTHS, count, lengths)
+        raise _wrong_count(routine, 'lengths (verify.lengths)', count, lengths)
     if routine.target == TEETH:
         return config
     return with_values(config, {'target.type': routine.target, 'method': 'auto',
@@ -248,7 +234,7 @@ def parts_of(routine: Routine, lengths: int) -> tuple[int, int]:
     fewest, most = routine.bags
     fit = [n for n in range(fewest, most + 1) if lengths in routine.lengths(n)]
     if not fit:
-        raise _wrong_count(routine, LENGTHS, lengths, routine.lengths(fewest))
+        raise _wrong_count(routine, 'lengths (verify.lengths)', lengths, routine.lengths(fewest))
     return fit[0], fit[-1]
 
 

@@ -19,7 +19,7 @@ from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import track_of
-from handeye_ros.verification.decision import Verification
+from handeye_ros.verification.fit import StationSet
 from handeye_ros.verification.routines import (
     parts_of,
     Routine,
@@ -27,10 +27,8 @@ from handeye_ros.verification.routines import (
     settings_for,
     TEETH,
 )
-from handeye_ros.verification.shapes import StationSet
-from handeye_ros.verification.stations import stations_of
-from handeye_ros.verification.tooth_gauge import stations_of_pass
-from handeye_ros.verification.verify import verify
+from handeye_ros.verification.stations import stations_of, stations_of_pass
+from handeye_ros.verification.verify import Verification, verify
 
 MOST_PROFILES = 500  # of a pass that are kept, evenly spread
 MOST_POSES = 200_000  # of a pass

@@ -1,11 +1,11 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-From the samples of a recording to the stations of a routine: what of them shows the artefact.
+From a recording to the stations of a routine: what of it shows the artefact.
 
 Where several surfaces are in sight, those in a region of interest take part, or the nearest one.
 A sweep over the artefact takes its poses at the time offset that fits best; this offset is
-compared with the calibration's.
+compared with the calibration's. Of a gauge of teeth single points are taken while the robot moves.
 """
 from __future__ import annotations
 
@@ -15,13 +15,26 @@ from itertools import combinations
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Calibration, FaceLine, Feature, Sample, TimeOffset
+from handeye_ros.data import (
+    Arc,
+    Array,
+    Calibration,
+    EdgePoint,
+    FaceLine,
+    Feature,
+    Profile,
+    Sample,
+    TimeOffset,
+)
+from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount, mounted, sensor_axes
 from handeye_ros.sampling.sweep import evenly_chosen, Pairing, single_samples
+from handeye_ros.sampling.trajectory import Trajectory
+from handeye_ros.targets import METHODS
+from handeye_ros.targets.common import edge_noise, ObservationRows
+from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
-from handeye_ros.verification.shapes import derivatives, StationSet
 import numpy as np
-from numpy.typing import NDArray
 
 SURE = 4.0  # sigmas of a change
 SMALLEST = 1e-4  # s: a smaller change does not matter to a scan
@@ -29,14 +42,12 @@ MOST = 60  # samples of a sweep
 OUTLIER, FOREIGN = 4.0, 20.0  # robust sigmas of the points: left out; of another surface
 STEPS, ALL = 16, 6  # Gauss-Newton steps, of which the first with all points
 CORRELATED = 1_000_000_000  # ns, over which residuals are not independent
-# m: pieces this near to a plane are one surface. The next value is tried if fewer than
-# MOST_SEE of the stops see one plane: then the calibration is wrong.
-SAME = (1.5e-3, 4e-3, 1e-2)
-MOST_SEE = 0.8
-FAR = 0.01  # m: a wrong calibration may put a piece of a surface this far from it
+SAME = 1.5e-3  # m: pieces this near to a plane are one surface, or
+WIDE = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
 LEAST_SHARE = 0.5  # of the stops must see the nearest surface
 LEAST_STOPS = 4
-MOST_SURFACES, MOST_PAIRS = 4, 300  # pairs of pieces that define a trial plane
+TRIALS = 300  # pairs of features that define a trial point, line or plane
+PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
 
 
 def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibration,
@@ -46,80 +57,86 @@ def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibr
 
     Of several surfaces in sight the nearest one takes part; verify.near limits the region.
     """
-    X, notes = calibration.T_flange_sensor @ sensor_axes(config), []
+    X, offset_text, choice = calibration.T_flange_sensor @ sensor_axes(config), '', ''
     if config.sampling.moving and samples:
-        samples, note = _at_offset(routine, samples, X, calibration, config)
-        notes.append(note)
-    poses = mounted(samples, config) if samples else np.empty((0, 4, 4))
+        samples, offset_text = _at_offset(routine, samples, X, calibration, config)
+    T = mounted(samples, config) if samples else np.empty((0, 4, 4))
     if config.verify.near and samples:
-        samples = _in_region(samples, poses @ X, config.verify.near)
+        samples = _in_region(samples, T @ X, config.verify.near)
     if routine.target == 'plane':
-        samples, note = _on_nearest_surface(samples, poses @ X, config.profile.range_sign)
-        notes.insert(0, note)
-    return StationSet(poses, routine.observe(samples, poses, X),
+        samples, choice = _on_nearest_surface(samples, T @ X, config.profile.range_sign)
+    return StationSet(T, _observed(routine, samples, T @ X),
                       stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
-                      surface='; '.join(filter(None, notes)))
+                      surface='; '.join(filter(None, (choice, offset_text))))
 
 
-def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
-               config: Config) -> tuple[list[Sample], str]:
+def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> StationSet:
     """
-    Return samples of a moving robot with the poses at the best fitting time offset.
+    Return some points of the profiles of a pass, each with its own pose.
 
-    Also returns in words whether this offset is that of the calibration. X: (4, 4) sensor plane
-    in the mount. Samples that show another surface or edge are left out.
+    The robot's error is taken to be one for the whole pass.
     """
-    samples = single_samples(samples)
-    samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
-    poses, pairing = mounted(samples, config), Pairing.of(samples)
-    stations = StationSet(poses, routine.observe(samples, poses, X))
-    obs = stations.observations
-    _, shape = routine.shape(stations, stations.points(X), config.verify)
-
-    def distances(x: Array) -> Array:
-        """Return the distances from the shape; x: its unknowns and the offset."""
-        T = in_mount(pairing.at(x[-1]).T_base_flange, config)
-        return shape.distance(obs.in_base(T, X), obs.kind, x[:-1])
-
-    x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)
-    for step in range(STEPS):
-        r = distances(x)
-        scatter = 1.4826 * np.median(np.abs(r))
-        if step >= ALL:
-            inliers = np.abs(r) <= OUTLIER * scatter
-        x = x - np.linalg.lstsq(derivatives(distances, x)[inliers], r[inliers], rcond=None)[0]
-    stamps = np.array([sample.stamp for sample in samples])
-    std = _grouped_std(distances(x)[inliers], derivatives(distances, x)[inliers],
-                       stamps[obs.station[inliers]] // CORRELATED)
-    foreign = set(obs.station[np.abs(distances(x)) > FOREIGN * scatter].tolist())
-    previous = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
-    _, sentence = compared(TimeOffset(config.time_offset + float(x[-1]), std), previous)
-    if foreign:
-        sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
-    T = pairing.at(x[-1]).T_base_flange
-    return [replace(sample, T_base_flange=T[k], motion=None) for k, sample in enumerate(samples)
-            if k not in foreign], sentence
+    offset = round(config.time_offset * 1e9)
+    flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+    seen = np.flatnonzero(flange.inside)
+    seen = seen[evenly_chosen(len(seen), PROFILES)]
+    points = [np.empty((0, 2))]
+    for index in seen.tolist():
+        valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
+        points.append(valid[evenly_chosen(len(valid), POINTS)])
+    station = np.repeat(np.arange(len(seen)), [len(part) for part in points[1:]])
+    noise = np.zeros((len(station), 2, 2))
+    noise[:, 1, 0] = config.noise.sensor
+    obs = Observations(station, np.concatenate(points), np.zeros(len(station), dtype=np.intp),
+                       noise, np.arange(len(station)))
+    return StationSet(in_mount(flange.T_base_flange[seen], config), obs,
+                      np.zeros(len(seen), dtype=np.intp))
 
 
-def _grouped_std(r: Array, J: Array, group: Array) -> float:
-    """Return 1 sigma of the last unknown for residuals (m,) correlated within groups (m,)."""
-    nuisance, last = J[:, :-1], J[:, -1]
-    reduced = last - nuisance @ np.linalg.lstsq(nuisance, last, rcond=None)[0]
-    _, group_index = np.unique(group, return_inverse=True)
-    scores = np.bincount(group_index, reduced * r)
-    freedom = max(len(scores) - J.shape[1], 1)
-    return float(np.sqrt((scores ** 2).sum() * len(scores) / freedom) / (reduced @ reduced))
+def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
+    """
+    Return the conditions of a routine; T: (n, 4, 4) sensor planes in the base.
+
+    Of edge points the one of each station that is nearest to a common line or point takes part:
+    two distances from the line, three from the point.
+    """
+    if routine.target != 'line':
+        return METHODS[routine.target].observe(samples)
+    edges = [(k, f) for k, s in enumerate(samples) for f in s.features if isinstance(f, EdgePoint)]
+    rows = ObservationRows()
+    if edges:
+        stop, is_line = np.array([k for k, _ in edges]), routine.name == 'line'
+        away = _common(np.array([_ends(f, T[k]) for k, f in edges]), stop, int(is_line))
+        for number in np.unique(stop):
+            nearest = min(np.flatnonzero(stop == number), key=away.__getitem__)
+            edge = edges[nearest][1]
+            for direction in range(2 if is_line else 3):
+                rows.add(int(number), edge.point, direction, edge_noise(edge), 0)
+    return rows.observations()
 
 
-def compared(offset: TimeOffset, previous: TimeOffset) -> tuple[bool, str]:
-    """Return whether the time offset has changed, and by how much in words."""
-    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
-    change_text = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
-    if abs(change) <= max(SURE * std, SMALLEST):
-        return False, f'the time offset is as it was: {change_text}'
-    return True, (f'the time offset has changed by {change_text}: the clock or the delay of '
-                  f'sensor or robot is another; set time_offset to {offset.value:.5f}, or '
-                  'calibrate again')
+def _common(points: Array, stop: Numbers, dimension: int) -> Array:
+    """
+    Return the distances (k,) of features from what they have in common, by random sampling.
+
+    points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0, 1 or 2: a
+    point, a line or a plane, through two features of different stops. The best is nearest to at
+    least one feature of most stops.
+    """
+    first = np.unique(stop, return_index=True)[1]
+    best, lowest = np.full(len(stop), np.inf), np.inf
+    pairs = [pair for pair in combinations(range(len(stop)), 2) if stop[pair[0]] != stop[pair[1]]]
+    for pair in pairs[::max(len(pairs) // TRIALS, 1)]:
+        through = points[list(pair)].reshape(-1, 3)
+        middle = through.mean(axis=0)
+        along = np.linalg.svd(through - middle)[2][:dimension]
+        offset = points - middle
+        away = np.linalg.norm(offset - offset @ along.T @ along, axis=2).max(axis=1)
+        nearest = np.minimum.reduceat(away, first)
+        cost = float(np.median(nearest) + 0.1 * nearest.mean())
+        if cost < lowest:
+            best, lowest = away, cost
+    return best
 
 
 def _ends(feature: Feature, T: Array) -> Array:
@@ -147,69 +164,93 @@ def _in_region(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> 
 
 
 def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
-                        ) -> tuple[list[Sample], str]:
+                        ) -> tuple[Sequence[Sample], str]:
     """
     Return the samples with the pieces of one surface only, and its description.
 
-    It is the plane nearest to the sensor of those that at least half of the stops see. Two planes
-    are two surfaces where a stop sees both; a piece on none belongs to the next one within FAR.
+    It is the plane nearest to the sensor of those that at least half of the stops see.
     """
     pieces = [(k, f) for k, s in enumerate(samples) for f in s.features
               if isinstance(f, FaceLine)]
     stop = np.array([k for k, _ in pieces])
-    if len(np.unique(stop)) < LEAST_STOPS or len(stop) == len(np.unique(stop)):
-        return list(samples), ''
-    surface = _surfaces(np.array([_ends(f, T[k]) for k, f in pieces]), stop)
-    stops = np.array([len(np.unique(stop[surface == k])) for k in range(surface.max() + 1)])
-    depth = range_sign * np.array([f.centre[1] for _, f in pieces])
-    depths = np.array([np.median(depth[surface == k]) for k in range(len(stops))])
-    enough = stops >= max(LEAST_SHARE * stops.max(), LEAST_STOPS)
-    chosen = int(np.argmin(np.where(enough, depths, np.inf)))
-    on_chosen = {id(pieces[row][1]) for row in np.flatnonzero(surface == chosen)}
-    sentence = '' if enough.sum() < 2 else (
-        f'of {enough.sum()} surfaces in sight it is the nearest, '
-        f'{1e3 * abs(depths[chosen]):.0f} mm from the sensor, at {stops[chosen]} of '
-        f'{len(samples)} stops')
+    least = max(LEAST_SHARE * len(np.unique(stop)), LEAST_STOPS)
+    if len(np.unique(stop)) < least or len(stop) == len(np.unique(stop)):
+        return samples, ''
+    ends = np.array([_ends(f, T[k]) for k, f in pieces])
+    surfaces, free = list[Numbers](), np.arange(len(stop))
+    while len(np.unique(stop[free])) >= least:
+        away = _common(ends[free], stop[free], 2)
+        nearest = [away[stop[free] == k].min() for k in np.unique(stop[free])]
+        on = away <= max(SAME, WIDE * float(np.median(nearest)))
+        if len(np.unique(stop[free][on])) >= least:
+            surfaces.append(free[on])
+        free = free[~on]
+    depths = [float(np.median([range_sign * pieces[k][1].centre[1] for k in rows]))
+              for rows in surfaces]
+    chosen = int(np.argmin(depths))
+    on_chosen = {id(pieces[row][1]) for row in surfaces[chosen]}
+    stops = len(np.unique(stop[surfaces[chosen]]))
+    sentence = '' if len(surfaces) < 2 else (
+        f'of {len(surfaces)} surfaces in sight it is the nearest, '
+        f'{1e3 * abs(depths[chosen]):.0f} mm from the sensor, at {stops} of {len(samples)} stops')
     return [replace(s, features=tuple(f for f in s.features if id(f) in on_chosen))
             for s in samples], sentence
 
 
-def _surfaces(points: Array, stop: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the surface (k,) of each piece, -1: of none; points: (k, 2, 3) its ends."""
-    free = np.ones(len(points), dtype=bool)
-    for tolerance in SAME:
-        on, away = _largest(points, stop, free, tolerance)
-        if len(np.unique(stop[on])) >= MOST_SEE * len(np.unique(stop)):
-            break
-    distances = [away]
-    for _ in range(MOST_SURFACES - 1):
-        free &= ~on
-        if len(np.unique(stop[free])) < 2:
-            break
-        on, away = _largest(points, stop, free, tolerance)
-        nearest = np.argmin([*distances, away], axis=0)
-        last = nearest == len(distances)
-        if np.isin(stop[last], stop[~last]).any():  # one stop sees it and another: a surface
-            distances.append(away)
-    nearest, distance = np.argmin(distances, axis=0), np.min(distances, axis=0)
-    least = np.array([distance[(stop == s) & (nearest == n)].min()
-                      for s, n in zip(stop, nearest, strict=True)])
-    on_plane = (distance < tolerance) | ((distance == least) & (distance < FAR))
-    return np.where(on_plane, nearest, -1)
+def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
+               config: Config) -> tuple[list[Sample], str]:
+    """
+    Return samples of a moving robot with the poses at the best fitting time offset.
+
+    Also returns in words whether this offset is that of the calibration. X: (4, 4) sensor plane
+    in the mount. Samples that show another surface or edge are left out.
+    """
+    samples = single_samples(samples)
+    samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
+    T, pairing = mounted(samples, config), Pairing.of(samples)
+    stations = StationSet(T, _observed(routine, samples, T @ X))
+    obs, shape = stations.observations, routine.shape(stations, X, config.verify)
+
+    def distances(x: Array) -> Array:
+        """Return the distances from the shape; x: its unknowns and the offset."""
+        return shape.distance(obs.in_base(in_mount(pairing.at(x[-1]).T_base_flange, config), X),
+                              x[:-1])
+
+    x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)
+    for step in range(STEPS):
+        r = distances(x)
+        scatter = 1.4826 * np.median(np.abs(r))
+        if step >= ALL:
+            inliers = np.abs(r) <= OUTLIER * scatter
+        x = x - np.linalg.lstsq(derivatives(distances, x)[inliers], r[inliers], rcond=None)[0]
+    stamps = np.array([sample.stamp for sample in samples])
+    std = _std_of_last(distances(x)[inliers], derivatives(distances, x)[inliers],
+                       stamps[obs.station[inliers]] // CORRELATED)
+    foreign = set(obs.station[np.abs(distances(x)) > FOREIGN * scatter].tolist())
+    previous = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
+    _, sentence = compared(TimeOffset(config.time_offset + float(x[-1]), std), previous)
+    if foreign:
+        sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
+    at = pairing.at(x[-1]).T_base_flange
+    return [replace(sample, T_base_flange=at[k], motion=None) for k, sample in enumerate(samples)
+            if k not in foreign], sentence
 
 
-def _largest(points: Array, stop: NDArray[np.intp], free: NDArray[np.bool_], tolerance: float
-             ) -> tuple[NDArray[np.bool_], Array]:
-    """Return which free pieces are on the plane seen at most stops, and all distances from it."""
-    best, best_score = (free, np.zeros(len(points))), (0, 0.0)
-    pairs = [(a, b) for a, b in combinations(np.flatnonzero(free).tolist(), 2)
-             if stop[a] != stop[b]]
-    for a, b in pairs[::max(len(pairs) // MOST_PAIRS, 1)]:
-        four = points[[a, b]].reshape(4, 3)
-        normal = np.linalg.svd(four - four.mean(axis=0))[2][2]
-        away = np.abs((points - four.mean(axis=0)) @ normal).max(axis=1)
-        on = free & (away < tolerance)
-        score = (len(np.unique(stop[on])), -float(away[on].sum()) / max(on.sum(), 1))
-        if score > best_score:
-            best, best_score = (on, away), score
-    return best
+def _std_of_last(r: Array, J: Array, group: Numbers) -> float:
+    """Return 1 sigma of the last unknown for residuals (m,) correlated within groups (m,)."""
+    nuisance, last = J[:, :-1], J[:, -1]
+    reduced = last - nuisance @ np.linalg.lstsq(nuisance, last, rcond=None)[0]
+    scores = np.bincount(np.unique(group, return_inverse=True)[1], reduced * r)
+    freedom = max(len(scores) - J.shape[1], 1)
+    return float(np.sqrt((scores ** 2).sum() * len(scores) / freedom) / (reduced @ reduced))
+
+
+def compared(offset: TimeOffset, previous: TimeOffset) -> tuple[bool, str]:
+    """Return whether the time offset has changed, and by how much in words."""
+    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
+    change_text = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
+    if abs(change) <= max(SURE * std, SMALLEST):
+        return False, f'the time offset is as it was: {change_text}'
+    return True, (f'the time offset has changed by {change_text}: the clock or the delay of '
+                  f'sensor or robot is another; set time_offset to {offset.value:.5f}, or '
+                  'calibrate again')

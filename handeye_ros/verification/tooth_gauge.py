@@ -8,23 +8,17 @@ the nominal teeth fit best. Points near a corner, and points of no face, take no
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.config import Config, VerifyConfig
-from handeye_ros.data import Array, Profile
+from handeye_ros.config import VerifyConfig
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.estimation.problem import Observations
-from handeye_ros.frames import in_mount
-from handeye_ros.sampling.trajectory import Trajectory
-from handeye_ros.verification.fixed_fit import least_squares
-from handeye_ros.verification.shapes import BAGS, Kinds, Shape, StationSet
+from handeye_ros.verification.fit import Measurand, Numbers, Shape, StationSet
 import numpy as np
 from numpy.typing import NDArray
 
 TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
-PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
 CORNER = 0.12  # of the height: nearer to a corner no point is used
 FAR = 0.15  # of the height: a point further from all faces is on none
 BIN = 0.05  # of the pitch
@@ -36,87 +30,56 @@ ROUNDS = 6
 GRAZING = 0.05  # cosine of a face to the ray, at least
 
 
-def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> StationSet:
+def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """
-    Return some points of the profiles of a pass, each with its own pose.
-
-    The robot's error is taken to be one for the whole pass.
-    """
-    offset = round(config.time_offset * 1e9)
-    flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
-    T = in_mount(flange.T_base_flange[flange.inside], config)
-    used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
-    chosen = _spread(len(used), PROFILES)
-    points = [np.empty((0, 2))]
-    for index in chosen:
-        valid = used[index].points[np.isfinite(used[index].points).all(axis=1)]
-        points.append(valid[_spread(len(valid), POINTS)])
-    station = np.repeat(np.arange(len(chosen)), [len(part) for part in points[1:]])
-    noise = np.zeros((len(station), 2, 2))
-    noise[:, 1, 0] = config.noise.sensor
-    obs = Observations(station, np.concatenate(points), np.zeros(len(station), dtype=np.intp),
-                       noise, np.arange(len(station)))
-    return StationSet(T[chosen], obs, np.zeros(len(chosen), dtype=np.intp))
-
-
-def _spread(count: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most so many of count items, evenly spread."""
-    return np.unique(np.linspace(0, max(count - 1, 0), most).astype(np.intp))[:count]
-
-
-def fitted(stations: StationSet, p: Array, nominal: VerifyConfig) -> tuple[StationSet, Shape]:
-    """
-    Return the points (m, 3) on the gauge, their faces, and the shape.
+    Return the teeth, and the stations with the points on them only, whose kind is their face.
 
     Raises DataError where they lie on no such teeth.
     """
     pitch, height = nominal.lengths
     flank = nominal.flank or pitch / 4
+    p = stations.points(X)
     frame = _frame(p, pitch, height, flank)
     q = np.append(np.zeros(8), flank / height)
     for _ in range(ROUNDS):
-        kind, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
+        face, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
         if on_gauge.mean() < LEAST_SHARE:
             break
-        shape = _shape(frame, pitch, height, tooth[on_gauge], q)
-        q = least_squares(shape, p[on_gauge], kind[on_gauge], q, iterations=1)
-    top, valley, *flanks = np.bincount(kind[on_gauge], minlength=4) / len(p)
+        shape = _shape(_on_faces(stations, on_gauge, face), frame, pitch, height, tooth[on_gauge],
+                       q)
+        q = shape.fitted(p[on_gauge], iterations=1)
+    top, valley, *flanks = np.bincount(face[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
     if on_gauge.mean() < LEAST_SHARE or least < LEAST_FACE:
         raise DataError(
             f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
-    rows = np.flatnonzero(on_gauge)
-    pass_kind = stations.observations.kind[rows] // BAGS * BAGS
-    by_range = np.abs((shape.by_point(p[rows], kind[rows], q)
-                       * _rays(stations, p)[rows]).sum(axis=1))
-    good, scatter = _cleaned(
-        shape.distance(p[rows], kind[rows], q), np.maximum(by_range, GRAZING),
-        np.stack([pass_kind, kind[rows], tooth[rows]], axis=1),
-        ROUNDING * float(np.median(stations.observations.noise[rows, 1, 0])))
-    obs = stations.observations.select(rows[good])
+    found = shape.stations
+    rays = found.poses[found.observations.station, :3, :3] @ X[:3, 2]
+    by_range = np.abs((shape.by_point(p[on_gauge], q) * rays).sum(axis=1))
+    good, scatter = _without_outliers(
+        shape.distance(p[on_gauge], q), np.maximum(by_range, GRAZING),
+        np.stack([found.row_bags, face[on_gauge], tooth[on_gauge]], axis=1),
+        ROUNDING * float(np.median(found.observations.noise[:, 1, 0])))
+    obs = found.observations.select(good)
     noise = np.zeros_like(obs.noise)
     noise[:, 1, 0] = np.maximum(obs.noise[:, 1, 0], scatter[good])
-    obs = replace(obs, noise=noise, kind=kind[rows[good]] + pass_kind[good])
-    return replace(stations, observations=obs), _shape(frame, pitch, height, tooth[rows[good]], q)
+    return _shape(replace(found, observations=replace(obs, noise=noise)), frame, pitch, height,
+                  tooth[on_gauge][good], q)
 
 
-def _rays(stations: StationSet, p: Array) -> Array:
-    """Return the direction (m, 3) in which each point moves with increasing range."""
-    T, obs = stations.poses[stations.observations.station], stations.observations
-    in_mount = np.einsum('mji,mj->mi', T[:, :3, :3], p - T[:, :3, 3])
-    plane = np.linalg.lstsq(np.column_stack([obs.points, np.ones(len(p))]), in_mount,
-                            rcond=None)[0]
-    return np.asarray(T[:, :3, :3] @ plane[1])
+def _on_faces(stations: StationSet, on_gauge: NDArray[np.bool_], face: Numbers) -> StationSet:
+    obs = replace(stations.observations, kind=face).select(on_gauge)
+    return replace(stations, observations=obs)
 
 
-def _cleaned(distances: Array, by_range: Array, face: NDArray[np.intp], min_scatter: float
-             ) -> tuple[NDArray[np.bool_], Array]:
+def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scatter: float
+                      ) -> tuple[NDArray[np.bool_], Array]:
     """
     Return which points (m,) are no outliers of their pass and face, and their noise (m,).
 
-    by_range: derivatives of the distances; face: (m, 3) pass, kind and tooth; min_scatter: the
+    by_range: derivatives of the distances; face: (m, 3) pass, face and tooth; min_scatter: the
     smallest scatter assumed (m). A sensor measures steep faces worse than it states, so the noise
     is the scatter of the points of a pass about their own mean.
     """
@@ -141,29 +104,31 @@ def _local(p: Array, frame: Array, q: Array) -> Array:
     return np.asarray(in_frame @ se3.exp_rotation(q[:3]).T + [q[3], 0.0, q[4]])
 
 
-def _shape(frame: Array, pitch: float, height: float, tooth: NDArray[np.intp], start: Array
-           ) -> Shape:
+def _shape(stations: StationSet, frame: Array, pitch: float, height: float, tooth: Numbers,
+           start: Array) -> Shape:
     """
     Return the teeth as a shape; tooth: (m,) the tooth of each point on a flank.
 
     Unknowns: rotation, x and z of the gauge, the deviations of pitch and height from nominal, the
     outward offset of the flanks, and their slope (horizontal distance per height).
     """
-    def distance(p: Array, kind: Kinds, q: Array) -> Array:
+    face = stations.observations.kind
+    side = np.where(face == RISING, -1.0, 1.0)
+
+    def distance(p: Array, q: Array) -> Array:
         x, _, z = _local(p, frame, q).T
-        face = kind % BAGS
-        side = np.where(face == RISING, -1.0, 1.0)
         out = side * (x - (pitch + q[5]) * tooth) - (pitch / 4 + q[7])
         flank = (out + q[8] * (z - height / 2)) / np.hypot(1.0, q[8])
         return np.asarray(np.where(face == TOP, z - height - q[6],
                                    np.where(face == VALLEY, z, flank)))
 
-    return Shape(start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
-                 (pitch, height))
+    return Shape(stations, start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
+                 (Measurand('pitch', pitch, characteristic='E'),
+                  Measurand('height', height, characteristic='E')))
 
 
 def _faces(local: Array, pitch: float, height: float, q: Array
-           ) -> tuple[Kinds, NDArray[np.intp], NDArray[np.bool_]]:
+           ) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
     """Return face and tooth of each point, and which points are clearly of one."""
     x, z = local[:, 0], local[:, 2]
     tooth = np.round(x / (pitch + q[5])).astype(np.intp)
@@ -173,11 +138,11 @@ def _faces(local: Array, pitch: float, height: float, q: Array
     reach = slope * height / 2
     on_top, in_valley = out < -reach - margin, out > reach + margin
     on_flank = np.abs(z - height / 2) < height / 2 - margin
-    kind = np.where(on_top, TOP, np.where(in_valley, VALLEY, np.where(u < 0, RISING, FALLING)))
+    face = np.where(on_top, TOP, np.where(in_valley, VALLEY, np.where(u < 0, RISING, FALLING)))
     distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
     on_face = (on_top | in_valley | on_flank & (np.abs(out) < reach + margin)) & (
         np.abs(distance) < FAR * height)
-    return kind.astype(np.intp), tooth, on_face
+    return face.astype(np.intp), tooth, on_face
 
 
 def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:

@@ -1,34 +1,155 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""From the stations of several bags and a calibration to the verdict of a routine."""
+"""
+From the stations of several bags and a calibration to the verdict of a routine.
+
+The decision is that of ISO 14253-1 with the expanded uncertainty U = k u of the measurement here
+(sensor, robot, nominal value): pass where |deviation| + U <= tolerance, fail where
+|deviation| - U > tolerance. The covariance that the calibration claims is what is verified, and
+takes no part in U.
+"""
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import asdict, astuple, dataclass, field, fields
+from datetime import datetime, UTC
+import math
+from typing import Any, NamedTuple
 
+from handeye_ros import __version__, output
 from handeye_ros.config import Config, VerifyConfig
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.frames import sensor_axes
-from handeye_ros.verification.decision import (
-    claim_p,
-    decide,
-    FOREIGN,
-    Quantity,
-    Scatter,
-    sensitivity,
-    StationResult,
-    time_of,
-    Verification,
-)
-from handeye_ros.verification.fixed_fit import fit, FixedFit, K, refit
+from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
+from handeye_ros.verification.fit import agreeing, Fit, fit, K, refit, Shape, stacked, StationSet
 from handeye_ros.verification.routines import Routine, TEETH
-from handeye_ros.verification.shapes import Shape, stacked, StationSet
 import numpy as np
+from rich.table import Table
+import scipy.linalg
+import yaml
 
 LEAST_STATIONS = 4  # of a bag
-OUTLIER = 0.01  # probability that any good station is left out
-MOST_OUTLIERS = 0.2  # of the stations: more are no outliers, but a disagreement
+EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
+SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
+NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
+SIGNIFICANT = 0.01  # level of the tests of a calibration error
+INCONSISTENT = 1e-3  # level of the test that the points agree
+FOREIGN = 1e-6  # below this p no error of the calibration explains the points
+LARGE = 0.01  # m: a larger tolerance gets a note
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """
+    A measured value with its nominal value; metres, or radians where unit is rad.
+
+    std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that
+    the points leave open; claimed: 1 sigma by the calibration's covariance. nominal: None where
+    there is none. characteristic: its symbol in VDI/VDE 2634 or ISO 10360.
+    """
+
+    name: str
+    value: float
+    std: float
+    claimed: float
+    nominal: float | None = None
+    unit: str = 'm'
+    characteristic: str = ''
+
+    @property
+    def error(self) -> float | None:
+        """Return value less nominal."""
+        return None if self.nominal is None else self.value - self.nominal
+
+    @property
+    def expanded(self) -> float:
+        """Return the expanded uncertainty of the measurement, k times std."""
+        return K * self.std
+
+
+@dataclass(frozen=True)
+class StationResult:
+    """
+    Result of one stop: the largest distance from the fit, and its 1 sigma (m).
+
+    bag, number: of recording and stop, from 1; stamp: ns; p: probability that a good stop is as
+    far off, whatever the error of the calibration; reason: why it is not used.
+    """
+
+    bag: int
+    number: int
+    stamp: int
+    distance: float
+    std: float
+    p: float
+    used: bool = True
+    reason: str = ''
+
+    @property
+    def name(self) -> str:
+        """Return the name of the stop."""
+        return f'stop {self.number} of recording {self.bag}'
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """
+    Distances of the measured points from the fitted shape (m).
+
+    expected: 95 % quantile of the RMS if the uncertainties are as stated (nan for very many
+    points); p: probability that the points then disagree at least as much.
+    """
+
+    points: int
+    mean: float
+    std: float
+    rms: float
+    maximum: float
+    expected: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Verification:
+    """
+    Result of a routine.
+
+    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or
+    insensitive (an error of the calibration as large as the tolerance would not have shown).
+    reasons: sentences. smallest_error: the smallest detectable error of the calibration, in the
+    least sensitive direction (m). region: squared distance of the values from their nominals, in
+    units of both covariances; freedom: number of values with a nominal; claim_p: probability of a
+    larger region if the calibration's covariance is true. surface: the choice between several in
+    sight. says: what the routine measures; recorded: when (ISO 8601; empty: unknown); certificate:
+    U of the nominal values (m); record: record.* of the configuration. calibration_file: path and
+    sha256 of the file that was verified; created: when it was evaluated (ISO 8601).
+    """
+
+    routine: str
+    calibration: str
+    verdict: str
+    reasons: tuple[str, ...]
+    tolerance: float
+    angle_tolerance: float
+    stations: int
+    quantities: tuple[Quantity, ...]
+    scatter: Scatter
+    smallest_error: float
+    weakest_direction: str
+    region: float
+    freedom: int
+    claim_p: float
+    per_station: tuple[StationResult, ...] = ()
+    surface: str = ''
+    inputs: tuple[str, ...] = ()
+    says: str = ''
+    recorded: str = ''
+    certificate: float = 0.0
+    record: dict[str, str] = field(default_factory=dict)
+    calibration_file: dict[str, str] = field(default_factory=dict)
+    created: str = ''
 
 
 def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibration, config: Config,
@@ -45,9 +166,18 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
                       reason)
     _require_different(bags)
     X = calibration.T_flange_sensor @ sensor_axes(config)
-    used, shape, result, left_out = _agreeing(routine, stations, X, calibration, config)
-    if max(result.p, result.p_error) < FOREIGN and routine.target != TEETH:
-        freed = refit(used, X, calibration.covariance, config.noise, shape, nominal)
+
+    def fitted(left_out: Collection[int]) -> tuple[tuple[Shape, Fit], dict[int, float]]:
+        shape = routine.shape(stations.without(left_out), X, nominal)
+        found, used = fit(shape, X, calibration.covariance, config.noise, nominal), shape.stations
+        left = {g for bag in range(len(bags)) if len(of_bag := np.unique(
+            used.row_groups[used.row_bags == bag])) > LEAST_STATIONS for g in of_bag.tolist()}
+        return (shape, found), {g: p for g, p in found.contradictions.items() if g in left}
+
+    (shape, found), left_out = agreeing(fitted, len(stations.poses))
+    used = shape.stations
+    if max(found.p, found.p_error) < FOREIGN and routine.target != TEETH:
+        freed = refit(shape, X, calibration.covariance, config.noise, nominal)
         largest = float(np.abs(freed.distances).max())
         if freed.p_error < FOREIGN and largest > nominal.tolerance:
             raise DataError(
@@ -55,25 +185,26 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
                 f'all points closer than {mm(largest)} to its shape. Check which object was under '
                 'the sensor, that it did not move, and that nothing else was in view '
                 '(verify.near)')
-    std, claimed = (np.sqrt(np.maximum(np.diag(C), 0.0)).tolist() for C in (
-        result.covariance, result.claimed))
-    names = routine.names(len(bags), len(result.values))
-    quantities = [Quantity(name, value, s, c, known, unit, symbol)
-                  for (name, unit, symbol), value, s, c, known in zip(
-                      names, result.values.tolist(), std, claimed, shape.nominals, strict=True)]
-    quantities += routine.spread(used, X, result)
-    station_results = _station_results(stations, used, result, left_out, nominal)
-    weakest = sensitivity(result)
-    verdict, reasons = decide(result, weakest, quantities, station_results, nominal)
-    distances = np.abs(result.distances)
+    std, claimed = (np.sqrt(np.maximum(np.diag(C), 0.0)).tolist()
+                    for C in (found.covariance, found.claimed))
+    quantities = [Quantity(what.name, value, s, c, what.nominal, what.unit, what.characteristic)
+                  for what, value, s, c in zip(shape.measurands, found.values.tolist(), std,
+                                               claimed, strict=True)]
+    quantities += [Quantity(what.name, size, size / math.sqrt(2 * max(freedom, 1)), 0.0,
+                            characteristic=what.characteristic)  # of normal scatter
+                   for what, size, freedom in routine.scatter(shape, X, found)]
+    per_station = _station_results(stations, used, found, left_out, nominal)
+    weakest = _sensitivity(found)
+    verdict, reasons = _decide(found, weakest, quantities, per_station, nominal)
+    distances = np.abs(found.distances)
     scatter = Scatter(len(distances), float(distances.mean()), float(distances.std()),
                       float(np.sqrt((distances ** 2).mean())), float(distances.max()),
-                      result.rms_expected, result.p)
+                      found.rms_expected, found.p)
     return Verification(
         routine.name, calibration.name, verdict, reasons, nominal.tolerance,
         nominal.angle_tolerance, len(np.unique(used.observations.station)), tuple(quantities),
-        scatter, weakest.size, weakest.direction, result.region, result.freedom, claim_p(result),
-        station_results, stations.surface, says=routine.says,
+        scatter, weakest.size, weakest.direction, found.region, found.freedom, _claim_p(found),
+        per_station, stations.surface, says=routine.says,
         recorded=time_of(int(stations.stamps.min())), certificate=nominal.certificate,
         record=dict(config.record))
 
@@ -96,53 +227,11 @@ def _require_different(bags: Sequence[StationSet]) -> None:
                                  'stamps): give one recording of each face or ball')
 
 
-def _agreeing(routine: Routine, stations: StationSet, X: Array, calibration: Calibration,
-              config: Config) -> tuple[StationSet, Shape, FixedFit, dict[int, float]]:
-    """
-    Return the consistent stations, the shape and its fit, and p of each one left out.
-
-    A station is left out when it contradicts the others whatever the error of the calibration.
-    """
-    def fitted(out: Collection[int]) -> tuple[StationSet, Shape, FixedFit]:
-        selected = stations.without(out)
-        used, shape = routine.shape(selected, selected.points(X), config.verify)
-        return used, shape, fit(used, X, calibration.covariance, config.noise, shape,
-                                config.verify)
-
-    left_out = dict[int, float]()
-    all_stations = result = fitted(())
-    while (worst := _worst(result[2]))[1] < OUTLIER:
-        left_out[worst[0]] = worst[1]
-        rest = np.setdiff1d(stations.observations.station, list(left_out))
-        fewest = np.bincount(stations.bags[rest]).min()
-        if len(left_out) > MOST_OUTLIERS * len(stations.poses) or fewest < LEAST_STATIONS:
-            return *all_stations, {}
-        result = fitted(left_out)
-    for group in list(left_out)[:-1]:  # it may only have looked bad beside a worse one
-        without_group = fitted(left_out.keys() - {group})
-        if _worst(without_group[2])[1] >= OUTLIER:
-            del left_out[group]
-            result = without_group
-    return *result, left_out
-
-
-def _worst(result: FixedFit) -> tuple[int, float]:
-    """Return the group with the largest contradiction, and its p-value over all groups."""
-    if not len(result.left_out):
-        return -1, 1.0
-    group, square, count = result.left_out.T
-    p = np.where(count > 0, chi2_sf(square, count), 1.0)
-    worst = int(np.argmin(p))
-    return int(group[worst]), float(p[worst]) * len(p)
-
-
-def _station_results(stations: StationSet, used: StationSet, result: FixedFit,
+def _station_results(stations: StationSet, used: StationSet, found: Fit,
                      left_out: dict[int, float], limits: VerifyConfig
                      ) -> tuple[StationResult, ...]:
     """Return the results of all stops or passes."""
     results = []
-    p_of = {int(g): float(chi2_sf(square, count))
-            for g, square, count in result.left_out if count}
     for group in np.unique(stations.groups).tolist():
         first = int(np.argmax(stations.groups == group))
         bag = int(stations.bags[first])
@@ -153,9 +242,164 @@ def _station_results(stations: StationSet, used: StationSet, result: FixedFit,
             results.append(StationResult(*identity, 0.0, 0.0, left_out[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
-            worst = rows[np.argmax(np.abs(result.distances[rows]))]
-            std = float(result.distance_std[worst])
+            worst = rows[np.argmax(np.abs(found.distances[rows]))]
+            std = float(found.distance_std[worst])
             note = 'its uncertainty exceeds the tolerance' if K * std > limits.tolerance else ''
-            results.append(StationResult(*identity, float(abs(result.distances[worst])), std,
-                                         p_of.get(group, 1.0), reason=note))
+            results.append(StationResult(*identity, float(abs(found.distances[worst])), std,
+                                         found.contradictions.get(group, 1.0), reason=note))
     return tuple(results)
+
+
+class _Sensitivity(NamedTuple):
+    """
+    The smallest detectable error of the calibration, in the least sensitive direction.
+
+    size: root mean square displacement of the points (m); estimate: that of the estimated error
+    in this direction, and its 1 sigma std; direction: in words.
+    """
+
+    size: float
+    estimate: float
+    std: float
+    direction: str
+
+
+def _sensitivity(fit: Fit) -> _Sensitivity:
+    shift = fit.shift + 1e-12 * np.trace(fit.shift) * np.eye(6)
+    power, directions = scipy.linalg.eigh(fit.information, shift)
+    worst = directions[:, 0]  # displaces the points by 1 m RMS
+    by_rotation = np.sqrt(max(worst[3:] @ fit.shift[3:, 3:] @ worst[3:], 0.0))
+    motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
+                    ('rotation about', worst[3:]))
+    *others, last = [name for size, name in zip(np.abs(axis), 'xyz', strict=True)
+                     if size > 0.5 * np.abs(axis).max()]
+    axes = f'{", ".join(others)} and {last}' if others else last
+    std = float(1 / np.sqrt(max(power[0], 1e-12)))
+    return _Sensitivity(SENSITIVE * std, abs(float(worst @ shift @ fit.error)), std,
+                        f'{motion} {axes} of the flange')
+
+
+def _claim_p(fit: Fit) -> float:
+    """Return the p-value of the deviations under the calibration's stated covariance."""
+    return float(chi2_sf(fit.region, fit.freedom)) if fit.freedom else 1.0
+
+
+def _decide(fit: Fit, weakest: _Sensitivity, quantities: Sequence[Quantity],
+            stations: Sequence[StationResult], limits: VerifyConfig
+            ) -> tuple[str, tuple[str, ...]]:
+    """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
+    other_size = fit.p_error < FOREIGN < fit.p  # the shape fits, but not in its size
+    notes = _notes(fit, other_size, stations, limits)
+    tolerances = {'m': limits.tolerance, 'rad': limits.angle_tolerance}
+    deviations = [(q, abs(q.error), tolerances[q.unit]) for q in quantities if q.error is not None]
+    failed = [f'{q.name} is off by {formatted(q.error, q.unit)} ± {formatted(q.expanded, q.unit)} '
+              f'(k = {K:g})' for q, deviation, tolerance in deviations
+              if deviation - q.expanded > tolerance]
+    outside = [s for s in stations if s.used and K * s.std <= limits.tolerance
+               and s.distance - K * s.std > limits.tolerance]
+    if outside:
+        worst = max(outside, key=lambda s: s.distance)
+        failed.append(f'points of {len(outside)} of {len(stations)} stops lie up to '
+                      f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
+    if fit.p_no_error <= SIGNIFICANT and not other_size and (
+            fit.implied - ONE_SIDED_95 * fit.implied_std > limits.tolerance):
+        failed.append(
+            f'the pattern of the distances matches a calibration error of {mm(fit.implied)} ± '
+            f'{mm(K * fit.implied_std)} (k = {K:g}) at the points')
+    if failed:
+        return 'fail', (*failed, *notes)
+    used = sum(station.used for station in stations)
+    if weakest.size > limits.tolerance:
+        return 'insensitive', (
+            f'an error of the calibration would show only from {mm(weakest.size)} on '
+            f'({weakest.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
+            'more between the stops' + _or_measure(
+                used, weakest.size / limits.tolerance, ', or'), *notes)
+    undecided = [
+        f'{q.name} is off by {formatted(q.error, q.unit)}, its uncertainty is '
+        f'{formatted(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
+        f'of {formatted(tolerance, q.unit)}' + _or_measure(
+            used, q.expanded / (tolerance - deviation) if tolerance > deviation else 0.0, ':')
+        for q, deviation, tolerance in deviations if deviation + q.expanded > tolerance]
+    for size, std, is_seen in (
+            (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANT),
+            (weakest.estimate, weakest.std, weakest.estimate > NORMAL_95 * weakest.std)):
+        if is_seen and size + ONE_SIDED_95 * std > limits.tolerance:
+            undecided.append(
+                f'the points suggest an error of the calibration of {mm(size)} ± {mm(K * std)} '
+                f'(k = {K:g}), which may exceed the tolerance: measure at more stops')
+            break
+    return ('undecided', (*undecided, *notes)) if undecided else ('pass', notes)
+
+
+def _or_measure(used: int, too_large: float, conjunction: str) -> str:
+    """Return the advice to measure at more stops for a smaller uncertainty, '' if no help."""
+    if not 0 < too_large < 10:
+        return ''
+    return f'{conjunction} measure at about {math.ceil(used * too_large ** 2)} stops like these'
+
+
+def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
+           limits: VerifyConfig) -> tuple[str, ...]:
+    notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
+    if fit.p < INCONSISTENT:
+        notes.append(f'the points disagree by more than calibration, noise.sensor and '
+                     f'noise.robot_* explain (p = {fit.p:.1g}): the calibration is worse than '
+                     'it claims, the artefact moved, or the noise is set too small')
+    if other_size:
+        notes.append('the points fit the shape, and no error of the calibration explains these '
+                     'deviations: check the nominal values (verify.radius, verify.lengths)')
+    claim = _claim_p(fit)
+    if claim < SIGNIFICANT:
+        notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')
+    if limits.tolerance > LARGE:
+        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
+                     'in metres unless a unit is given')
+    return tuple(notes)
+
+
+def time_of(stamp: int) -> str:
+    """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
+    if stamp < EARLIEST:
+        return ''
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
+
+
+def values(verification: Verification) -> dict[str, Any]:
+    """Return a verification as plain values, for YAML and for the protocol."""
+    return {'format': FORMAT, 'version': __version__, 'k': K, **asdict(verification)}
+
+
+def yaml_text(verification: Verification) -> str:
+    """Return a verification as YAML."""
+    return yaml.safe_dump(values(verification), sort_keys=False, width=100,
+                          default_flow_style=None)
+
+
+def stations_csv(verification: Verification) -> str:
+    """Return the results of the stops as CSV, in metres."""
+    return output.csv_text((field.name for field in fields(StationResult)),
+                           map(astuple, verification.per_station))
+
+
+def sentence(verification: Verification) -> str:
+    """Return a verification as one sentence: verdict, reasons, figures with units."""
+    content = values(verification)
+    figures = []
+    for name, (measured, nominal, deviation, U, claimed) in rows_of(content):
+        claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
+        figures.append(f'{name} {measured}' + (f' ± {U} (k = {K:g}{claims})' if U else '')
+                       + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
+    surface = [verification.surface] if verification.surface else []
+    return '; '.join((title_of(content), *verification.reasons, *surface, *figures))
+
+
+def table(verification: Verification) -> Table:
+    """Return the table of a verification."""
+    content = values(verification)
+    result = Table(title=title_of(content), title_justify='left')
+    for column in ('', *COLUMNS):
+        result.add_column(column, justify='left' if not column else 'right')
+    for name, texts in rows_of(content):
+        result.add_row(name, *texts)
+    return result

@@ -1,0 +1,376 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fits a shape to measured points, and estimates the calibration error from the deviations.
+
+The calibration is fixed, as it is in use. The parameters q of the shape minimise the distances
+r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of poses,
+r = J dq + G dX + n, where n has unit covariance. The error of q is -pinv(J) (G dX + n), and
+the residuals are M (G dX + n), M = I - J pinv(J). An error dX of the calibration enters through
+G: its claimed covariance C is never part of the measurement's own uncertainty.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+from handeye_ros import se3
+from handeye_ros.config import NoiseConfig, VerifyConfig
+from handeye_ros.data import Array
+from handeye_ros.errors import InputError
+from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf, Rows, System, White
+from handeye_ros.estimation.problem import Observations
+import numpy as np
+from numpy.typing import NDArray
+import scipy.linalg
+
+K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
+STEP = 1e-7  # of numeric derivatives (m, rad)
+REFITS = 5  # iterations for the calibration's error
+FARTHEST = 0.1  # m: no calibration error is larger
+LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
+MOST_DISTANCES = 1500  # of which each group is tested against the others
+LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
+UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
+RANK = 1e-8  # relative singular value of an unknown that the points do not show
+OUTLIER = 0.01  # probability that any good group is left out
+MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
+
+T = TypeVar('T')
+Numbers = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class StationSet:
+    """
+    Points of the sensor plane, seen from the poses of one recording or of several.
+
+    poses: (n, 4, 4) of the mount of the sensor in the frame of the artefact; observations: the m
+    points with their noise and kind. Of the poses (n,): groups, ascending: poses of one group
+    share their error, by default each has its own; stamps; bags: recordings. surface: the choice
+    between several surfaces in sight, in words.
+    """
+
+    poses: Array
+    observations: Observations
+    groups: Numbers = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    bags: Numbers = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    surface: str = ''
+
+    def __post_init__(self) -> None:
+        """Complete what is not given: each pose a group of its own, all of one bag."""
+        n = len(self.poses)
+        for name, default in (('groups', np.arange(n)), ('stamps', np.zeros(n, dtype=np.int64)),
+                              ('bags', np.zeros(n, dtype=np.intp))):
+            if len(getattr(self, name)) < n:
+                object.__setattr__(self, name, default)
+
+    @property
+    def row_groups(self) -> Numbers:
+        """Return the group (m,) of each point."""
+        return self.groups[self.observations.station]
+
+    @property
+    def row_bags(self) -> Numbers:
+        """Return the recording (m,) of each point."""
+        return self.bags[self.observations.station]
+
+    def points(self, X: Array) -> Array:
+        """Return the points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
+        return self.observations.in_base(self.poses, X)
+
+    def by_calibration(self, X: Array) -> Array:
+        """Return the derivatives (m, 3, 6) of the points by an error of the calibration."""
+        R = self.poses[self.observations.station, :3, :3]
+        lever = self.observations.points @ X[:3, [0, 2]].T
+        return np.concatenate([R, -R @ se3.skew(lever)], axis=2)
+
+    def noise(self, X: Array, by_p: Array, noise: NoiseConfig, aim: float = 0.0) -> list[Array]:
+        """
+        Return the covariance of the distances of each group of poses, in their order.
+
+        by_p: (m, 3) derivatives of the distances by the points; aim: 1 sigma of a further error
+        of the position of each pose (m).
+        """
+        obs = self.observations
+        R = self.poses[obs.station, :3, :3]
+        in_plane = np.einsum('mi,mij,jk->mk', by_p, R, X[:3, [0, 2]])
+        by_feature = np.einsum('mi,mij->mj', in_plane, obs.noise)
+        from_flange = np.einsum('mij,mj->mi', R, obs.points @ X[:3, [0, 2]].T + X[:3, 3])
+        by_pose = np.hstack([by_p, np.cross(from_flange, by_p)]) * np.repeat(
+            [np.hypot(noise.robot_translation, aim), noise.robot_rotation], 3)
+        covariances = []
+        for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(self.row_groups)) + 1):
+            shared = obs.source[rows, None] == obs.source[rows]
+            covariances.append((by_feature[rows] @ by_feature[rows].T) * shared
+                               + by_pose[rows] @ by_pose[rows].T
+                               + LEAST_NOISE ** 2 * np.eye(len(rows)))
+        return covariances
+
+    def without(self, groups: Collection[int]) -> StationSet:
+        """Return the points of the other groups of poses."""
+        others = np.isin(self.row_groups, list(groups), invert=True)
+        return replace(self, observations=self.observations.select(others))
+
+
+def stacked(bags: Sequence[StationSet]) -> StationSet:
+    """Return several recordings as one."""
+    stations = groups = 0
+    parts = []
+    for k, bag in enumerate(bags):
+        obs = replace(bag.observations, station=bag.observations.station + stations)
+        parts.append(replace(bag, observations=obs, groups=bag.groups + groups,
+                             bags=np.full(len(bag.poses), k)))
+        stations, groups = stations + len(bag.poses), groups + 1 + bag.groups.max(initial=-1)
+    poses, group, stamps, numbers = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ('poses', 'groups', 'stamps', 'bags'))
+    observations = Observations(*(
+        np.concatenate([getattr(part.observations, f.name) for part in parts])
+        for f in fields(Observations)))
+    return StationSet(poses, observations, group, stamps, numbers, '; '.join(
+        f'recording {k}: {bag.surface}' for k, bag in enumerate(bags, 1) if bag.surface))
+
+
+class Measurand(NamedTuple):
+    """
+    What a value of a shape is: its name, its nominal value (None: unknown), m or rad.
+
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/protocol.py).
+    """
+
+    name: str
+    nominal: float | None
+    unit: str = 'm'
+    characteristic: str = ''
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """
+    A shape with k unknowns, and the stations whose points lie on it.
+
+    start: (k,); distance(p (m, 3), q (k,)): signed distances (m,) of these points, in the base;
+    values(q): the measured values, one for each of the measurands.
+    """
+
+    stations: StationSet
+    start: Array
+    distance: Callable[[Array, Array], Array]
+    values: Callable[[Array], Array] = lambda q: np.empty(0)
+    measurands: tuple[Measurand, ...] = ()
+
+    def by_unknowns(self, p: Array, q: Array) -> Array:
+        """Return the derivatives (m, k) of the distances by the unknowns q (k,)."""
+        return derivatives(partial(self.distance, p), q)
+
+    def by_point(self, p: Array, q: Array) -> Array:
+        """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
+        return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
+
+    def fitted(self, p: Array, whitener: Callable[[Array], White] | None = None,
+               iterations: int = 50) -> Array:
+        """Return the unknowns (k,) that fit points p (m, 3) best, whitened if given."""
+        def rows(q: Array) -> Rows:
+            found = Rows(self.distance(p, q), partial(self.by_unknowns, p, q))
+            return replace(found, white=lambda: whitener(q)) if whitener else found
+
+        return System[Array](rows, np.add, np.zeros(len(p), dtype=np.intp)).least_squares(
+            self.start, iterations=iterations)
+
+
+def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
+    """Return the central differences (m, k) of a function at q (k,)."""
+    return np.stack([(function(q + d) - function(q - d)) / (2 * STEP)
+                     for d in STEP * np.eye(len(q))], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """
+    Result of a fit.
+
+    values (v,): fitted; covariance, claimed (v, v): due to sensor and robot, infinite for a value
+    that the points leave open, and due to the calibration. distances (m,): residuals;
+    distance_std (m,): 1 sigma due to sensor and robot; rms_expected: 95 % quantile of their RMS;
+    p: p-value of the distances with the calibration's covariance. information (6, 6): of the
+    distances and of the values with a nominal, about an error of the calibration; shift (6, 6):
+    quadratic form that gives the mean square displacement of the points. region:
+    (v - nominal)' cov^-1 (v - nominal), cov the sum of both covariances, of `freedom` values.
+    error (6,): estimated error of the calibration; p_error, p_no_error: p-values of the distances
+    with and without it; implied, implied_std: its largest displacement of a point (m).
+    contradictions: p-value of each group of poses, whatever the error of the calibration.
+    """
+
+    values: Array
+    covariance: Array
+    claimed: Array
+    distances: Array
+    distance_std: Array
+    rms_expected: float
+    p: float
+    information: Array
+    shift: Array
+    region: float
+    freedom: int
+    error: Array
+    p_error: float
+    p_no_error: float
+    implied: float
+    implied_std: float
+    contradictions: dict[int, float]
+
+
+def fit(shape: Shape, X: Array, C: Array, noise: NoiseConfig, nominal: VerifyConfig) -> Fit:
+    """
+    Return the fit of a shape; raises InputError for an impossible covariance.
+
+    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; nominal: the artefact, with the
+    uncertainty of its nominal values and of the aim of the laser at it.
+    """
+    stations = shape.stations
+    p, by_X = stations.points(X), stations.by_calibration(X)
+
+    def factors_at(q: Array) -> list[Array]:
+        covariances = stations.noise(X, shape.by_point(p, q), noise, nominal.aim)
+        return [np.asarray(np.linalg.cholesky(S)) for S in covariances]
+
+    q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
+    factors, distances = factors_at(q), shape.distance(p, q)
+    r, J = _white(factors, distances), _white(factors, shape.by_unknowns(p, q))
+    G = _white(factors, np.einsum('mi,mij->mj', shape.by_point(p, q), by_X))
+    gain = np.asarray(np.linalg.pinv(J), dtype=float)
+    A, remainder = G - J @ (gain @ G), r - J @ (gain @ r)  # what the shape does not take up
+
+    # do the distances agree with the noise and with what the calibration claims
+    root = root_of(C)
+    explained = root.T @ A.T @ remainder
+    square = remainder @ remainder - explained @ np.linalg.solve(
+        np.eye(6) + root.T @ A.T @ A @ root, explained)
+    freedom = max(len(r) - len(q), 1)
+    p_distances = float(chi2_sf(square, freedom))
+    expected, contradictions = float('nan'), dict[int, float]()
+    if len(r) <= MOST_DISTANCES:
+        expected = _expected_rms(np.hstack([np.eye(len(r)) - J @ gain, A @ root]), factors)
+        contradictions = _contradictions_whatever(np.hstack([J, G]), r, stations.row_groups)
+
+    # the measured values, and those of them that have a nominal one
+    values, F = shape.values(q), derivatives(shape.values, q)
+    by_error = F @ gain @ G
+    covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
+    unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > UNSEEN
+    known = np.array([k for k, what in enumerate(shape.measurands)
+                      if what.nominal is not None and not unseen[k]], dtype=int)
+    covariance[known, known] += (nominal.certificate / K) ** 2
+    region = 0.0
+    if len(known):
+        deviation = values[known] - [shape.measurands[k].nominal for k in known]
+        block = np.ix_(known, known)
+        region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+        factor = np.linalg.cholesky(covariance[block])
+        A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
+        remainder = np.append(remainder, np.linalg.solve(factor, deviation))
+    covariance[unseen, unseen] = np.inf
+
+    # the most likely error of the calibration
+    inverse = np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0))
+    error = np.asarray(inverse @ A.T @ remainder, dtype=float)
+    left = float(((remainder - A @ error) ** 2).sum())
+    freedom_left = max(freedom + len(known) - 6, 1)
+    scale = max(left / freedom_left, 1.0)
+    displacements = np.linalg.norm(by_X @ error, axis=1)
+    worst = int(np.argmax(displacements))
+    return Fit(
+        values, covariance, claimed, distances,
+        np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]), expected,
+        p_distances, A.T @ A, np.einsum('mik,mil->kl', by_X, by_X) / len(r), region, len(known),
+        error, float(chi2_sf(left, freedom_left)),
+        float(chi2_sf((remainder @ remainder - left) / scale, 6)), float(displacements[worst]),
+        float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))), contradictions)
+
+
+def refit(shape: Shape, X: Array, C: Array, noise: NoiseConfig, nominal: VerifyConfig) -> Fit:
+    """Return the fit with the calibration error estimated as well, for errors of any size."""
+    for _ in range(REFITS):
+        result = fit(shape, X, C, noise, nominal)
+        if not result.implied < FARTHEST:
+            break
+        X = se3.perturb(X, -result.error)
+    return result
+
+
+def root_of(C: Array) -> Array:
+    """Return R (n, n) with R R' = C, which may be singular; raises InputError."""
+    value, vectors = np.linalg.eigh((C + C.T) / 2)
+    if value[0] < -1e-9 * value[-1]:
+        raise InputError('the covariance of the calibration has a negative variance, so it is not '
+                         'valid: use the calibration.yaml as it was written')
+    return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
+
+
+def _white(factors: Sequence[Array], values: Array) -> Array:
+    """Return values (m, ...) whitened by the Cholesky factors of the groups."""
+    ends = np.cumsum([len(factor) for factor in factors])[:-1]
+    return np.concatenate([
+        scipy.linalg.solve_triangular(factor, part, lower=True)
+        for factor, part in zip(factors, np.split(values, ends), strict=True)])
+
+
+def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
+    """
+    Return the 95 % quantile of the RMS distance if the uncertainties are as stated.
+
+    spread: (m, s) whitened distances by errors of unit covariance. The sum of squares is taken as
+    a multiple of chi-squared with the same mean and variance (Satterthwaite 1946).
+    """
+    spread = scipy.linalg.block_diag(*factors) @ spread
+    S = spread @ spread.T
+    freedom = float(np.trace(S) ** 2 / (S ** 2).sum())
+    return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
+
+
+def _contradictions_whatever(columns: Array, r: Array, groups: Numbers) -> dict[int, float]:
+    """Return contradictions of whitened distances r (m,), whatever the unknowns of columns are."""
+    size = np.linalg.norm(columns, axis=0)
+    U, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    U = U[:, s > RANK * s[0]]
+    return contradictions(np.eye(len(r)) - U @ U.T, r, groups)
+
+
+def contradictions(W: Array, r: Array, groups: Numbers) -> dict[int, float]:
+    """
+    Return for each group how probable so large leave-one-out residuals are.
+
+    W: (m, m) inverse covariance of the residuals r (m,), singular where the others determine
+    nothing.
+    """
+    p, weighted = dict[int, float](), W @ r
+    for group in np.unique(groups).tolist():
+        rows = np.flatnonzero(groups == group)
+        value, vectors = np.linalg.eigh(W[np.ix_(rows, rows)])
+        free = value > RANK * W.diagonal().max()
+        projected = (vectors.T @ weighted[rows])[free]
+        square = projected @ (projected / value[free])
+        p[group] = float(chi2_sf(square, free.sum())) if free.any() else 1.0
+    return p
+
+
+def agreeing(fitted: Callable[[Collection[int]], tuple[T, dict[int, float]]], count: int
+             ) -> tuple[T, dict[int, float]]:
+    """
+    Return the fit of the groups that agree, and the p-value of each one left out.
+
+    fitted(left_out): fit and contradictions of the other groups; count: of all groups. One after
+    the other is left out, the worst first; none where too many would be.
+    """
+    everything = result, p = fitted(())
+    left_out = dict[int, float]()
+    while p and p[worst := min(p, key=p.__getitem__)] * len(p) < OUTLIER:
+        left_out[worst] = p[worst] * len(p)
+        if len(left_out) > MOST_OUTLIERS * count:
+            return everything[0], {}
+        result, p = fitted(left_out)
+    return result, left_out
