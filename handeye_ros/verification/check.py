@@ -28,7 +28,6 @@ from handeye_ros.targets import METHODS
 from handeye_ros.targets.common import edges_of
 from handeye_ros.verification.fit import agreeing, contradictions, root_of, StationSet
 from handeye_ros.verification.stations import compared
-from handeye_ros.verification.verify import LEAST_STATIONS, too_few
 import numpy as np
 import scipy.linalg
 
@@ -93,10 +92,10 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     reason: why other stations gave no sample. Raises DataError, and InputError for a calibration
     without a target to compare with.
     """
-    whole = _comparison(samples, calibration, config, reason)
+    whole = _comparison(samples, calibration, config)
 
     def without(left_out: Collection[int]) -> tuple[_Comparison, dict[int, float]]:
-        rest = replace(whole, stations=whole.stations.without(left_out))
+        rest = replace(whole, stations=whole.stations.without(left_out, reason))
         rows = rest.residuals()
         moves = np.hstack([rows.target, rows.sensor])
         changed = rows.covariance + moves * np.tile(_prior(SCALES[-1]), 2) @ moves.T
@@ -105,9 +104,6 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
 
     comparison, left_out = agreeing(without, len(samples))
     rows = comparison.residuals()
-    count = len(np.unique(comparison.stations.observations.station))
-    if count < LEAST_STATIONS:
-        raise too_few(count, LEAST_STATIONS, reason)
 
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
               _Cause('robot', _robot_likelihood(comparison, rows), STILL, 0.0, 0.0))
@@ -127,7 +123,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         sentence += f'. Left out, as they contradict the others: stops {stops}'
     target, sensor, _ = causes
     return Check(
-        samples[0].stamp, verdict, sentence, count, float(np.sqrt((rows.r ** 2).mean())),
+        samples[0].stamp, verdict, sentence, len(np.unique(comparison.stations.row_groups)),
+        float(np.sqrt((rows.r ** 2).mean())),
         math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
         sensor.turn, sensor.displacement, sensor.displacement_std,
         np.where(target_shows < UNSEEN, target_shows, np.nan).tolist(), target_axes.tolist(),
@@ -210,25 +207,24 @@ class _Comparison:
         return self.config.target.setback_std * np.reshape(columns, (-1, len(out))).T
 
 
-def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str
+def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config
                 ) -> _Comparison:
-    no_target = InputError(
-        f'the calibration (method {calibration.method}) does not hold what a check compares with: '
-        'the target with its covariance. Solve its recording again with this version, as one of '
-        f'{", ".join(METHODS)}, or measure a known object with "handeye verify"')
-    method, joint = METHODS.get(calibration.method), calibration.target.get('joint')
-    if method is None or not isinstance(joint, Mapping):
-        raise no_target
-    if len(samples) < LEAST_STATIONS:
-        raise too_few(len(samples), LEAST_STATIONS, reason)
-    size = 6 + len(method.labels)
     try:
+        method, joint = METHODS[calibration.method], calibration.target['joint']
+        size = 6 + len(method.labels)
         state = np.array(joint['state'], dtype=float)
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
     except (KeyError, TypeError, ValueError) as error:
-        raise no_target from error
-    stations = StationSet(frames.mounted(samples, config), method.observe(samples))
+        raise InputError(
+            f'the calibration (method {calibration.method}) does not hold what a check compares '
+            'with: the target with its covariance. Solve its recording again with this version, '
+            f'as one of {", ".join(METHODS)}, or measure a known object with "handeye verify"'
+            ) from error
+    poses = (frames.mounted(samples, config) if samples else np.empty((0, 4, 4)))
+    stations = StationSet(poses, method.observe(samples),
+                          np.array([sample.stamp for sample in samples], dtype=np.int64),
+                          np.zeros(len(samples), dtype=np.intp))
     X = calibration.T_flange_sensor @ frames.sensor_axes(config)
     obs = method.relabel(stations.observations, stations.points(X), state, config)
     stations = replace(stations, observations=obs.select(obs.kind != UNUSED))
@@ -299,7 +295,7 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
 
 
 def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
-    """Return the log likelihood of pose errors: smooth in base or flange, or white."""
+    """Return the log likelihood of pose errors, smooth over the poses or white."""
     station = comparison.stations.observations.station
     # the flange in the base again
     T = frames.in_mount(comparison.stations.poses[station], comparison.config)
@@ -307,10 +303,9 @@ def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
     smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTHNESS)
-    kernels = ((rows.robot, smooth), (rows.robot, smoother), (rows.sensor, smoother),
-               (rows.robot, station[:, None] == station))
-    likelihood = [rows.likelihood(D * _prior(s) @ D.T * kernel) for s in SCALES
-                  for D, kernel in kernels]
+    likelihood = [rows.likelihood(rows.robot * _prior(scale) @ rows.robot.T * kernel)
+                  for scale in SCALES
+                  for kernel in (smooth, smoother, station[:, None] == station)]
     return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
 
 

@@ -12,14 +12,15 @@ G: its claimed covariance C is never part of the measurement's own uncertainty.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import NamedTuple, TypeVar
+import math
+from typing import TypeVar
 
 from handeye_ros import se3
-from handeye_ros.config import NoiseConfig, VerifyConfig
+from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf, Rows, System, White
 from handeye_ros.estimation.problem import Observations
 import numpy as np
@@ -34,6 +35,7 @@ LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
 MOST_DISTANCES = 1500  # of which each group is tested against the others
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
+LEAST_STATIONS = 4  # of a recording
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
 OUTLIER = 0.01  # probability that any good group is left out
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
@@ -48,25 +50,22 @@ class StationSet:
     Points of the sensor plane, seen from the poses of one recording or of several.
 
     poses: (n, 4, 4) of the mount of the sensor in the frame of the artefact; observations: the m
-    points with their noise and kind. Of the poses (n,): groups, ascending: poses of one group
-    share their error, by default each has its own; stamps; bags: recordings. surface: the choice
-    between several surfaces in sight, in words.
+    points with their noise and kind; stamps (n,): ns; bags: (n,) the recording of each pose,
+    ascending; are_passes: whether the poses of a recording share the error of the robot; by
+    default each has its own. surface: the choice between several surfaces in sight, in words.
     """
 
     poses: Array
     observations: Observations
-    groups: Numbers = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    bags: Numbers = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    stamps: NDArray[np.int64]
+    bags: Numbers
+    are_passes: bool = False
     surface: str = ''
 
-    def __post_init__(self) -> None:
-        """Complete what is not given: each pose a group of its own, all of one bag."""
-        n = len(self.poses)
-        for name, default in (('groups', np.arange(n)), ('stamps', np.zeros(n, dtype=np.int64)),
-                              ('bags', np.zeros(n, dtype=np.intp))):
-            if len(getattr(self, name)) < n:
-                object.__setattr__(self, name, default)
+    @property
+    def groups(self) -> Numbers:
+        """Return for each pose (n,) the number of the group that shares its error."""
+        return self.bags if self.are_passes else np.arange(len(self.poses))
 
     @property
     def row_groups(self) -> Numbers:
@@ -110,42 +109,68 @@ class StationSet:
                                + LEAST_NOISE ** 2 * np.eye(len(rows)))
         return covariances
 
-    def without(self, groups: Collection[int]) -> StationSet:
-        """Return the points of the other groups of poses."""
+    def without(self, groups: Collection[int], reason: str) -> StationSet:
+        """
+        Return the points of the other groups; raises DataError where a recording has too few.
+
+        reason: why there are no more, in words.
+        """
         others = np.isin(self.row_groups, list(groups), invert=True)
-        return replace(self, observations=self.observations.select(others))
+        rest = replace(self, observations=self.observations.select(others))
+        stops = [len(np.unique(rest.observations.station[rest.row_bags == k]))
+                 for k in np.unique(self.bags)]
+        if min(stops, default=0) < LEAST_STATIONS:
+            raise DataError(
+                f'{sum(stops)} usable stations, fewer than {LEAST_STATIONS * max(len(stops), 1)}'
+                f'{f" (of the others: {reason})" if reason else ""}: measure more, with the '
+                'sensor turned differently at each')
+        return rest
 
 
 def stacked(bags: Sequence[StationSet]) -> StationSet:
     """Return several recordings as one."""
-    stations = groups = 0
-    parts = []
-    for k, bag in enumerate(bags):
-        obs = replace(bag.observations, station=bag.observations.station + stations)
-        parts.append(replace(bag, observations=obs, groups=bag.groups + groups,
-                             bags=np.full(len(bag.poses), k)))
-        stations, groups = stations + len(bag.poses), groups + 1 + bag.groups.max(initial=-1)
-    poses, group, stamps, numbers = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ('poses', 'groups', 'stamps', 'bags'))
+    first = np.cumsum([0, *(len(bag.poses) for bag in bags)])
     observations = Observations(*(
-        np.concatenate([getattr(part.observations, f.name) for part in parts])
+        np.concatenate([getattr(bag.observations, f.name) for bag in bags])
         for f in fields(Observations)))
-    return StationSet(poses, observations, group, stamps, numbers, '; '.join(
-        f'recording {k}: {bag.surface}' for k, bag in enumerate(bags, 1) if bag.surface))
+    counts = [len(bag.observations) for bag in bags]
+    return StationSet(
+        np.concatenate([bag.poses for bag in bags]),
+        replace(observations, station=observations.station + np.repeat(first[:-1], counts)),
+        np.concatenate([bag.stamps for bag in bags]),
+        np.repeat(np.arange(len(bags)), np.diff(first)), bags[0].are_passes,
+        '; '.join(f'recording {k}: {bag.surface}' for k, bag in enumerate(bags, 1)
+                  if bag.surface))
 
 
-class Measurand(NamedTuple):
+@dataclass(frozen=True)
+class Quantity:
     """
-    What a value of a shape is: its name, its nominal value (None: unknown), m or rad.
+    A measured value with its nominal value; metres, or radians where unit is rad.
 
-    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/protocol.py).
+    std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that
+    the points leave open; claimed: 1 sigma by the calibration's covariance. nominal: None where
+    there is none. characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see
+    results/protocol.py).
     """
 
     name: str
-    nominal: float | None
+    value: float = math.nan
+    std: float = math.nan
+    claimed: float = 0.0
+    nominal: float | None = None
     unit: str = 'm'
     characteristic: str = ''
+
+    @property
+    def error(self) -> float | None:
+        """Return value less nominal."""
+        return None if self.nominal is None else self.value - self.nominal
+
+    @property
+    def expanded(self) -> float:
+        """Return the expanded uncertainty of the measurement, k times std."""
+        return K * self.std
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,14 +179,14 @@ class Shape:
     A shape with k unknowns, and the stations whose points lie on it.
 
     start: (k,); distance(p (m, 3), q (k,)): signed distances (m,) of these points, in the base;
-    values(q): the measured values, one for each of the measurands.
+    values(q): the measured values, of which quantities tell name, unit and nominal value.
     """
 
     stations: StationSet
     start: Array
     distance: Callable[[Array, Array], Array]
     values: Callable[[Array], Array] = lambda q: np.empty(0)
-    measurands: tuple[Measurand, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
 
     def by_unknowns(self, p: Array, q: Array) -> Array:
         """Return the derivatives (m, k) of the distances by the unknowns q (k,)."""
@@ -224,18 +249,18 @@ class Fit:
     contradictions: dict[int, float]
 
 
-def fit(shape: Shape, X: Array, C: Array, noise: NoiseConfig, nominal: VerifyConfig) -> Fit:
+def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     """
     Return the fit of a shape; raises InputError for an impossible covariance.
 
-    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; nominal: the artefact, with the
-    uncertainty of its nominal values and of the aim of the laser at it.
+    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; config.verify: the artefact,
+    with the uncertainty of its nominal values and of the aim of the laser at it.
     """
-    stations = shape.stations
+    stations, aim, certificate = shape.stations, config.verify.aim, config.verify.certificate
     p, by_X = stations.points(X), stations.by_calibration(X)
 
     def factors_at(q: Array) -> list[Array]:
-        covariances = stations.noise(X, shape.by_point(p, q), noise, nominal.aim)
+        covariances = stations.noise(X, shape.by_point(p, q), config.noise, aim)
         return [np.asarray(np.linalg.cholesky(S)) for S in covariances]
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
@@ -262,12 +287,12 @@ def fit(shape: Shape, X: Array, C: Array, noise: NoiseConfig, nominal: VerifyCon
     by_error = F @ gain @ G
     covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
     unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > UNSEEN
-    known = np.array([k for k, what in enumerate(shape.measurands)
+    known = np.array([k for k, what in enumerate(shape.quantities)
                       if what.nominal is not None and not unseen[k]], dtype=int)
-    covariance[known, known] += (nominal.certificate / K) ** 2
+    covariance[known, known] += (certificate / K) ** 2
     region = 0.0
     if len(known):
-        deviation = values[known] - [shape.measurands[k].nominal for k in known]
+        deviation = values[known] - [shape.quantities[k].nominal for k in known]
         block = np.ix_(known, known)
         region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
         factor = np.linalg.cholesky(covariance[block])
@@ -292,10 +317,10 @@ def fit(shape: Shape, X: Array, C: Array, noise: NoiseConfig, nominal: VerifyCon
         float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))), contradictions)
 
 
-def refit(shape: Shape, X: Array, C: Array, noise: NoiseConfig, nominal: VerifyConfig) -> Fit:
+def refit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFITS):
-        result = fit(shape, X, C, noise, nominal)
+        result = fit(shape, X, C, config)
         if not result.implied < FARTHEST:
             break
         X = se3.perturb(X, -result.error)
@@ -363,14 +388,26 @@ def agreeing(fitted: Callable[[Collection[int]], tuple[T, dict[int, float]]], co
     """
     Return the fit of the groups that agree, and the p-value of each one left out.
 
-    fitted(left_out): fit and contradictions of the other groups; count: of all groups. One after
-    the other is left out, the worst first; none where too many would be.
+    fitted(left_out): fit and contradictions of the other groups, DataError for too few; count: of
+    all groups. One after the other is left out, the worst first; none where too many would be.
     """
+    def contradicting(p: dict[int, float]) -> int | None:
+        worst = min(p, key=p.__getitem__, default=None)
+        return worst if worst is not None and p[worst] * len(p) < OUTLIER else None
+
     everything = result, p = fitted(())
     left_out = dict[int, float]()
-    while p and p[worst := min(p, key=p.__getitem__)] * len(p) < OUTLIER:
+    while (worst := contradicting(p)) is not None:
         left_out[worst] = p[worst] * len(p)
+        try:
+            result, p = fitted(left_out)
+        except DataError:
+            return everything[0], {}
         if len(left_out) > MOST_OUTLIERS * count:
             return everything[0], {}
-        result, p = fitted(left_out)
+    for group in list(left_out)[:-1]:  # it may only have looked bad beside a worse one
+        again, p = fitted(left_out.keys() - {group})
+        if contradicting(p) is None:
+            del left_out[group]
+            result = again
     return result, left_out

@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+import math
 
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError
-from handeye_ros.verification.fit import Fit, Measurand, Numbers, Shape, StationSet
+from handeye_ros.verification.fit import Fit, Numbers, Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 
@@ -40,7 +41,8 @@ def point(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
     reference = nominal.reference or (None, None, None)
     return Shape(stations, np.zeros(3), distance, lambda q: np.asarray(middle + q),
-                 tuple(map(Measurand, 'xyz', reference)))
+                 tuple(Quantity(axis, nominal=nominal) for axis, nominal in zip(
+                     'xyz', reference, strict=True)))
 
 
 def free_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
@@ -55,7 +57,7 @@ def free_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         return np.array([np.arctan2(np.linalg.norm(np.cross(a, b)), np.abs(a @ b))])
 
     return Shape(stations, start, distance, angle,
-                 (Measurand('angle between the faces', np.pi / 2, 'rad'),))
+                 (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),))
 
 
 def parallel_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
@@ -70,8 +72,8 @@ def parallel_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Sh
         return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
 
     return Shape(stations, start, distance, heights, tuple(
-        Measurand(f'height of face {f} over face 0' + (
-            f' of block {b + 1}' if blocks > 1 else ''), length, characteristic='E')
+        Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
+                 nominal=length, characteristic='E')
         for b, f, length in zip(block[face > 0], face[face > 0], nominal.lengths, strict=True)))
 
 
@@ -121,10 +123,11 @@ def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         balls = q.reshape(count, 4)
         return np.append(balls[:, 3], np.linalg.norm(np.diff(balls[:, :3], axis=0), axis=1))
 
-    radii = [Measurand('radius' if count == 1 else f'radius of ball {k}', nominal.radius or None,
-                       characteristic='PS') for k in range(1, count + 1)]
-    distances = [Measurand(f'distance of balls {k} and {k + 1}', length, characteristic='SD')
-                 for k, length in enumerate(nominal.lengths, 1)]
+    radii = [Quantity('radius' if count == 1 else f'radius of ball {k}',
+                      nominal=nominal.radius or None, characteristic='PS')
+             for k in range(1, count + 1)]
+    distances = [Quantity(f'distance of balls {k} and {k + 1}', nominal=length,
+                          characteristic='SD') for k, length in enumerate(nominal.lengths, 1)]
     return Shape(stations, start, distance, values, (*radii, *distances))
 
 
@@ -137,25 +140,26 @@ def _sphere_through(p: Array) -> Array:
     return np.append(x[:3] + middle, np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
 
 
-def _point_scatter(shape: Shape, X: Array, fit: Fit) -> list[tuple[Measurand, float, int]]:
+def _point_scatter(shape: Shape, fit: Fit) -> list[Quantity]:
     """Return 3 sigma of the points along x, y and z of the base."""
-    p, kind = shape.stations.points(X), shape.stations.observations.kind
-    return [(Measurand(f'3 sigma of the points along {axis}', None),
-             3 * float(p[kind == k, k].std(ddof=1)), int((kind == k).sum()) - 1)
-            for k, axis in enumerate('xyz')]
+    along = shape.stations.observations.kind
+    return [_scatter(f'3 sigma of the points along {axis}', 3 * float(part.std(ddof=1)), len(part))
+            for axis, part in zip('xyz', _parts(fit.distances, along), strict=True)]
 
 
-def _form_error(name: str, symbol: str, shape: Shape, X: Array, fit: Fit
-                ) -> list[tuple[Measurand, float, int]]:
+def _form_error(name: str, symbol: str, shape: Shape, fit: Fit) -> list[Quantity]:
     """Return the form error of each face or ball: highest point less lowest point."""
-    bag = shape.stations.row_bags
-    distances = [fit.distances[bag == k] for k in range(int(bag.max()) + 1)]
-    return [(Measurand(f'{name} {k}, noise included', None, characteristic=symbol),
-             float(np.ptp(part)), len(part) - 1) for k, part in enumerate(distances, 1)]
+    return [_scatter(f'{name} {k}, noise included', float(np.ptp(part)), len(part), symbol)
+            for k, part in enumerate(_parts(fit.distances, shape.stations.row_bags), 1)]
 
 
-def _nothing(shape: Shape, X: Array, fit: Fit) -> list[tuple[Measurand, float, int]]:
-    return []
+def _parts(values: Array, number: Numbers) -> list[Array]:
+    return [values[number == k] for k in range(int(number.max()) + 1)]
+
+
+def _scatter(name: str, value: float, points: int, symbol: str = '') -> Quantity:
+    """Return a scatter with its own 1 sigma, that of normal scatter."""
+    return Quantity(name, value, value / math.sqrt(2 * max(points - 1, 1)), characteristic=symbol)
 
 
 @dataclass(frozen=True)
@@ -166,8 +170,7 @@ class Routine:
     says: what it measures. target: the target.type whose features the stations give, or TEETH
     where points are taken while the robot moves. bags: smallest and largest number. shape: what
     is fitted to the stations, with the sensor plane at X (4, 4) in the mount. scatter: further
-    values, each with its degrees of freedom. lengths: valid numbers of verify.lengths for a number
-    of bags.
+    quantities. lengths: valid numbers of verify.lengths for a number of bags.
     """
 
     name: str
@@ -175,7 +178,7 @@ class Routine:
     target: str
     bags: tuple[int, int]
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
-    scatter: Callable[[Shape, Array, Fit], list[tuple[Measurand, float, int]]] = _nothing
+    scatter: Callable[[Shape, Fit], list[Quantity]] = lambda shape, fit: []
     lengths: Callable[[int], tuple[int, ...]] = lambda bags: (0,)
 
 
@@ -217,28 +220,26 @@ def settings_for(routine: Routine, config: Config, bags: int) -> Config:
 
     bags: how many there are.
     """
-    fewest, most = routine.bags
-    if not fewest <= bags <= most:
-        raise _wrong_count(routine, 'bags', bags, range(fewest, most + 1))
-    lengths, count = routine.lengths(bags), len(config.verify.lengths)
-    if count not in lengths:
-        raise _wrong_count(routine, 'lengths (verify.lengths)', count, lengths)
+    possible = parts_of(routine, len(config.verify.lengths))
+    if bags not in possible:
+        raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {bags}')
     if routine.target == TEETH:
         return config
     return with_values(config, {'target.type': routine.target, 'method': 'auto',
                                 'target.radius': config.verify.radius}, routine.name)
 
 
-def parts_of(routine: Routine, lengths: int) -> tuple[int, int]:
-    """Return the least and largest number of bags for the lengths; raises InputError."""
+def parts_of(routine: Routine, lengths: int) -> list[int]:
+    """Return the possible numbers of bags, ascending; raises InputError for wrong lengths."""
     fewest, most = routine.bags
     fit = [n for n in range(fewest, most + 1) if lengths in routine.lengths(n)]
     if not fit:
-        raise _wrong_count(routine, 'lengths (verify.lengths)', lengths, routine.lengths(fewest))
-    return fit[0], fit[-1]
+        possible = {n for bags in range(fewest, most + 1) for n in routine.lengths(bags)}
+        raise InputError(f'{routine.name} needs {_listed(sorted(possible))} lengths '
+                         f'(verify.lengths), and got {lengths}')
+    return fit
 
 
-def _wrong_count(routine: Routine, items: str, count: int, valid: Sequence[int]) -> InputError:
-    needed = (f'{valid[0]} to {valid[-1]}' if len(valid) > 3 else
-              ' or '.join(map(str, sorted(valid))))
-    return InputError(f'{routine.name} needs {needed} {items}, and got {count}')
+def _listed(numbers: Sequence[int]) -> str:
+    return (f'{numbers[0]} to {numbers[-1]}' if len(numbers) > 3 else
+            ' or '.join(map(str, numbers)))

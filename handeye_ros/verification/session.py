@@ -7,6 +7,7 @@ Knows no ROS and no threads.
 """
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from copy import copy
@@ -15,23 +16,17 @@ from typing import Self
 
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
-from handeye_ros.errors import DataError, InputError, UnusableMessageError
+from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.verification.fit import StationSet
-from handeye_ros.verification.routines import (
-    parts_of,
-    Routine,
-    routine_of,
-    settings_for,
-    TEETH,
-)
+from handeye_ros.verification.routines import parts_of, Routine, routine_of, settings_for, TEETH
 from handeye_ros.verification.stations import stations_of, stations_of_pass
 from handeye_ros.verification.verify import Verification, verify
 
 MOST_PROFILES = 500  # of a pass that are kept, evenly spread
-MOST_POSES = 200_000  # of a pass
+MOST_POSES = 200_000  # of a pass that are kept, the last ones
 
 
 @dataclass(eq=False)
@@ -45,7 +40,7 @@ class Part:
 
     stops: dict[int, Sample | Reject] = field(default_factory=dict)
     profiles: list[AnyProfile] = field(default_factory=list)
-    poses: list[TimedPose] = field(default_factory=list)
+    poses: deque[TimedPose] = field(default_factory=lambda: deque(maxlen=MOST_POSES))
     received: int = 0
     step: int = 1
 
@@ -68,9 +63,8 @@ class Part:
             self.profiles, self.step = self.profiles[::2], 2 * self.step
 
     def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Keep poses of a pass, up to a limit."""
-        if len(self.poses) <= MOST_POSES:
-            self.poses.extend(poses)
+        """Keep poses of a pass."""
+        self.poses.extend(poses)
 
 
 class VerificationSession:
@@ -82,8 +76,7 @@ class VerificationSession:
             raise InputError('verify.routine is not set, so there is nothing to measure: set it '
                              'to the artefact under the sensor (docs/measure.md)')
         self._name = routine_of(config.verify.routine).name
-        self._least, self._most = parts_of(self.routine, len(config.verify.lengths))
-        self._settings(config)
+        self._possible = parts_of(self.routine, len(config.verify.lengths))
         self.parts = [Part()]
 
     @property
@@ -95,7 +88,7 @@ class VerificationSession:
         """Return an independent copy."""
         duplicate = copy(self)
         duplicate.parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
-                                   poses=list(part.poses)) for part in self.parts]
+                                   poses=part.poses.copy()) for part in self.parts]
         return duplicate
 
     @property
@@ -106,34 +99,34 @@ class VerificationSession:
     @property
     def text(self) -> str:
         """Return the progress in words."""
-        part_text = f', part {len(self.parts)}' if self._most > 1 else ''
-        if self._least == self._most and part_text:
-            part_text += f' of {self._most}'
-        part = self.parts[-1]
+        part, most = self.parts[-1], self._possible[-1]
+        number = f', part {len(self.parts)}' if most > 1 else ''
+        if number and len(self._possible) == 1:
+            number += f' of {most}'
         counts = (f'{part.received} profiles' if self.scans else
                   f'{len(part.samples)} usable stops of {len(part.stops)}')
-        return f'{self.routine.name}{part_text}: {counts}'
+        return f'{self.routine.name}{number}: {counts}'
 
     def go_on(self) -> None:
         """Begin the next part, if there is one and this one is not empty."""
-        if not self.parts[-1].is_empty and len(self.parts) < self._most:
+        if not self.parts[-1].is_empty and not self.is_full:
             self.parts.append(Part())
 
     @property
     def is_full(self) -> bool:
         """Return whether the last part has begun and is not empty."""
-        return len(self.parts) >= self._most and not self.parts[-1].is_empty
+        return len(self.parts) >= self._possible[-1] and not self.parts[-1].is_empty
 
     def add(self, stop: Stop, config: Config,
             judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Sample | Reject:
         """Add a stop; return its result for the routine. judge: evaluates the stop."""
-        result = judge(stop, self._settings(config))
+        result = judge(stop, settings_for(self.routine, config, self._possible[0]))
         self.parts[-1].stops[stop.began] = result
         return result
 
     def result(self, calibration: Calibration, config: Config) -> Verification:
         """Return the result; raises InputError and DataError."""
-        settings = self._settings(config, len(self.parts))
+        settings = settings_for(self.routine, config, len(self.parts))
         bags = [self._scanned(part, settings) if self.scans else
                 stations_of(self.routine, part.samples, calibration, settings)
                 for part in self.parts]
@@ -141,17 +134,11 @@ class VerificationSession:
                        if isinstance(s, Reject)), '')
         return verify(self.routine, bags, calibration, settings, reason)
 
-    def _settings(self, config: Config, parts: int = 0) -> Config:
-        return settings_for(self.routine, config, parts or self._least)
-
     def _scanned(self, part: Part, config: Config) -> StationSet:
-        if len(part.poses) > MOST_POSES:
-            raise DataError(f'a pass has more than {MOST_POSES} poses, and not all are kept: set '
-                            'verify.routine again to start over, and scan in shorter passes')
         profiles: list[Profile] = []
         for profile in part.profiles:
             with suppress(UnusableMessageError):
                 profiles.append(profile.read(config.profile))
-        track = track_of(part.poses, config.sampling.max_pose_gap)
+        track = track_of(list(part.poses), config.sampling.max_pose_gap)
         # the stamps have time_offset in them
         return stations_of_pass(profiles, track, replace(config, time_offset=0.0))

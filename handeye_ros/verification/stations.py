@@ -35,6 +35,7 @@ from handeye_ros.targets.common import edge_noise, ObservationRows
 from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
+from numpy.typing import NDArray
 
 SURE = 4.0  # sigmas of a change
 SMALLEST = 1e-4  # s: a smaller change does not matter to a scan
@@ -65,8 +66,8 @@ def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibr
         samples = _in_region(samples, T @ X, config.verify.near)
     if routine.target == 'plane':
         samples, choice = _on_nearest_surface(samples, T @ X, config.profile.range_sign)
-    return StationSet(T, _observed(routine, samples, T @ X),
-                      stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
+    return StationSet(T, _observed(routine, samples, T @ X), _stamps(samples),
+                      np.zeros(len(T), dtype=np.intp),
                       surface='; '.join(filter(None, (choice, offset_text))))
 
 
@@ -89,8 +90,13 @@ def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Con
     noise[:, 1, 0] = config.noise.sensor
     obs = Observations(station, np.concatenate(points), np.zeros(len(station), dtype=np.intp),
                        noise, np.arange(len(station)))
-    return StationSet(in_mount(flange.T_base_flange[seen], config), obs,
-                      np.zeros(len(seen), dtype=np.intp))
+    stamps = np.array([profiles[index].stamp for index in seen.tolist()], dtype=np.int64)
+    return StationSet(in_mount(flange.T_base_flange[seen], config), obs, stamps,
+                      np.zeros(len(seen), dtype=np.intp), are_passes=True)
+
+
+def _stamps(samples: Sequence[Sample]) -> NDArray[np.int64]:
+    return np.array([sample.stamp for sample in samples], dtype=np.int64)
 
 
 def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
@@ -208,7 +214,8 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     samples = single_samples(samples)
     samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
     T, pairing = mounted(samples, config), Pairing.of(samples)
-    stations = StationSet(T, _observed(routine, samples, T @ X))
+    stations = StationSet(T, _observed(routine, samples, T @ X), _stamps(samples),
+                          np.zeros(len(T), dtype=np.intp))
     obs, shape = stations.observations, routine.shape(stations, X, config.verify)
 
     def distances(x: Array) -> Array:
@@ -223,9 +230,8 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
         if step >= ALL:
             inliers = np.abs(r) <= OUTLIER * scatter
         x = x - np.linalg.lstsq(derivatives(distances, x)[inliers], r[inliers], rcond=None)[0]
-    stamps = np.array([sample.stamp for sample in samples])
     std = _std_of_last(distances(x)[inliers], derivatives(distances, x)[inliers],
-                       stamps[obs.station[inliers]] // CORRELATED)
+                       stations.stamps[obs.station[inliers]] // CORRELATED)
     foreign = set(obs.station[np.abs(distances(x)) > FOREIGN * scatter].tolist())
     previous = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
     _, sentence = compared(TimeOffset(config.time_offset + float(x[-1]), std), previous)

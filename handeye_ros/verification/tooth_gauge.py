@@ -14,7 +14,7 @@ from handeye_ros import se3
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.verification.fit import Measurand, Numbers, Shape, StationSet
+from handeye_ros.verification.fit import Numbers, Quantity, Shape, StationSet
 import numpy as np
 from numpy.typing import NDArray
 
@@ -123,8 +123,8 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
                                    np.where(face == VALLEY, z, flank)))
 
     return Shape(stations, start, distance, lambda q: np.array([pitch + q[5], height + q[6]]),
-                 (Measurand('pitch', pitch, characteristic='E'),
-                  Measurand('height', height, characteristic='E')))
+                 (Quantity('pitch', nominal=pitch, characteristic='E'),
+                  Quantity('height', nominal=height, characteristic='E')))
 
 
 def _faces(local: Array, pitch: float, height: float, q: Array

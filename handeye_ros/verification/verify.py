@@ -11,7 +11,7 @@ takes no part in U.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, astuple, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from datetime import datetime, UTC
 import math
 from typing import Any, NamedTuple
@@ -23,14 +23,23 @@ from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
-from handeye_ros.verification.fit import agreeing, Fit, fit, K, refit, Shape, stacked, StationSet
+from handeye_ros.verification.fit import (
+    agreeing,
+    Fit,
+    fit,
+    K,
+    Quantity,
+    refit,
+    Shape,
+    stacked,
+    StationSet,
+)
 from handeye_ros.verification.routines import Routine, TEETH
 import numpy as np
 from rich.table import Table
 import scipy.linalg
 import yaml
 
-LEAST_STATIONS = 4  # of a bag
 EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
@@ -38,35 +47,6 @@ SIGNIFICANT = 0.01  # level of the tests of a calibration error
 INCONSISTENT = 1e-3  # level of the test that the points agree
 FOREIGN = 1e-6  # below this p no error of the calibration explains the points
 LARGE = 0.01  # m: a larger tolerance gets a note
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """
-    A measured value with its nominal value; metres, or radians where unit is rad.
-
-    std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that
-    the points leave open; claimed: 1 sigma by the calibration's covariance. nominal: None where
-    there is none. characteristic: its symbol in VDI/VDE 2634 or ISO 10360.
-    """
-
-    name: str
-    value: float
-    std: float
-    claimed: float
-    nominal: float | None = None
-    unit: str = 'm'
-    characteristic: str = ''
-
-    @property
-    def error(self) -> float | None:
-        """Return value less nominal."""
-        return None if self.nominal is None else self.value - self.nominal
-
-    @property
-    def expanded(self) -> float:
-        """Return the expanded uncertainty of the measurement, k times std."""
-        return K * self.std
 
 
 @dataclass(frozen=True)
@@ -160,26 +140,23 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
     bags: observations in the order that the routine expects; reason: why other stations gave
     none. Raises DataError, and InputError where two recordings are one.
     """
-    stations, nominal = stacked(bags), config.verify
-    if min(len(np.unique(bag.observations.station)) for bag in bags) < LEAST_STATIONS:
-        raise too_few(len(np.unique(stations.observations.station)), LEAST_STATIONS * len(bags),
-                      reason)
-    _require_different(bags)
+    stations = stacked(bags)
+    stops = np.column_stack([stations.stamps, stations.poses.reshape(-1, 16)])
+    if len(np.unique(stops, axis=0)) < len(stops):
+        raise InputError('two recordings hold the same stops: give one recording of each face, '
+                         'ball or pass')
     X = calibration.T_flange_sensor @ sensor_axes(config)
 
     def fitted(left_out: Collection[int]) -> tuple[tuple[Shape, Fit], dict[int, float]]:
-        shape = routine.shape(stations.without(left_out), X, nominal)
-        found, used = fit(shape, X, calibration.covariance, config.noise, nominal), shape.stations
-        left = {g for bag in range(len(bags)) if len(of_bag := np.unique(
-            used.row_groups[used.row_bags == bag])) > LEAST_STATIONS for g in of_bag.tolist()}
-        return (shape, found), {g: p for g, p in found.contradictions.items() if g in left}
+        shape = routine.shape(stations.without(left_out, reason), X, config.verify)
+        found = fit(shape, X, calibration.covariance, config)
+        return (shape, found), found.contradictions
 
     (shape, found), left_out = agreeing(fitted, len(stations.poses))
-    used = shape.stations
     if max(found.p, found.p_error) < FOREIGN and routine.target != TEETH:
-        freed = refit(shape, X, calibration.covariance, config.noise, nominal)
+        freed = refit(shape, X, calibration.covariance, config)
         largest = float(np.abs(freed.distances).max())
-        if freed.p_error < FOREIGN and largest > nominal.tolerance:
+        if freed.p_error < FOREIGN and largest > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
                 f'all points closer than {mm(largest)} to its shape. Check which object was under '
@@ -187,66 +164,43 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
                 '(verify.near)')
     std, claimed = (np.sqrt(np.maximum(np.diag(C), 0.0)).tolist()
                     for C in (found.covariance, found.claimed))
-    quantities = [Quantity(what.name, value, s, c, what.nominal, what.unit, what.characteristic)
-                  for what, value, s, c in zip(shape.measurands, found.values.tolist(), std,
-                                               claimed, strict=True)]
-    quantities += [Quantity(what.name, size, size / math.sqrt(2 * max(freedom, 1)), 0.0,
-                            characteristic=what.characteristic)  # of normal scatter
-                   for what, size, freedom in routine.scatter(shape, X, found)]
-    per_station = _station_results(stations, used, found, left_out, nominal)
+    quantities = [replace(quantity, value=value, std=s, claimed=c)
+                  for quantity, value, s, c in zip(shape.quantities, found.values.tolist(), std,
+                                                   claimed, strict=True)]
+    quantities += routine.scatter(shape, found)
+    per_station = _station_results(stations, shape.stations, found, left_out)
     weakest = _sensitivity(found)
-    verdict, reasons = _decide(found, weakest, quantities, per_station, nominal)
+    verdict, reasons = _decide(found, weakest, quantities, per_station, config.verify)
     distances = np.abs(found.distances)
     scatter = Scatter(len(distances), float(distances.mean()), float(distances.std()),
                       float(np.sqrt((distances ** 2).mean())), float(distances.max()),
                       found.rms_expected, found.p)
     return Verification(
-        routine.name, calibration.name, verdict, reasons, nominal.tolerance,
-        nominal.angle_tolerance, len(np.unique(used.observations.station)), tuple(quantities),
-        scatter, weakest.size, weakest.direction, found.region, found.freedom, _claim_p(found),
-        per_station, stations.surface, says=routine.says,
-        recorded=time_of(int(stations.stamps.min())), certificate=nominal.certificate,
+        routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
+        config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
+        tuple(quantities), scatter, weakest.size, weakest.direction, found.region,
+        found.freedom, _claim_p(found), per_station, stations.surface, says=routine.says,
+        recorded=time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
 
 
-def too_few(stations: int, minimum: int, reason: str) -> DataError:
-    """Return the refusal of too few stations; reason: why others gave nothing."""
-    others = f' (of the others: {reason})' if reason else ''
-    return DataError(f'{stations} usable stations, fewer than {minimum}{others}: measure more, '
-                     'with the sensor turned differently at each')
-
-
-def _require_different(bags: Sequence[StationSet]) -> None:
-    """Raise InputError where two bags hold the same stops."""
-    stops = [{(int(stamp), T.tobytes()) for stamp, T in zip(bag.stamps, bag.poses, strict=True)}
-             for bag in bags]
-    for k, bag in enumerate(stops):
-        for other in range(k):
-            if bag & stops[other]:
-                raise InputError(f'recordings {other + 1} and {k + 1} hold the same stops (equal '
-                                 'stamps): give one recording of each face or ball')
-
-
 def _station_results(stations: StationSet, used: StationSet, found: Fit,
-                     left_out: dict[int, float], limits: VerifyConfig
-                     ) -> tuple[StationResult, ...]:
-    """Return the results of all stops or passes."""
+                     left_out: dict[int, float]) -> tuple[StationResult, ...]:
+    """Return the results of all stops or passes of which points are used, or were left out."""
     results = []
-    for group in np.unique(stations.groups).tolist():
-        first = int(np.argmax(stations.groups == group))
+    for group, first in zip(*np.unique(stations.groups, return_index=True), strict=True):
         bag = int(stations.bags[first])
-        number = group - int(stations.groups[stations.bags == bag].min()) + 1
-        identity = (bag + 1, number, int(stations.stamps[first]))
+        before = stations.groups[np.searchsorted(stations.bags, bag)]  # the first one of its bag
+        identity = bag + 1, int(group - before) + 1, int(stations.stamps[first])
         rows = np.flatnonzero(used.row_groups == group)
         if group in left_out:
             results.append(StationResult(*identity, 0.0, 0.0, left_out[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
             worst = rows[np.argmax(np.abs(found.distances[rows]))]
-            std = float(found.distance_std[worst])
-            note = 'its uncertainty exceeds the tolerance' if K * std > limits.tolerance else ''
-            results.append(StationResult(*identity, float(abs(found.distances[worst])), std,
-                                         found.contradictions.get(group, 1.0), reason=note))
+            results.append(StationResult(
+                *identity, float(abs(found.distances[worst])), float(found.distance_std[worst]),
+                found.contradictions.get(int(group), 1.0)))
     return tuple(results)
 
 

@@ -1,0 +1,52 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The calibrations of a folder over time: since when one differs from the one before."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+from command import assert_refused, handeye
+from handeye_ros import se3, trend
+from handeye_ros.data import SampleReport
+from handeye_ros.errors import DataError
+from handeye_ros.results.calibration_file import write_calibration
+import numpy as np
+import pytest
+from verifications import bench, stated
+
+DAY = 86_400_000_000_000  # ns
+
+
+def write(folder, days, jump_at=np.inf):
+    """Write calibrations, solved in the order of their names and recorded on days."""
+    rng = np.random.default_rng(0)
+    for k, day in enumerate(days):
+        off = bench.STD * rng.normal(size=6) + (5e-4 if day >= jump_at else 0.0)
+        stamp = 1_700_000_000_000_000_000 + day * DAY
+        found = replace(stated(se3.perturb(np.eye(4), off)), samples=(SampleReport(stamp, True),),
+                        provenance={'created': f'2026-01-{k + 1:02d}T08:00:00+00:00'})
+        write_calibration(found, folder / f'day_{day}' / 'calibration.yaml')
+
+
+def test_a_trend_goes_by_the_time_of_the_recordings_and_tells_since_when(tmp_path):
+    write(tmp_path / 'jump', (2, 0, 5, 4, 3, 1), jump_at=4)
+    entries, warnings = trend.trend(tmp_path / 'jump')
+    assert [e.path.parent.name for e in entries] == [f'day_{k}' for k in range(6)]
+    assert [e.p_before < 0.01 for e in entries] == [False] * 4 + [True, False]
+    assert 'between 2023-11-18' in trend.since_when(entries) and not warnings
+    assert len(trend.csv_text(entries).splitlines()) == 7
+    (tmp_path / 'jump/day_0/calibration.yaml').write_text('no')
+    entries, warnings = trend.trend(tmp_path / 'jump')
+    assert len(entries) == 5 and len(warnings) == 1
+
+
+def test_the_verb(tmp_path):
+    write(tmp_path / 'steady', range(5))
+    run = handeye('trend', 'steady', '--picture', 't.png', '--csv', 't.csv', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert 'no calibration differs' in run.stdout and 'x [mm]' in run.stdout
+    assert (tmp_path / 't.png').stat().st_size > 1000
+    assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
+    assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')
+    with pytest.raises(DataError):
+        trend.trend(tmp_path / 'steady/day_0')
