@@ -56,16 +56,9 @@ from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import of_profiles
 from handeye_ros.sampling.session import duplicate_pose, Outcome
-from handeye_ros.simulate import (
-    plate,
-    Scenario,
-    SCENARIOS,
-    sensor,
-    settings,
-    simulate_samples,
-)
+from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
-from handeye_ros.simulate.scenes import facing, SCENES
+from handeye_ros.simulate.scenes import edge_frames, edge_lengths, FACING, facing, SCENES
 import numpy as np
 
 KNOWN_WELL = 1e-3  # m: 1 sigma of mapped points, from which on the last answer is the start
@@ -78,7 +71,6 @@ ROBOTS = {'common': (5e-5, math.radians(0.02)), 'fine': (2e-5, math.radians(0.00
 # What this cell does not have, and what is therefore not believed in.
 KNOWN = {'noise.robot_smooth': 0.0, 'noise.robot_scale': 0.0, 'noise.distortion': 0.0,
          'noise.line_bend': 0.0, 'noise.flatness': 0.0, 'target.radius_std': 1e-6}
-FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # line along the edge frame's y
 
 
 @dataclass(eq=False)
@@ -109,7 +101,7 @@ class World:
             return np.diag([1.0, -1.0, -1.0])
         if isinstance(self.scenario.target, WedgeTarget):
             return facing(self.scenario.target)
-        return plate.edge_frames(self.scenario.target)['pq'[edge]][:3, :3] @ FACING
+        return edge_frames(self.scenario.target)['pq'[edge]][:3, :3] @ FACING
 
     def spot(self, edge: int) -> np.ndarray:
         """Return some point (3,) of the target, on an edge if it has any."""
@@ -119,8 +111,8 @@ class World:
         if not isinstance(target, PlateTarget):
             way = np.append(self.rng.uniform(-0.6, 0.6, 2), 1.0)
             return target.radius * way / np.linalg.norm(way)
-        length = plate.edge_lengths(target)['pq'[edge]]
-        frame = plate.edge_frames(target)['pq'[edge]]
+        length = edge_lengths(target)['pq'[edge]]
+        frame = edge_frames(target)['pq'[edge]]
         return frame[:3, 3] + frame[:3, 0] * self.rng.uniform(0.03, length - 0.03)
 
     def beside(self, R: np.ndarray, share: float, off: float) -> np.ndarray:
@@ -165,7 +157,7 @@ class World:
             return
         p = np.array(edges) @ T_target_sensor[:3, [0, 2]].T + T_target_sensor[:3, 3]
         edges = len(targets.method_for(self.config).essential)
-        frames = list(plate.edge_frames(target).values())[:edges]
+        frames = list(edge_frames(target).values())[:edges]
         away = [np.linalg.norm((p - frame[:3, 3]) @ frame[:3, 1:3], axis=1) for frame in frames]
         if np.min(away) > NEAR_THE_EDGE:
             raise FeatureError('the laser does not cross the edge')

@@ -32,9 +32,9 @@ from handeye_ros.robot.sources import Source
 from handeye_ros.robot.sources import start_of as start_of_sources
 from handeye_ros.robot.stops import Points, State, Stops
 from handeye_ros.sampling.session import Session
-from handeye_ros.simulate import arm, SCENARIOS, settings
-from handeye_ros.simulate import cell as cells
-from handeye_ros.simulate.scenes import anywhere, SCENES
+from handeye_ros.simulate import recording as cells
+from handeye_ros.simulate import robot, SCENARIOS, settings
+from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.targets import method_for
 import numpy as np
 from scipy.stats import chi2
@@ -212,20 +212,20 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     scene = SCENES[scenario.scene]
     stops = scene.stops(scenario, rng)
     stops = stops.ordered(rng.permutation(len(stops.labels)))
-    cell = cells.draw(scenario, stops, anywhere(scenario), rng)
+    cell = cells.cell_of(scenario, stops, rng)
     if other:
         X = other.T_mount_sensor
         T = cell.T_base_flange @ cell.T_mount_sensor @ se3.inverse(X)
         cell = replace(cell, arm=other.arm, T_mount_sensor=X, T_base_flange=T)
-    T = cells.perturbed(cell.T_base_flange, cells.robot_error(scenario.robot, cell.T_base_flange,
-                                                              rng))
-    T = cells.perturbed(T, arm.reported_error(T, cell.arm))
+    T = cell.T_base_flange
+    T = robot.perturbed(T, robot.pose_error(scenario.robot, T, rng))
+    T = robot.perturbed(T, robot.reported_error(T, cell.arm))
     features = scene.features(scenario, stops, rng)
     config = with_values(Config(), settings(scenario), 'the scenario')
     samples = [Sample(k, pose, found, 30)
                for k, (pose, found) in enumerate(zip(T, features, strict=True))]
-    method, q = method_for(config), arm.inverse(T)
-    poses = in_mount(arm_of(arm.urdf()).forward(q), config)
+    method, q = method_for(config), robot.inverse(T)
+    poses = in_mount(arm_of(robot.urdf()).forward(q), config)
     problem = Problem(method, poses, method.observe(samples), config)
     return cell, Source(Session(config), samples, problem, q)
 
@@ -240,7 +240,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     for each in names:
         cell, source = shown(each, rng, len(names), cell)
         sources.append(source)
-    start = start_of_sources(sources, arm_of(arm.urdf()))
+    start = start_of_sources(sources, arm_of(robot.urdf()))
     stops = start.fit.stops
     used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
     outcome = solve(replace(start, fit=adjusted(replace(start.fit, used=used)),

@@ -48,7 +48,7 @@ from handeye_ros.simulate import (
     simulate_samples,
     Simulated,
 )
-from handeye_ros.simulate.stations import FRAMES
+from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
 from scipy.stats import chi2
 import trials

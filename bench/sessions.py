@@ -24,7 +24,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
-from handeye_ros.simulate.arm import CONVENTION_ERRORS
+from handeye_ros.simulate.robot import CONVENTION_ERRORS
 import numpy as np
 import trials
 

@@ -3,8 +3,8 @@
 """
 What `handeye verify` and `handeye check` say, over seeds.
 
-usage: .venv/bin/python bench/verify.py [--rendered] [--stops] [--first SEED] [SEEDS] [ROUTINE...]
-       .venv/bin/python bench/verify.py --check [--first SEED] [--turned N] [SEEDS] [TARGET...]
+usage: .venv/bin/python bench/verify.py [--rendered] [--first SEED] [SEEDS] [ROUTINE...]
+       .venv/bin/python bench/verify.py --check [--first SEED] [SEEDS] [TARGET...]
 
 For each of SEEDS (default 200) a calibration is drawn with its stated covariance (0.03 mm and
 0.01 degrees, 1 sigma of each axis) and measures a simulated artefact with the robot and sensor of
@@ -12,44 +12,44 @@ the main job. --rendered: from recordings of rendered profiles (640 columns, 10 
 features with exactly known noise. "within": how often the values lie within their stated 95 %
 region (for lines and planes: the RMS distance below its stated 95 % bound). "wrong fails": how
 often a calibration that is 1 mm and 0.5 degrees off fails at the default tolerance; the verdicts
-of the right one follow. --stops: instead of all this, how many stops with which turns are needed
-for faces: the smallest error of the calibration that would show, which 9 of 10 seeds stay below,
-and how often an exact calibration passes at 0.3 mm.
+of the right one follow.
 
 --check: for each of SEEDS (20 are enough) a simulated cell (sensor 0.03 mm, robot 0.02 mm and
 0.004 degrees) is calibrated from 18 stops; then the same target is seen from other stops, with
 nothing changed, with the target moved (0.3 mm along the normal of its face and 0.05 degrees),
 with the sensor moved on the flange (0.3 mm and 0.1 degrees), and with joint 5 of a six-axis arm
 off by 0.05 and by 0.2 degrees. "right": the cause is named, alone or with others that the stops
-cannot tell from it; "alone": and no other; "missed": nothing seems to have changed. --turned: so
-many of the stops are repeated with the sensor turned by 90 degrees about its z, as a check asks
-for.
+cannot tell from it; "alone": and no other; "missed": nothing seems to have changed.
+
+An artefact is some targets at known poses in one frame: each gives a bag, by one sensor and robot.
 """
 from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from typing import Any, TypeAlias
 
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig, VerifyConfig, with_values
-from handeye_ros.data import Array, Calibration, Quality, Sample
+from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Quality, Sample
 from handeye_ros.sampling.trajectory import track_of
-from handeye_ros.simulate import arm, gauges
-from handeye_ros.simulate.measuring import Pass, rendered
+from handeye_ros.simulate import robot as robots
+from handeye_ros.simulate.measuring import draw_pose, Gauge, Recording, rendered, scan_gauge
+from handeye_ros.simulate.robot import perturbed, pose_error
 from handeye_ros.simulate.scenario import (
     PlateTarget,
     RobotModel,
     Scenario,
+    SCENARIOS,
     SensorModel,
     SphereTarget,
 )
-from handeye_ros.simulate.scenarios import SCENARIOS
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
-from handeye_ros.simulate.stations import Stops
+from handeye_ros.simulate.scenes import Stops, tilts
+from handeye_ros.simulate.sensor import lift
 from handeye_ros.verification.check import Check, check
 from handeye_ros.verification.fit import StationSet
 from handeye_ros.verification.routines import Routine, ROUTINES, settings_for, TEETH
@@ -59,13 +59,188 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+TILT = np.deg2rad(40)  # of the sensor over faces
+PLAIN = SensorModel(columns=320, rate=5.0, rim_bias=0.0, mixed=0.0, lost=0.0, lost_at_edge=0.0,
+                    outliers=0.0)
+AIM = 5e-5  # m: 1 sigma of the aim of the laser at a point
+INTO_CORNER = np.array([[1, 1, 0], [1, -1, 0], [0, 0, -2 ** 0.5]]).T / 2 ** 0.5  # T_target_sensor
+
+Taken: TypeAlias = tuple[Sample, ...] | Recording
+Take: TypeAlias = Callable[[Scenario, Array, Array, Stops, np.random.Generator], Taken]
+
+
+@dataclass(frozen=True, eq=False)
+class Artefact:
+    """
+    What is seen of an artefact: the samples of each bag; T_flange_sensor (4, 4), true values.
+
+    lengths: of the ball bar, heights of the steps, or pitch and height of the teeth; reference:
+    the true point (3,) in the base; passes: recordings, where there are no samples.
+    """
+
+    bags: tuple[tuple[Sample, ...], ...]
+    T_flange_sensor: Array
+    lengths: tuple[float, ...] = ()
+    reference: tuple[float, ...] = ()
+    passes: tuple[Recording, ...] = ()
+
+
+def sensor_on_flange(rng: np.random.Generator) -> Array:
+    """Draw the pose of the sensor on the flange (4, 4)."""
+    return se3.transform(Rotation.random(random_state=rng).as_matrix(),
+                         rng.uniform(-0.12, 0.12, 3))
+
+
+# -- how stops at a fixed target are taken: samples, or recordings
+
+
+def reported_poses(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+                   rng: np.random.Generator) -> Array:
+    """Return the reported poses (n, 4, 4) of the flange at stops."""
+    T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
+    return perturbed(T, pose_error(scenario.robot, T, rng))
+
+
+def sampled(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+            rng: np.random.Generator) -> tuple[Sample, ...]:
+    """Return the samples of stops."""
+    features = TARGET_SCENES[scenario.scene].features(scenario, stops, rng)
+    T = reported_poses(scenario, T_flange_sensor, T_base_target, stops, rng)
+    return tuple(Sample(k * 2_000_000_000, T_k, f, scenario.profiles_per_stop)
+                 for k, (T_k, f) in enumerate(zip(T, features, strict=True)))
+
+
+def sampled_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+                   rng: np.random.Generator) -> tuple[Sample, ...]:
+    """Return the samples of stops with the corner of a plate as edge point."""
+    T = reported_poses(scenario, T_flange_sensor, T_base_target, stops, rng)
+    std = float(scenario.sensor.noise / np.sqrt(scenario.profiles_per_stop))
+    along, samples = np.array([1.0, 0.0]), []
+    for k, (pose, seen) in enumerate(zip(T, stops.points, strict=True)):
+        edge = EdgePoint(seen + rng.normal(size=2) * std, along, std, std)
+        samples.append(Sample(k * 2_000_000_000, pose, (
+            FaceLine(seen - [5e-3, 0], along, 3e-3, std), edge)))
+    return tuple(samples)
+
+
+# -- artefacts
+
+
+def artefact(rng: np.random.Generator, scene: str, poses: Array, lengths: tuple[float, ...] = (),
+             count: int = 14, take: Take = sampled, **changes: Any) -> Artefact:
+    """
+    Return bags of so many stops at targets of a scene at poses (k, 4, 4) in the artefact.
+
+    changes: of the scenario.
+    """
+    scenario = replace(SCENARIOS[scene], stations=(count, 0), **{'robot': RobotModel()} | changes)
+    X, T = sensor_on_flange(rng), draw_pose(rng)
+    taken = [take(scenario, X, T @ pose, TARGET_SCENES[scene].stops(scenario, rng), rng)
+             for pose in poses]
+    return _taken(taken, X, lengths)
+
+
+def _taken(taken: list[Taken], X: Array, lengths: tuple[float, ...] = (),
+              reference: tuple[float, ...] = ()) -> Artefact:
+    return Artefact(tuple(bag for bag in taken if not isinstance(bag, Recording)), X, lengths,
+                    reference, tuple(bag for bag in taken if isinstance(bag, Recording)))
+
+
+def _poses(count: int) -> Array:
+    return np.repeat(np.eye(4)[None], count, axis=0)
+
+
+def line(rng: np.random.Generator, **values: Any) -> Artefact:
+    """Return a straight edge."""
+    return artefact(rng, 'line', _poses(1), **values)
+
+
+def faces(rng: np.random.Generator, poses: Array, lengths: tuple[float, ...] = (), **values: Any
+          ) -> Artefact:
+    """Return flat faces at poses (k, 4, 4) in the artefact."""
+    return artefact(rng, 'plane', poses, lengths, **{
+        'count': 20, 'target': PlateTarget(table=None), 'tilt': TILT} | values)
+
+
+def plane(rng: np.random.Generator, **values: Any) -> Artefact:
+    """Return a flat face."""
+    return faces(rng, _poses(1), **values)
+
+
+LAID = np.array([[0, 0, 0], [0, np.pi / 2, 0], [0, 0, np.pi / 2]])  # zyx: along z, x, y
+
+
+def step_block(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
+               **values: Any) -> Artefact:
+    """Return parallel faces at several heights, orthogonal to x, y or z of the base."""
+    poses, turn = _poses(1 + len(heights)), np.eye(4)
+    poses[1:, 2, 3] = heights
+    turn[:3, :3] = Rotation.from_euler('zyx', LAID[int(rng.integers(3))]).as_matrix()
+    return faces(rng, turn @ poses, heights, **values)
+
+
+def step_directions(rng: np.random.Generator, heights: tuple[float, ...] = (0.025, 0.05, 0.1),
+                    **values: Any) -> Artefact:
+    """Return a block laid along z, x and y of the base in turn: two faces each."""
+    poses, turns = _poses(6), _poses(6)
+    poses[1::2, 2, 3] = heights
+    turns[:, :3, :3] = Rotation.from_euler('zyx', np.repeat(LAID, 2, axis=0)).as_matrix()
+    return faces(rng, turns @ poses, heights, **values)
+
+
+def square(rng: np.random.Generator, **values: Any) -> Artefact:
+    """Return two faces at a right angle."""
+    poses = _poses(2)
+    poses[1, :3, :3] = Rotation.from_euler('x', np.pi / 2).as_matrix()
+    poses[1, :3, 3] = [0, 0.15, 0]
+    return faces(rng, poses, **values)
+
+
+def ball_bar(rng: np.random.Generator, balls: int = 2, length: float = 0.2, radius: float = 0.02,
+             **values: Any) -> Artefact:
+    """Return balls in a row (one: a sphere)."""
+    poses = _poses(balls)
+    poses[:, 0, 3] = np.arange(balls) * length
+    return artefact(rng, 'sphere', poses, (length,) * (balls - 1), **{
+        'target': SphereTarget(radius, table=None, clutter=False)} | values)
+
+
+def sphere(rng: np.random.Generator, **values: Any) -> Artefact:
+    """Return one ball."""
+    return ball_bar(rng, balls=1, **values)
+
+
+def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
+                take: Take = sampled_corner, **changes: Any) -> Artefact:
+    """Return the corner of a plate, to which the laser is aimed with some error."""
+    scenario = replace(SCENARIOS['line'], stations=(count, 0), **{'robot': RobotModel()} | changes)
+    X, T = sensor_on_flange(rng), draw_pose(rng)
+    points = TARGET_SCENES['line'].stops(scenario, rng).points
+    R = INTO_CORNER @ tilts(scenario, rng, (count,))
+    aim_error = aim * rng.normal(size=(count, 3))
+    position = aim_error - (R @ lift(points)[:, :, None])[:, :, 0]
+    stops = Stops(se3.transform(R, position), ('p',) * count, points)
+    return _taken([take(scenario, X, T, stops, rng)], X, reference=tuple(
+        map(float, T[:3, 3])))
+
+
+def tooth(rng: np.random.Generator, sensor: SensorModel = PLAIN, robot: RobotModel | None = None
+          ) -> Artefact:
+    """Return a scanned gauge of teeth; sensor: by default without faults other than noise."""
+    gauge, X = Gauge(), sensor_on_flange(rng)
+    passes = scan_gauge(gauge, X, draw_pose(rng), sensor, robot or RobotModel(), rng)
+    return Artefact((), X, (gauge.pitch, gauge.height), passes=passes)
+
+
+# -- verify
+
+
 STD = np.repeat([3e-5, np.deg2rad(0.01)], 3)
 ROBOT = RobotModel()
 NOISE = NoiseConfig(sensor=SensorModel().noise, robot_translation=ROBOT.repeatability[0],
                     robot_rotation=ROBOT.repeatability[1])
-SCENES = {'line': gauges.line, 'plane': gauges.plane, 'point': gauges.fixed_point,
-          'sphere': gauges.sphere, 'ball_bar': gauges.ball_bar, 'step': gauges.step_block,
-          'square': gauges.square, 'tooth': gauges.tooth}
+SCENES = {'line': line, 'plane': plane, 'point': fixed_point, 'sphere': sphere,
+          'ball_bar': ball_bar, 'step': step_block, 'square': square, 'tooth': tooth}
 RADIUS = 0.02
 STOPS = 8  # of a check
 TARGETS = {'plate': PlateTarget(table=None), 'plane': PlateTarget(table=None),
@@ -76,7 +251,8 @@ TRUTH = {'unchanged': 'unchanged', 'target': 'target', 'sensor': 'sensor', 'join
 FINE_AIM = 1e-5  # m: as the corner of a real plate is found inside of it by 0.8 times the aim
 
 
-def take(scenario: Scenario, X: Array, T: Array, stops: Stops, rng: np.random.Generator) -> Pass:
+def take(scenario: Scenario, X: Array, T: Array, stops: Stops, rng: np.random.Generator
+         ) -> Recording:
     """Return a recording with fewer columns, profiles and poses, to be quick."""
     sensor = replace(scenario.sensor, columns=640, rate=10.0)
     robot = replace(scenario.robot, rate=50.0)
@@ -101,13 +277,13 @@ def covariance(rng: np.random.Generator) -> Array:
     return np.asarray(C * np.outer(size, size))
 
 
-def scanned(made: gauges.Measured, config: Config) -> list[StationSet]:
+def scanned(made: Artefact, config: Config) -> list[StationSet]:
     """Return what a scan in passes gives the routine of the gauge."""
     return [stations_of_pass(part.profiles, track_of(part.poses, 0.5), config)
             for part in made.passes]
 
 
-def stops_of(routine: Routine, made: gauges.Measured, config: Config
+def stops_of(routine: Routine, made: Artefact, config: Config
              ) -> list[tuple[Sample, ...]]:
     """Return the samples of each bag, where the robot stops."""
     if not made.passes:
@@ -116,7 +292,7 @@ def stops_of(routine: Routine, made: gauges.Measured, config: Config
     return [pipeline.gather(part.profiles, part.poses, settings).samples for part in made.passes]
 
 
-def runs(routine: Routine, made: gauges.Measured, found: tuple[Calibration, ...], aim: float
+def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: float
          ) -> list[Verification]:
     """Return what a routine says of calibrations."""
     radius = RADIUS if routine.target == 'sphere' else 0.0
@@ -144,26 +320,10 @@ def trial(name: str, seed: int, scenes: dict = SCENES) -> tuple[Verification, Ve
     directions = rng.normal(size=(2, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     off = np.concatenate([1e-3 * directions[0], np.deg2rad(0.5) * directions[1]])
-    aim = 0.0 if name != 'point' else FINE_AIM if scenes is RENDERED else gauges.AIM
+    aim = 0.0 if name != 'point' else FINE_AIM if scenes is RENDERED else AIM
     right, wrong = runs(ROUTINES[name], made, (
         calibration(X, C), calibration(se3.perturb(X, off), C)), aim)
     return right, wrong
-
-
-def stops(names: list[str], seeds: range) -> None:
-    """Print what is seen from so many stops with such turns."""
-    print(f'{"":9} stops  turns  smallest error [mm]  exact passes')
-    for name in [name for name in names if name in ('plane', 'step', 'square')]:
-        for count, tilt in product((8, 12, 20, 30), (20, 30, 40)):
-            found = []
-            for seed in seeds:
-                made = SCENES[name](np.random.default_rng(seed), count=count,
-                                    tilt=np.deg2rad(tilt))
-                exact = calibration(made.T_flange_sensor, np.diag(STD ** 2))
-                found += runs(ROUTINES[name], made, (exact,), 0.0)
-            size = np.quantile([v.smallest_error for v in found], 0.9)
-            passed = np.mean([v.verdict == 'pass' for v in found])
-            print(f'{name:9} {count:5} {tilt:6} {1e3 * size:20.2f} {passed:13.0%}', flush=True)
 
 
 def cell(kind: str, rng: np.random.Generator) -> tuple[Scenario, Config, Array, Array]:
@@ -178,35 +338,23 @@ def cell(kind: str, rng: np.random.Generator) -> tuple[Scenario, Config, Array, 
     return scenario, config, X, T
 
 
-def with_turned(stops: Stops, count: int) -> Stops:
-    """Return the stops, and some again, turned by 90 degrees about what they see."""
-    turn, poses = Rotation.from_euler('z', np.pi / 2).as_matrix(), stops.T_target_sensor
-    again = np.linspace(0, len(poses) - 1, count).astype(int)
-    centre = np.insert(stops.points[again], 1, 0.0, axis=1)
-    turned = poses[again] @ se3.transform(np.broadcast_to(turn, (count, 3, 3)),
-                                          centre - centre @ turn.T)
-    return Stops(np.concatenate([poses, turned]),
-                 stops.labels + tuple(stops.labels[k] for k in again),
-                 np.concatenate([stops.points, stops.points[again]]))
-
-
 def samples(scenario: Scenario, count: int, X: Array, T: Array, rng: np.random.Generator,
-            joint: float = 0.0, turned: int = 0) -> list[Sample]:
+            joint: float = 0.0) -> list[Sample]:
     """Return the samples of some stops; joint: by how much joint 5 is off (rad)."""
     scenario = replace(scenario, stations=((count + 1) // 2, count // 2) if
                        scenario.scene == 'plate' else (count, 0))
-    stops = with_turned(TARGET_SCENES[scenario.scene].stops(scenario, rng), turned)
-    found = gauges.stations(scenario, X, T, stops, rng)
+    stops = TARGET_SCENES[scenario.scene].stops(scenario, rng)
+    found = sampled(scenario, X, T, stops, rng)
     if not joint:
         return list(found)
     offsets = np.array([0, 0, 0, 0, joint, 0.0])
-    errors = arm.ArmErrors(np.zeros((6, 6)), offsets, np.zeros(6), np.zeros(6))
+    errors = robots.ArmErrors(np.zeros((6, 6)), offsets, np.zeros(6), np.zeros(6))
     poses = np.array([s.T_base_flange for s in found])
-    reported = se3.perturb(poses, arm.reported_error(poses, errors))
+    reported = se3.perturb(poses, robots.reported_error(poses, errors))
     return [replace(s, T_base_flange=one) for s, one in zip(found, reported, strict=True)]
 
 
-def checks(kind: str, seed: int, turned: int = 0) -> Iterator[tuple[str, Check]]:
+def checks(kind: str, seed: int) -> Iterator[tuple[str, Check]]:
     """Yield what was changed, and what is said of it."""
     rng = np.random.default_rng(seed)
     while True:
@@ -218,18 +366,18 @@ def checks(kind: str, seed: int, turned: int = 0) -> Iterator[tuple[str, Check]]
         except ValueError:  # out of reach
             continue
     for change in TRUTH:
-        yield change, one_check(change, scenario, config, calibration, X, T, rng, turned)
+        yield change, one_check(change, scenario, config, calibration, X, T, rng)
 
 
 def one_check(change: str, scenario: Scenario, config: Config, calibration: Calibration,
-              X: Array, T: Array, rng: np.random.Generator, turned: int = 0) -> Check:
+              X: Array, T: Array, rng: np.random.Generator) -> Check:
     """Return what is said after a change."""
     way = np.array([0, 0, 3e-4, *np.deg2rad(0.05) * _direction(rng)])
     off = np.append(3e-4 * _direction(rng), np.deg2rad(0.1) * _direction(rng))
     T = T @ se3.perturb(np.eye(4), way) if change == 'target' else T
     X = se3.perturb(X, off) if change == 'sensor' else X
     joint = np.deg2rad(float(change.split()[1])) if 'joint' in change else 0.0
-    return check(samples(scenario, STOPS, X, T, rng, joint, turned), calibration, config)
+    return check(samples(scenario, STOPS, X, T, rng, joint), calibration, config)
 
 
 def _direction(rng: np.random.Generator) -> Array:
@@ -237,13 +385,13 @@ def _direction(rng: np.random.Generator) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def check_all(kinds: list[str], seeds: range, turned: int) -> None:
+def check_all(kinds: list[str], seeds: range) -> None:
     """Print what is said after each change."""
     print(f'{"":7} {"change":10}  right  alone  missed  verdicts')
     for kind in kinds:
         found: dict[str, Counter[str]] = {change: Counter() for change in TRUTH}
         for seed in seeds:
-            for change, said in checks(kind, seed, turned):
+            for change, said in checks(kind, seed):
                 found[change][said.verdict] += 1
         for change, verdicts in found.items():
             cause = TRUTH[change]
@@ -256,21 +404,16 @@ def check_all(kinds: list[str], seeds: range, turned: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--rendered', action='store_true')
-    parser.add_argument('--stops', action='store_true')
     parser.add_argument('--check', action='store_true')
-    parser.add_argument('--turned', type=int, default=0)
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('seeds', type=int, nargs='?', default=200)
     parser.add_argument('names', nargs='*')
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
     if given.check:
-        check_all(given.names or list(TARGETS), seeds, given.turned)
+        check_all(given.names or list(TARGETS), seeds)
         return
     routines = given.names or list(SCENES)
-    if given.stops:
-        stops(routines, seeds)
-        return
     print(f'{"":9} within  wrong fails  smallest_error [mm]  verdicts of the right calibration')
     for name in routines:
         trials = [trial(name, seed, RENDERED if given.rendered else SCENES) for seed in seeds]

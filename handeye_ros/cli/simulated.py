@@ -14,10 +14,10 @@ from handeye_ros.results import truth_file
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.scanning.cloud import cloud_writer
 from handeye_ros.simulate import (
-    arm,
     FAULTS,
     FILE_SCENES,
     measuring,
+    robot,
     SCENARIOS,
     simulate,
     Simulated,
@@ -40,7 +40,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
         joints = recording.joints()
         bag_write.write(path, recording.profiles, recording.poses,
                         truth=truth_values(recording, seed),
-                        tables={'robot.urdf': arm.urdf()} if joints else {}, force=force,
+                        tables={'robot.urdf': robot.urdf()} if joints else {}, force=force,
                         joints=joints)
         return f'{len(recording.profiles)} profiles, {len(recording.poses)} poses'
     measured = FILE_SCENES[name](rng)

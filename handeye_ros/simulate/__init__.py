@@ -6,12 +6,16 @@ Simulated recordings with known truth, without ROS.
 `simulate` renders profiles and poses; `simulate_samples` makes the features directly; `FAULTS`
 are cells with the faults of real ones; `FILE_SCENES` make files of measured values.
 """
-from handeye_ros.simulate.cell import Station, Truth
 from handeye_ros.simulate.measured import FILE_SCENES, Measured
-from handeye_ros.simulate.recording import simulate, simulate_samples, Simulated
-from handeye_ros.simulate.scenario import Scenario
-from handeye_ros.simulate.scenarios import FAULTS, SCENARIOS
-from handeye_ros.simulate.stations import settings
+from handeye_ros.simulate.recording import (
+    settings,
+    simulate,
+    simulate_samples,
+    Simulated,
+    Station,
+    Truth,
+)
+from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
 
 __all__ = ['FAULTS', 'FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station',
            'Truth', 'settings', 'simulate', 'simulate_samples']

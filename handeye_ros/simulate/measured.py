@@ -9,26 +9,97 @@ the target: the ball's centre, axes along the block's edges; its ridge runs alon
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import sensor as sensors
+from handeye_ros.simulate.recording import timed_poses, timed_profiles
+from handeye_ros.simulate.robot import perturbed
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.simulate.solids import Ball, Box, Solid
-from handeye_ros.simulate.stations import stamped_poses, stamped_profiles, stamps
+from handeye_ros.simulate.solids import Ball, box
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """
+    Files, with their true values.
+
+    tables: their texts by name; T_flange_sensor: (4, 4), of the camera in the base with
+    eye_on_base; noise: 1 sigma each, in SI units; settings: the configuration by dotted key;
+    profiles, poses: of the bag beside the tables, if there is one.
+    """
+
+    tables: Mapping[str, str]
+    T_flange_sensor: Array
+    noise: Mapping[str, float]
+    settings: Mapping[str, Any]
+    profiles: tuple[Profile, ...] = ()
+    poses: tuple[TimedPose, ...] = ()
+
+
+def csv_text(header: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table of words and numbers as CSV."""
+    written = [[value if isinstance(value, str) else f'{value:.9f}' for value in row]
+               for row in rows]
+    return '\n'.join(map(', '.join, [list(header), *written])) + '\n'
+
+
+def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Measured:
+    """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
+    R = Rotation.random(random_state=rng).as_matrix()
+    middle, reach = np.array([0.6, 0.1, 0.3]), np.array([0.0, 0.0, 0.5])
+    X = se3.transform(R, middle - R @ reach)
+    base = rng.uniform(-0.15, 0.15, (count, 3)) + middle
+    camera = se3.apply(se3.inverse(X), base) + noise * rng.normal(size=base.shape)
+    header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
+    text = csv_text(header, 1e3 * np.hstack([camera, base]))
+    return Measured({'points.csv': text}, X, {'point': noise},
+                    {'target.type': 'points', 'calibration_type': 'eye_on_base'})
+
+
+def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
+             count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> Measured:
+    """
+    Return poses of the robot, and of a target that is seen by a camera, and faces it.
+
+    noise: a factor; tilts: the largest about each axis of the camera (degrees).
+    """
+    near, far = (Rotation.random(random_state=rng).as_matrix() for _ in range(2))
+    T_near = se3.transform(near, rng.normal(scale=0.1, size=3))
+    T_far = se3.transform(far, np.array([0.7, 0.1, 0.2]))
+    X, Z = (T_far, T_near) if eye_on_base else (T_near, T_far)
+    turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * tilts, degrees=True)
+    views = se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
+                          rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
+    T_fixed_mount = Z @ se3.inverse(views) @ se3.inverse(X)
+    poses = se3.inverse(T_fixed_mount) if eye_on_base else T_fixed_mount
+    robot, target = (3e-5 * noise, 1e-4 * noise), (1e-4 * noise, 1e-3 * noise)
+    columns = []
+    for T, sigma in ((poses, robot), (views, target)):
+        error = np.hstack(list(rng.normal(size=(2, count, 3)) * np.array(sigma)[:, None, None]))
+        T = perturbed(T, error)
+        columns += [1e3 * T[:, :3, 3], se3.quaternion(T)]
+    header = [f'{name}_{column}' for name in ('flange', 'target')
+              for column in ('x [mm]', 'y [mm]', 'z [mm]', 'qx', 'qy', 'qz', 'qw')]
+    names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
+    return Measured({'poses.csv': csv_text(header, np.hstack(columns))}, X,
+                    dict(zip(names, (*robot, *target), strict=True)),
+                    {'target.type': 'hand_eye', 'calibration_type': (
+                        'eye_on_base' if eye_on_base else 'eye_in_hand')})
+
 
 RADIUS = 0.01905
 H0, H1 = 0.02543, 0.031
 SWEEP_ANGLE = np.deg2rad(12.0)
 RIDGE = 0.0145  # the block's ridge is at x = z = RIDGE
-BLOCK: Box = Box((-0.05, 0.03, -0.05), (RIDGE, 0.10, RIDGE))
+SOLIDS = (Ball(RADIUS), box((-0.05, 0.03, -0.05), (RIDGE, 0.10, RIDGE)))
 SENSOR = SensorModel(columns=640, rate=10.0, noise=3.7e-5)
+SMALL = replace(SENSOR, columns=320, resolution=2.0**-20)  # compresses well
 TRACKER_NOISE = 2e-5
 REPORTED = 1e-6  # 1 sigma of the readings of P3 (m)
 
@@ -63,34 +134,22 @@ def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
     """Return a session; noise, reported: of the tracker and P3, 1 sigma per axis (m)."""
     turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
     X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
-    T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ _sensor_to_target(rng)
+    # at q3 = 0: 45 degrees to both faces, with some tilt
+    nominal = np.array([[-1.0, 0, 1], [0, 2 ** 0.5, 0], [-1, 0, -1]]) / 2 ** 0.5
+    tilt = Rotation.from_euler('xyz', rng.uniform(-8, 8, 3), degrees=True).as_matrix()
+    T_sensor_target = se3.transform(tilt @ nominal, np.array([0.0, 0.0, 0.184]))
+    T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ T_sensor_target
+
     q3 = np.linspace(-0.03, 0.11, 151)
-    T = np.array([arm(SWEEP_ANGLE, q) for q in q3])
-    profiles = _profiles(se3.inverse(T_base_target) @ T @ X, sensor, rng)
+    T, times = np.array([arm(SWEEP_ANGLE, q) for q in q3]), np.arange(len(q3)) / SENSOR.rate
+    exact = sensors.render(sensor, SOLIDS, se3.inverse(T_base_target) @ T @ X)
+    profiles = timed_profiles(times, sensors.plane_points(
+        sensor, sensors.measure(sensor, *exact, rng)))
     positions = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
-    poses = stamped_poses(_stamps(len(T)), positions, se3.quaternion(T))
+    poses = timed_poses(times, positions, se3.quaternion(T))
     reflector = {kind: points + noise * rng.normal(size=points.shape)
                  for kind, points in _reflector(T_base_target, rng).items()}
     return TrackerCell(reflector, H0, H1, profiles, poses, float(q3[0]), 0.003, X)
-
-
-def _stamps(count: int) -> NDArray[np.int64]:
-    return stamps(np.arange(count) / SENSOR.rate)
-
-
-def _sensor_to_target(rng: np.random.Generator) -> Array:
-    """Return T_sensor_target (4, 4) at q3 = 0: 45 degrees to both faces, with some tilt."""
-    nominal = np.array([[-1.0, 0, 1], [0, 2 ** 0.5, 0], [-1, 0, -1]]) / 2 ** 0.5
-    tilt = Rotation.from_euler('xyz', rng.uniform(-8, 8, 3), degrees=True).as_matrix()
-    return se3.transform(tilt @ nominal, np.array([0.0, 0.0, 0.184]))
-
-
-def _profiles(T_target_sensor: Array, sensor: SensorModel, rng: np.random.Generator
-              ) -> tuple[Profile, ...]:
-    solids: tuple[Solid, ...] = (Ball(RADIUS), BLOCK)
-    ranges, angles = sensors.render(sensor, solids, T_target_sensor)
-    points = sensors.plane_points(sensor, sensors.measure(sensor, ranges, angles, rng))
-    return stamped_profiles(_stamps(len(points)), points)
 
 
 def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:
@@ -110,108 +169,18 @@ def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Arra
     return {kind: se3.apply(T_tracker_base, points) for kind, points in in_base.items()}
 
 
-QUATERNION = ('qx', 'qy', 'qz', 'qw')
-SMALL = replace(SENSOR, columns=320, resolution=2.0**-20)  # compresses well
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """
-    Files, with their true values.
-
-    tables: their texts by name; T_flange_sensor: (4, 4), of the camera in the base with
-    eye_on_base; noise: 1 sigma each, in SI units; settings: the configuration by dotted key;
-    profiles, poses: of the bag beside the tables, if there is one.
-    """
-
-    tables: Mapping[str, str]
-    T_flange_sensor: Array
-    noise: Mapping[str, float]
-    settings: Mapping[str, Any]
-    profiles: tuple[Profile, ...] = field(default=())
-    poses: tuple[TimedPose, ...] = field(default=())
-
-
-def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Measured:
-    """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
-    R = Rotation.random(random_state=rng).as_matrix()
-    middle, reach = np.array([0.6, 0.1, 0.3]), np.array([0.0, 0.0, 0.5])
-    X = se3.transform(R, middle - R @ reach)
-    base = rng.uniform(-0.15, 0.15, (count, 3)) + middle
-    camera = se3.apply(se3.inverse(X), base) + noise * rng.normal(size=base.shape)
-    header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
-    text = csv_text(header, 1e3 * np.hstack([camera, base]))
-    return Measured({'points.csv': text}, X, {'point': noise},
-                    {'target.type': 'points', 'calibration_type': 'eye_on_base'})
-
-
-def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
-             count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> Measured:
-    """
-    Return poses of the robot, and of a target seen by a camera.
-
-    noise: a factor; tilts: the largest about each axis of the camera (degrees).
-    """
-    near, far = (Rotation.random(random_state=rng).as_matrix() for _ in range(2))
-    T_near = se3.transform(near, rng.normal(scale=0.1, size=3))
-    T_far = se3.transform(far, np.array([0.7, 0.1, 0.2]))
-    X, Z = (T_far, T_near) if eye_on_base else (T_near, T_far)
-    views = _views(rng, count, tilts)
-    T_fixed_mount = Z @ se3.inverse(views) @ se3.inverse(X)
-    poses = se3.inverse(T_fixed_mount) if eye_on_base else T_fixed_mount
-    robot, target = (3e-5 * noise, 1e-4 * noise), (1e-4 * noise, 1e-3 * noise)
-    disturbed = [_columns(_disturbed(T, sigma, rng))
-                 for T, sigma in ((poses, robot), (views, target))]
-    header = [f'{name}_{column}' for name in ('flange', 'target')
-              for column in ('x [mm]', 'y [mm]', 'z [mm]', *QUATERNION)]
-    names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
-    return Measured({'poses.csv': csv_text(header, np.hstack(disturbed))}, X,
-                    dict(zip(names, (*robot, *target), strict=True)),
-                    {'target.type': 'hand_eye', 'calibration_type': (
-                        'eye_on_base' if eye_on_base else 'eye_in_hand')})
-
-
-def _views(rng: np.random.Generator, count: int, tilts: Sequence[float]) -> Array:
-    """Return poses (n, 4, 4) of a target that faces the camera, with tilts (degrees)."""
-    turns = Rotation.from_euler('xyz', rng.uniform(-1, 1, (count, 3)) * tilts, degrees=True)
-    return se3.transform(turns.as_matrix() @ np.diag([1.0, -1.0, -1.0]),
-                         rng.uniform([-0.05, -0.05, 0.2], [0.05, 0.05, 0.3], (count, 3)))
-
-
-def _columns(T: Array) -> Array:
-    return np.hstack([1e3 * T[:, :3, 3], se3.quaternion(T)])
-
-
-def _disturbed(T: Array, sigma: tuple[float, float], rng: np.random.Generator) -> Array:
-    """Return poses (n, 4, 4) with noise, 1 sigma per axis (m, rad)."""
-    shift, turn = rng.normal(size=(2, len(T), 3)) * np.array(sigma)[:, None, None]
-    return se3.transform(se3.exp_rotation(turn) @ T[:, :3, :3], T[:, :3, 3] + shift)
-
-
 def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
-                  noise: float = TRACKER_NOISE, reported: float = REPORTED
-                  ) -> Measured:
+                  noise: float = TRACKER_NOISE, reported: float = REPORTED) -> Measured:
     """Return a bag of the sweep over ball and block, and the reflector's positions."""
     cell = simulate_tracker(rng, sensor, noise, reported)
-    rows = [[kind, *_numbers(point)] for kind, points in cell.reflector.items()
-            for point in 1e3 * points]
-    text = '\n'.join(map(', '.join, [['kind', 'x [mm]', 'y [mm]', 'z [mm]'], *rows])) + '\n'
+    text = csv_text(['kind', 'x [mm]', 'y [mm]', 'z [mm]'], [
+        [kind, *point] for kind, points in cell.reflector.items() for point in 1e3 * points])
     settings = {'target.type': 'tracker', 'target.radius': RADIUS, 'tracker.h0': cell.h0,
                 'tracker.h1': cell.h1, 'tracker.first_reading': cell.q3_first,
                 'tracker.noise': max(noise, 1e-9), 'noise.sensor': max(sensor.noise, 1e-9)}
     return Measured({'tracker.csv': text}, cell.T_flange_sensor,
                     {'tracker': noise, 'sensor': sensor.noise, 'readings': reported}, settings,
                     cell.profiles, cell.poses)
-
-
-def csv_text(header: Iterable[str], values: Array) -> str:
-    """Return a table of numbers as CSV."""
-    lines = [', '.join(header), *(', '.join(_numbers(row)) for row in values)]
-    return '\n'.join(lines) + '\n'
-
-
-def _numbers(row: Iterable[float]) -> list[str]:
-    return [f'{value:.9f}' for value in row]
 
 
 FILE_SCENES: dict[str, Callable[[np.random.Generator], Measured]] = {

@@ -1,40 +1,67 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Profiles and poses of a whole recording, or its samples directly."""
+"""
+From a scenario to its recording: the cell is drawn, then its profiles and poses, with the truth.
+
+`simulate` renders profiles, of stops or of a sweep; `simulate_samples` makes the features of the
+stops directly.
+"""
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, Sample, TimedPose
-from handeye_ros.simulate import arm
-from handeye_ros.simulate import cell as cells
+from handeye_ros.simulate import robot
 from handeye_ros.simulate import sensor as sensors
-from handeye_ros.simulate.arm import CONVENTION_ERRORS
-from handeye_ros.simulate.cell import Truth
-from handeye_ros.simulate.scenario import Scenario, Sweep
-from handeye_ros.simulate.scenes import anywhere, SCENES
+from handeye_ros.simulate.robot import perturbed
+from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
+from handeye_ros.simulate.scenes import anywhere, SCENES, Stops
+from handeye_ros.simulate.sensor import FRAMES
 from handeye_ros.simulate.solids import relief
-from handeye_ros.simulate.stations import (
-    FRAMES,
-    interpolated,
-    published,
-    stamped_poses,
-    stamps,
-    Stops,
-    Timeline,
-)
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-CHILD_FRAME = 'laser'
+START = 1_700_000_000_000_000_000
 INSTANTS = 5  # rendered per exposure
 
-Way = Callable[[Array], Array]
-"""The poses (n, 4, 4) of the sensor in the target at times (n,)."""
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """
+    A station of the robot with its true values.
+
+    start, end: stamps of the stop (0, 0 of a sweep). label: the edge that the line crosses
+    ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or centre of the arc, along
+    the line and range in the standard sensor frame. T_base_flange, T_base_flange_reported: (4, 4).
+    """
+
+    start: int
+    end: int
+    label: str
+    point: Array
+    T_base_flange: Array
+    T_base_flange_reported: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """
+    The true values of a calibration; (4, 4) transforms.
+
+    T_flange_sensor: with errors of robot or sensor, the best-fit transform over the volume of the
+    stops and the field of view. With eye_on_base it is the sensor's pose in the base, and
+    T_base_target the target's pose in the flange. The sensor frame is the published one
+    (Scenario.layout). time_offset: to be added to the profiles' stamps (s), of a sweep.
+    """
+
+    T_flange_sensor: Array
+    T_base_target: Array
+    stations: tuple[Station, ...]
+    time_offset: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,190 +79,282 @@ class Simulated:
             return []
         T = se3.from_quaternion(np.array([pose.translation for pose in self.poses]),
                                 np.array([pose.quaternion for pose in self.poses]))
-        values = np.unwrap(arm.inverse(T), axis=0)
+        values = np.unwrap(robot.inverse(T), axis=0)
         return [(pose.stamp, row) for pose, row in zip(self.poses, values, strict=True)]
 
 
-def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
-    """Return a recording of a robot that moves from stop to stop."""
-    scene = SCENES[scenario.scene]
-    stops = scene.stops(scenario, rng)
-    stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
-    cell = cells.draw(scenario, stops, anywhere(scenario), rng)
-    distortion = sensors.draw_distortion(scenario.sensor, rng)
-    if scenario.sweep:
-        return _swept(scenario, cell, stops, distortion, rng)
-    line = Timeline(len(stops.labels), scenario.robot.dwell, scenario.robot.move)
-    truth = cells.truth(scenario, cell, stops, line.spans(), distortion)
-    profiles = _profiles(scenario, cell, line, distortion, rng)
-    return Simulated(scenario, profiles, _poses(scenario, cell, line, rng), truth)
+def settings(scenario: Scenario) -> dict[str, Any]:
+    """Return the configuration by dotted key for the recordings of a scenario."""
+    frame, target = FRAMES[scenario.layout.frame], scenario.target
+    values: dict[str, Any] = {
+        'calibration_type': scenario.calibration_type, 'target.type': scenario.scene,
+        'profile.axes': list(frame.axes), 'profile.range_sign': frame.range_sign,
+        'noise.sensor': scenario.sensor.noise,
+        'noise.robot_translation': scenario.robot.repeatability[0],
+        'noise.robot_rotation': scenario.robot.repeatability[1]}
+    if isinstance(target, SphereTarget):
+        values['target.radius'] = target.radius
+    return values | dict(scenario.stated)
 
 
-def _swept(scenario: Scenario, cell: cells.Cell, stops: Stops,
-           distortion: sensors.Distortion | None, rng: np.random.Generator) -> Simulated:
-    """Return the recording of a sweep."""
-    assert scenario.sweep is not None
-    sensor, unstamped = scenario.sensor, np.zeros((len(stops.labels), 2), dtype=np.int64)
-    along = _path(scenario, stops.T_target_sensor)
-    times = np.arange(0.5 / sensor.rate, _sweep_duration(scenario), 1 / sensor.rate)
-    instants = _exposed(scenario, times)
-    z, angle = _cast(scenario, along(instants.ravel()), rng)
-    z, angle = (values.reshape(*instants.shape, -1).mean(axis=1) for values in (z, angle))
-    stamped = times + sensor.delay + rng.normal(size=len(times)) * scenario.sweep.stamp_jitter
-    profiles = _measured(scenario, z, angle, np.maximum.accumulate(stamped), distortion, rng)
-    poses = _swept_poses(scenario, cell, along, rng)
-    truth = cells.truth(scenario, cell, stops, unstamped, distortion)
-    return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
+# -- the cell
 
 
-def _path(scenario: Scenario, T_target_sensor: Array) -> Way:
-    """Return the path through sensor poses (k, 4, 4), a knot each."""
-    sweep = _sweep(scenario)
-    knots = np.arange(len(T_target_sensor)) * sweep.knot
-    position = CubicSpline(knots, T_target_sensor[:, :3, 3], bc_type='natural')
-    rotation = RotationSpline(knots, Rotation.from_matrix(T_target_sensor[:, :3, :3].copy()))
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """
+    The unknowns and the poses at n stations; standard sensor frame.
 
-    def poses(times: Array) -> Array:
-        clipped = np.clip(times, knots[0], knots[-1])
-        return se3.transform(rotation(clipped).as_matrix(), position(clipped))
-    return poses
+    T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
+    T_world_target: the target in the base, or in the flange. T_base_flange and the reported poses:
+    (n, 4, 4). T_mount_best: best-fit transform with the reported poses. arm: its errors.
+    """
 
+    scenario: Scenario
+    stops: Stops
+    T_mount_sensor: Array
+    T_world_target: Array
+    T_base_flange: Array
+    T_base_flange_reported: Array
+    T_mount_best: Array
+    arm: robot.ArmErrors | None = None
 
-def _sweep_duration(scenario: Scenario) -> float:
-    """Return the duration of a sweep (s)."""
-    return (sum(scenario.stations) - 1) * _sweep(scenario).knot
+    def T_target_sensor(self, T_base_flange: Array) -> Array:
+        """Return the sensor's poses (n, 4, 4) in the target at flange poses (n, 4, 4)."""
+        on_base = self.scenario.calibration_type == 'eye_on_base'
+        T = se3.inverse(T_base_flange) if on_base else T_base_flange
+        return np.asarray(se3.inverse(self.T_world_target) @ T @ self.T_mount_sensor)
 
-
-def _flange(cell: cells.Cell, T_target_sensor: Array, calibration_type: str) -> Array:
-    """Return the poses (n, 4, 4) of the flange at poses of the sensor in the target."""
-    T = cell.T_world_target @ T_target_sensor @ se3.inverse(cell.T_mount_sensor)
-    return se3.inverse(T) if calibration_type == 'eye_on_base' else T
-
-
-def _swept_poses(scenario: Scenario, cell: cells.Cell, along: Way, rng: np.random.Generator
-                 ) -> tuple[TimedPose, ...]:
-    """Return the poses that the robot publishes along its path."""
-    robot, sweep = scenario.robot, _sweep(scenario)
-    times = np.arange(0.0, _sweep_duration(scenario), 1 / robot.rate)
-    times = times[~_missing(times, sweep)]
-    T, late = (_flange(cell, along(t), scenario.calibration_type)
-               for t in (times, times - sweep.rotation_lag))
-    T = se3.transform(late[:, :3, :3], T[:, :3, 3])
-    T = cells.perturbed(T, cells.robot_error(robot, T, rng) + _drift(times, sweep, rng))
-    stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
-    if cell.arm:
-        T = cells.perturbed(T, arm.reported_error(T, cell.arm))
-    step = sweep.resolution
-    position = np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3]
-    return stamped_poses(stamps(stamped), position, se3.quaternion(T))
+    def truth(self, spans: NDArray[np.int64], distortion: sensors.Distortion | None = None
+              ) -> Truth:
+        """Return the true values; spans (n, 2): stamps of the stops."""
+        T_true_standard = distortion.T_true_reported if distortion else np.eye(4)
+        T = self.T_mount_best @ T_true_standard @ FRAMES[
+            self.scenario.layout.frame].T_standard_sensor
+        stations = tuple(Station(int(start), int(end), *values) for (start, end), *values in zip(
+            spans, self.stops.labels, self.stops.points, self.T_base_flange,
+            self.T_base_flange_reported, strict=True))
+        return Truth(T, self.T_world_target, stations)
 
 
-def _missing(times: Array, sweep: Sweep) -> NDArray[np.bool_]:
-    """Return at which times (n,) poses are missing: in each of the gaps, evenly spaced."""
-    begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
-    return np.asarray(((times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
-                       ).any(axis=0))
+def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
+    """Draw a cell in which the sensor reaches its stops, and the robot's errors."""
+    stops = SCENES[scenario.scene].stops(scenario, rng)
+    programme = np.arange(len(stops.labels))
+    if scenario.shuffled:
+        programme = rng.permutation(len(stops.labels))
+    return cell_of(scenario, stops.ordered(np.tile(programme, scenario.repeats)), rng)
 
 
-def _drift(times: Array, sweep: Sweep, rng: np.random.Generator) -> Array:
-    """Return an error (n, 6) of the poses that varies smoothly over time."""
-    knots = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
-    values = rng.normal(size=(len(knots), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
-    return np.asarray(CubicSpline(knots, values)(times)) if any(sweep.drift) else np.zeros(
-        (len(times), 6))
+def cell_of(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
+    """Draw a cell in which the sensor reaches the given stops, and the robot's errors."""
+    mounted, standing = _mounted(scenario, rng), _standing(rng)
+    X, Z = ((standing, mounted) if scenario.calibration_type == 'eye_on_base' else
+            (mounted, standing))
+    T = flange_poses(scenario, stops.T_target_sensor, X, Z)
+    reported = perturbed(T, robot.pose_error(scenario.robot, T, rng))
+    best, errors = X, None
+    if scenario.robot.geometry:
+        errors = robot.draw_arm(scenario.robot.geometry, rng)
+        reported = perturbed(reported, robot.reported_error(T, errors))
+        many = flange_poses(scenario, anywhere(scenario).T_target_sensor, X, Z)
+        best = _best_mount(many, robot.reported_error(many, errors), X, scenario)
+    reported[:, :3, 3] *= 1 + scenario.robot.scale
+    reported = robot.bumped(reported, scenario.bumped, rng)
+    return Cell(scenario, stops, X, Z, T, reported, best, errors)
 
 
-def _exposed(scenario: Scenario, times: Array) -> Array:
-    """Return the instants (n, k) that profiles at times (n,) average over."""
-    exposure = _sweep(scenario).exposure
-    offsets = np.linspace(-0.5, 0.5, INSTANTS) * exposure if exposure else np.zeros(1)
-    return np.asarray(times[:, None] + offsets)
+def flange_poses(scenario: Scenario, T_target_sensor: Array, T_mount_sensor: Array,
+                 T_world_target: Array) -> Array:
+    """Return T_base_flange (n, 4, 4) at poses of the sensor in the target."""
+    if scenario.calibration_type == 'eye_on_base':
+        return np.asarray(T_mount_sensor @ se3.inverse(T_target_sensor)
+                          @ se3.inverse(T_world_target))
+    return np.asarray(T_world_target @ T_target_sensor @ se3.inverse(T_mount_sensor))
 
 
-def _sweep(scenario: Scenario) -> Sweep:
-    assert scenario.sweep is not None
-    return scenario.sweep
+def _mounted(scenario: Scenario, rng: np.random.Generator) -> Array:
+    """Draw the pose in the flange (4, 4) of what is mounted there."""
+    direction = rng.normal(size=3)
+    translation = direction / np.linalg.norm(direction) * rng.uniform(*scenario.lever)
+    if scenario.robot.geometry:  # an arm whose flange must look down
+        turn = Rotation.from_euler('ZY', rng.uniform([-np.pi, -0.4], [np.pi, 0.4]))
+    else:
+        turn = Rotation.from_quat(rng.normal(size=4))
+    return se3.transform(turn.as_matrix(), translation)
 
 
-def _poses(scenario: Scenario, cell: cells.Cell, line: Timeline,
-           rng: np.random.Generator) -> tuple[TimedPose, ...]:
-    robot = scenario.robot
-    times = np.arange(0, line.duration, 1 / robot.rate)
-    T = interpolated(cell.T_base_flange_reported, *line.progress(times))
-    T = cells.perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
-    translation, quaternion = T[:, :3, 3], se3.quaternion(T)
-    for name in scenario.convention_errors:
-        translation, quaternion = CONVENTION_ERRORS[name](translation, quaternion)
-    return stamped_poses(stamps(times), translation, quaternion)
+def _standing(rng: np.random.Generator) -> Array:
+    """Draw the pose in the base (4, 4) of what stands in front of the robot."""
+    translation = rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4])
+    angles = rng.uniform([-0.2, -0.2, -np.pi], [0.2, 0.2, np.pi])
+    return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), translation)
 
 
-def _profiles(scenario: Scenario, cell: cells.Cell, line: Timeline,
-              distortion: sensors.Distortion | None, rng: np.random.Generator
-              ) -> tuple[Profile, ...]:
-    sensor = scenario.sensor
-    times = np.arange(0.5 / sensor.rate, line.duration, 1 / sensor.rate)
-    times = times[_recorded(scenario, line, times)]
-    z, angle = _exact(scenario, cell, line, times, rng)
-    return _measured(scenario, z, angle, times + sensor.delay, distortion, rng)
+def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
+    """
+    Return the best-fit mount (4, 4) for poses T (n, 4, 4) reported with errors (n, 6).
+
+    It minimises the errors of points mapped from the field of view, up to a common motion of all
+    points, which the pose of the target absorbs.
+    """
+    (near, far), w = scenario.sensor.range, scenario.sensor.half_width
+    field = np.array([[x * z, 0.0, z] for z in (near, far) for x in (-w, 0.0, w)])
+    lever = field @ X[:3, :3].T
+    a, R = T[:, None, :3, 3], T[:, :3, :3]
+    points = se3.apply(T, lever + X[:3, 3])
+    shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - a)
+    by_turn = -np.einsum('nij,kjl->nkil', R, se3.skew(lever))
+    by_shift = np.broadcast_to(R[:, None], by_turn.shape)
+    by_target = np.concatenate([np.broadcast_to(-np.eye(3), by_turn.shape), se3.skew(points)],
+                               axis=3)
+    A = np.concatenate([by_shift, by_turn, by_target], axis=3).reshape(-1, 12)
+    step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
+    return se3.perturb(X, step[:6])
 
 
-def _measured(scenario: Scenario, z: Array, angle: Array, times: Array,
-              distortion: sensors.Distortion | None, rng: np.random.Generator
-              ) -> tuple[Profile, ...]:
-    """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
-    sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
-    ranges = sensors.measure(sensor, z, angle, rng, distortion)
-    points = published(frame, sensors.plane_points(sensor, ranges, distortion))
-    mark = scenario.layout.no_return
-    return tuple(Profile(int(stamp), CHILD_FRAME, _marked(p, mark), frame.axes)
+# -- streams
+
+
+def stamps(times: Array) -> NDArray[np.int64]:
+    """Return integer nanoseconds of seconds since the start."""
+    return START + np.round(times * 1e9).astype(np.int64)
+
+
+def timed_poses(times: Array, position: Array, quaternion: Array) -> tuple[TimedPose, ...]:
+    """Return the streamed poses of positions (n, 3) and quaternions (n, 4)."""
+    return tuple(TimedPose(int(stamp), t, q) for stamp, t, q in zip(
+        stamps(times), position, quaternion, strict=True))
+
+
+def timed_profiles(times: Array, points: Array) -> tuple[Profile, ...]:
+    """Return the streamed profiles of points (n, columns, 2)."""
+    return tuple(Profile(int(stamp), 'laser', p)
                  for stamp, p in zip(stamps(times), points, strict=True))
 
 
-def _recorded(scenario: Scenario, line: Timeline, times: Array) -> Array:
-    """Return which profiles are recorded: during motion only every nth."""
-    _, fraction = line.progress(times)
-    return np.asarray((fraction == 0) | (np.arange(len(times)) % scenario.sensor.thinning == 0))
+def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
+    """Return a recording of a robot that moves from stop to stop, or sweeps past them."""
+    cell = draw(scenario, rng)
+    distortion = sensors.draw_distortion(scenario.sensor, rng)
+    if scenario.sweep:
+        return _sweeping(scenario, scenario.sweep, cell, distortion, rng)
+    return _stopping(scenario, cell, distortion, rng)
 
 
-def _exact(scenario: Scenario, cell: cells.Cell, line: Timeline,
-           times: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """
-    Return exact ranges and incidences (m, n) at the times; each stop is rendered once.
+def _stopping(scenario: Scenario, cell: Cell, distortion: sensors.Distortion | None,
+              rng: np.random.Generator) -> Simulated:
+    """Return the recording of a robot that stops for dwell, and moves on for move seconds."""
+    sensor, arm, stops = scenario.sensor, scenario.robot, len(cell.stops.labels)
+    period = arm.dwell + arm.move
+    duration, arrivals = stops * arm.dwell + (stops - 1) * arm.move, np.arange(stops) * period
 
-    The ranges include errors that are constant during a stop.
-    """
-    station, fraction = line.progress(times)
-    pose = np.stack([station, fraction], axis=1)
-    different, row = np.unique(pose, axis=0, return_inverse=True)
-    T = interpolated(cell.T_base_flange, different[:, 0].astype(np.int64), different[:, 1])
-    z, angle = _cast(scenario, cell.T_target_sensor(T, scenario.calibration_type), rng)
+    def progress(times: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return the last station (k,), and the fraction (k,) of the path to the next."""
+        station = np.minimum((times / period).astype(np.int64), stops - 1)
+        s = np.clip((times - station * period - arm.dwell) / arm.move, 0.0, 1.0)
+        s = np.where(station == stops - 1, 0.0, s)
+        return station, s**3 * (10 - 15 * s + 6 * s**2)  # smooth at start and end
+
+    times = np.arange(0.5 / sensor.rate, duration, 1 / sensor.rate)
+    still = progress(times)[1] == 0
+    times = times[still | (np.arange(len(times)) % sensor.thinning == 0)]
+    # each stop is rendered once: the errors of the exact ranges are constant during a stop
+    places, row = np.unique(np.stack(progress(times), axis=1), axis=0, return_inverse=True)
     row = row.reshape(-1)  # numpy 2.0 alone returns it as a column
-    return z[row], angle[row]
+    T = _between(cell.T_base_flange, places[:, 0].astype(np.int64), np.asarray(places[:, 1]))
+    z, angle = _exact(scenario, cell.T_target_sensor(T), rng)
+    profiles = _profiles(scenario, z[row], angle[row], times + sensor.delay, distortion, rng)
+
+    times = np.arange(0, duration, 1 / arm.rate)
+    T = _between(cell.T_base_flange_reported, *progress(times))
+    T = perturbed(T, rng.normal(size=(len(T), 6)) * arm.jitter)
+    translation, quaternion = T[:, :3, 3], se3.quaternion(T)
+    for name in scenario.convention_errors:
+        translation, quaternion = robot.CONVENTION_ERRORS[name](translation, quaternion)
+    spans = stamps(np.stack([arrivals, arrivals + arm.dwell], axis=1))
+    return Simulated(scenario, profiles, timed_poses(times, translation, quaternion),
+                     cell.truth(spans, distortion))
 
 
-def _cast(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
-          ) -> tuple[Array, Array]:
-    """Return ranges and incidences (m, n) at poses of the sensor in the target (m, 4, 4)."""
+def _between(T: Array, station: NDArray[np.int64], fraction: Array) -> Array:
+    """Return poses (k, 4, 4) at a fraction of the path from a station (of n) to the next."""
+    start, end = T[station], T[np.minimum(station + 1, len(T) - 1)]
+    R = start[:, :3, :3]
+    turn = se3.log_rotation(np.swapaxes(R, 1, 2) @ end[:, :3, :3])
+    t = start[:, :3, 3] + fraction[:, None] * (end[:, :3, 3] - start[:, :3, 3])
+    return se3.transform(R @ se3.exp_rotation(fraction[:, None] * turn), t)
+
+
+def _sweeping(scenario: Scenario, sweep: Sweep, cell: Cell,
+              distortion: sensors.Distortion | None, rng: np.random.Generator) -> Simulated:
+    """Return the recording of a robot on a smooth path through all stops."""
+    sensor, knots = scenario.sensor, np.arange(len(cell.stops.labels)) * sweep.knot
+    T_target_sensor = cell.stops.T_target_sensor
+    position = CubicSpline(knots, T_target_sensor[:, :3, 3], bc_type='natural')
+    rotation = RotationSpline(knots, Rotation.from_matrix(T_target_sensor[:, :3, :3].copy()))
+
+    def path(times: Array) -> Array:
+        """Return T_target_sensor (n, 4, 4) at times (n,)."""
+        times = np.clip(times, knots[0], knots[-1])
+        return se3.transform(rotation(times).as_matrix(), position(times))
+
+    times = np.arange(0.5 / sensor.rate, knots[-1], 1 / sensor.rate)
+    instants = times[:, None] + (np.linspace(-0.5, 0.5, INSTANTS) * sweep.exposure
+                                 if sweep.exposure else np.zeros(1))
+    z, angle = (values.reshape(*instants.shape, -1).mean(axis=1)
+                for values in _exact(scenario, path(instants.ravel()), rng))
+    stamped = times + sensor.delay + rng.normal(size=len(times)) * sweep.stamp_jitter
+    profiles = _profiles(scenario, z, angle, np.maximum.accumulate(stamped), distortion, rng)
+
+    times = np.arange(0.0, knots[-1], 1 / scenario.robot.rate)
+    begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
+    missing = (times >= begins[:, None]) & (times < begins[:, None] + sweep.gap)
+    times = times[~missing.any(axis=0)]
+    T, late = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_world_target)
+               for t in (times, times - sweep.rotation_lag))
+    T = se3.transform(late[:, :3, :3], T[:, :3, 3])
+    error = robot.pose_error(scenario.robot, T, rng)
+    instants = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
+    drift = rng.normal(size=(len(instants), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
+    T = perturbed(T, error + CubicSpline(instants, drift)(times))
+    stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
+    if cell.arm:
+        T = perturbed(T, robot.reported_error(T, cell.arm))
+    step = sweep.resolution
+    poses = timed_poses(stamped, np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3],
+                        se3.quaternion(T))
+    truth = cell.truth(np.zeros((len(knots), 2), dtype=np.int64), distortion)
+    return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
+
+
+def _exact(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
+           ) -> tuple[Array, Array]:
+    """Return ranges and incidences (m, n) at poses (m, 4, 4), with errors that do not change."""
     sensor, solids = scenario.sensor, SCENES[scenario.scene].solids(scenario)
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
-    z = sensors.blurred(sensor, z, T_target_sensor)
+    if sensor.spot:
+        z = sensors.blurred(sensor, z, T_target_sensor)
     if sensor.speckle:
         z = z + sensors.speckle(sensor, z.shape, rng)
     return z, angle
 
 
-def _marked(points: Array, no_return: str) -> Array:
-    """Return points (n, 2) with missing returns in the form of the driver."""
-    missing = np.isnan(points).any(axis=1)
-    if no_return == 'omit':
-        return points[~missing]
-    points = points.copy()
-    points[missing] = np.inf if no_return == 'inf' else np.nan
-    return points
+def _profiles(scenario: Scenario, z: Array, angle: Array, times: Array,
+              distortion: sensors.Distortion | None, rng: np.random.Generator
+              ) -> tuple[Profile, ...]:
+    """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
+    sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
+    ranges = sensors.measure(sensor, z, angle, rng, distortion)
+    points = frame.published(sensors.plane_points(sensor, ranges, distortion))
+    missing, mark = np.asarray(np.isnan(points).any(axis=2)), scenario.layout.no_return
+    points[missing] = np.inf if mark == 'inf' else np.nan
+    return tuple(Profile(int(stamp), 'laser', p[~gone] if mark == 'omit' else p, frame.axes)
+                 for stamp, p, gone in zip(stamps(times), points, missing, strict=True))
 
 
-def simulate_samples(
-        scenario: Scenario, rng: np.random.Generator) -> tuple[tuple[Sample, ...], Truth]:
+def simulate_samples(scenario: Scenario, rng: np.random.Generator
+                     ) -> tuple[tuple[Sample, ...], Truth]:
     """
     Return the samples of a recording, and their truth.
 
@@ -243,15 +362,10 @@ def simulate_samples(
     stop), each pose the robot's error. Standard sensor frame; without convention errors.
     """
     scenario = replace(scenario, layout=replace(scenario.layout, frame='standard'))
-    scene = SCENES[scenario.scene]
-    stops = scene.stops(scenario, rng)
-    stops = stops.ordered(cells.visit_order(scenario, len(stops.labels), rng))
-    cell = cells.draw(scenario, stops, anywhere(scenario), rng)
-    spacing = int((scenario.robot.dwell + scenario.robot.move) * 1e9)
-    starts = np.arange(len(stops.labels)) * spacing
-    spans = np.stack([starts, starts + int(scenario.robot.dwell * 1e9)], axis=1)
-    truth = cells.truth(scenario, cell, stops, spans)
-    features = scene.features(scenario, stops, rng)
+    cell, dwell = draw(scenario, rng), scenario.robot.dwell
+    starts = np.arange(len(cell.stops.labels)) * int((dwell + scenario.robot.move) * 1e9)
+    truth = cell.truth(np.stack([starts, starts + int(dwell * 1e9)], axis=1))
+    features = SCENES[scenario.scene].features(scenario, cell.stops, rng)
     samples = tuple(Sample(s.start, s.T_base_flange_reported, f, scenario.profiles_per_stop)
                     for s, f in zip(truth.stations, features, strict=True))
     return samples, truth

@@ -1,12 +1,15 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of a simulated recording; metres, radians, seconds."""
+"""
+The cells that are simulated: the parameters of a recording, and the recordings with a name.
+
+SCENARIOS are good cells, and recordings without an answer; FAULTS are cells with a fault of real
+ones, which their name tells and their settings do not state. Metres, radians, seconds.
+"""
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, replace
 import math
-import re
 from typing import Any
 
 
@@ -144,7 +147,7 @@ class Layout:
     The frame and the message layout of the driver.
 
     frame: 'standard' (x along the line, z the range), or one of the others of
-    stations.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
+    sensor.FRAMES. no_return: 'nan', 'inf', or 'omit' for points that are left out.
     """
 
     frame: str = 'standard'
@@ -174,20 +177,9 @@ class Sweep:
     drift_time: float = 1.0
 
 
-# Fields that a description leaves out: they do not change the profiles.
+# Parts of a scenario that a description leaves out: they do not change the profiles.
 NOT_DESCRIBED = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning',
                  'robot.rate', 'robot.dwell', 'robot.move')
-
-
-def _differences(first: Any, second: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted names of the fields that differ, and their values in the first."""
-    for item in fields(first):
-        a, b = getattr(first, item.name), getattr(second, item.name)
-        if is_dataclass(a) and type(a) is type(b):
-            yield from _differences(a, b, f'{prefix}{item.name}.')
-        elif a != b:
-            yield f'{prefix}{item.name}', re.sub(
-                r'\d+\.\d{5,}', lambda number: f'{float(number[0]):.4g}', str(a))
 
 
 @dataclass(frozen=True)
@@ -196,10 +188,10 @@ class Scenario:
     All parameters of a recording.
 
     scene: key of scenes.SCENES. stations: number at each edge (plate), or in total (sphere: the
-    sum). motion: key of stations.MOTIONS. tilt: largest tilt about each sensor axis. shuffled: the
+    sum). motion: key of scenes.MOTIONS. tilt: largest tilt about each sensor axis. shuffled: the
     order of the stations is random. bumped: number of stations whose reported pose is grossly
     wrong. wrong_edges: number of stations at an edge of the plate that is neither p nor q. empty:
-    there is no target. convention_errors: keys of CONVENTION_ERRORS, applied in order.
+    there is no target. convention_errors: keys of robot.CONVENTION_ERRORS, applied in order.
     repeats: number of runs of the programme of stops. lever: smallest and largest distance of the
     sensor from its mount. stated: wrong settings, by dotted key. sweep: the motion without stops;
     the repeatability is then drawn for each streamed pose.
@@ -228,12 +220,194 @@ class Scenario:
     @property
     def description(self) -> str:
         """Return the scene and the differences from a plain recording."""
-        plain = Scenario(target=type(self.target)())
-        values = [f'{key} {value}' for key, value in _differences(self, plain, '')
-                  if key not in NOT_DESCRIBED]
+        own, plain = _flat(asdict(self)), _flat(asdict(Scenario(target=type(self.target)())))
+        values = [f'{key} {value:.4g}' if isinstance(value, float) else f'{key} {value}'
+                  for key, value in own.items()
+                  if key not in NOT_DESCRIBED and value != plain.get(key, key)]
         return ', '.join([self.scene, *values])
 
     @property
     def profiles_per_stop(self) -> int:
         """Return the number of profiles recorded during a stop."""
         return max(1, int(self.robot.dwell * self.sensor.rate))
+
+
+def _flat(values: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Return the values of nested dictionaries by their dotted names."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= (_flat(value, f'{key}.') if isinstance(value, dict) else {prefix + key: value})
+    return flat
+
+
+def changed(base: Scenario, name: str, **changes: Any) -> Scenario:
+    """Return a scenario under another name; a dict changes some fields of a part of it."""
+    return replace(base, name=name, **{
+        key: replace(getattr(base, key), **value) if isinstance(value, dict) else value
+        for key, value in changes.items()})
+
+
+def one_of_each(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
+    """Return a scenario for each target: plate as given, sphere, line, plane and wedge."""
+    one_group = replace(plate, stations=(14, 0))
+    return (plate,
+            replace(one_group, name='sphere', scene='sphere', target=SphereTarget(), sensor=wide,
+                    tilt=math.radians(40)),
+            replace(one_group, name='line', scene='line'),
+            replace(one_group, name='plane', scene='plane',
+                    target=PlateTarget((0.4, 0.3), table=None)),
+            replace(one_group, name='wedge', scene='wedge', target=WedgeTarget(),
+                    tilt=math.radians(20)))
+
+
+WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
+PLATE, SPHERE, LINE, PLANE, WEDGE = BASES = one_of_each(Scenario(), WIDE)
+ARM = RobotModel(geometry=3e-4, rate=50.0)
+REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
+
+# Recordings that compress well: fewer profiles, numbers in steps of 2^-20 m (1 um).
+SMALL: dict[str, Any] = {'rate': 10.0, 'resolution': 2.0**-20, 'thinning': 2}
+SLOW = SMALL | {'rate': 5.0}
+FEW_POSES = {'rate': 50.0}
+COARSE_PLATE = changed(PLATE, 'coarse', sensor=SLOW | {'columns': 256}, robot=FEW_POSES)
+
+
+def swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
+          poses: float = 250.0, **sensor: Any) -> Scenario:
+    """Return a sweep over a target in place of stops, with profiles stamped 20 ms early."""
+    return changed(base, name, stations=(10, 10) if base.scene == 'plate' else (20, 0),
+                   tilt=min(math.radians(24), base.tilt), sweep=Sweep(), robot={'rate': poses},
+                   sensor={'columns': columns, 'rate': rate, 'delay': -0.02, 'rim_bias': 0.0,
+                           **sensor})
+
+
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
+    *BASES,
+    changed(WEDGE, 'groove', target={'concave': True}),
+    changed(PLATE, 'plate_5_5', stations=(5, 5)),
+    changed(PLATE, 'plate_in_order', shuffled=False),
+    # surroundings
+    changed(PLATE, 'plate_in_air', target={'table': None}),
+    changed(PLATE, 'plate_on_table', target={'table': 0.010}),
+    changed(PLATE, 'plate_clutter', target={'clutter': -0.004}),
+    changed(PLATE, 'plate_clutter_high', target={'clutter': 0.002}),
+    # sensors and drivers
+    changed(PLATE, 'plate_resampled', sensor={'sampling': 'x', 'resolution': 1e-6}),
+    changed(PLATE, 'plate_reflections', sensor={'reflections': 0.3, 'outliers': 0.02}),
+    changed(PLATE, 'plate_inf', layout={'no_return': 'inf'}),
+    changed(PLATE, 'plate_omit', layout={'no_return': 'omit'}),
+    *(changed(PLATE, f'plate_{frame}', layout={'frame': frame})
+      for frame in ('z_up', 'x_reversed', 'y_along_line')),
+    # robots
+    changed(PLATE, 'plate_real_robot', robot=REAL_ROBOT),
+    changed(SPHERE, 'sphere_real_robot', robot=REAL_ROBOT),
+    changed(PLATE, 'eye_on_base', calibration_type='eye_on_base'),
+    changed(SPHERE, 'sphere_on_flange', calibration_type='eye_on_base'),
+    # arms whose joint values are recorded
+    changed(PLATE, 'arm_plate', robot=ARM, stations=(20, 20), tilt=math.radians(40)),
+    changed(SPHERE, 'arm_sphere', robot=ARM, stations=(40, 0)),
+    # recordings without an answer, or with warnings
+    *(changed(PLATE, motion, motion=motion)
+      for motion in ('one_orientation', 'one_orientation_per_edge', 'tilt_only', 'yaw_only')),
+    changed(PLATE, 'bumped', bumped=1),
+    changed(PLATE, 'wrong_edges', wrong_edges=2),
+    changed(PLATE, 'no_target', empty=True),
+    changed(PLATE, 'nothing_in_sight', empty=True, target={'table': None}),
+    changed(PLATE, 'inverted_poses', convention_errors=('inverted',)),
+    *(changed(PLATE, name, convention_errors=(name,))
+      for name in ('wxyz', 'millimetres', 'degrees', 'intrinsic')),
+    # the robot moves all the time
+    *(swept(base, f'{base.name}_sweep') for base in BASES),
+    # the recordings in bags/
+    swept(PLATE, 'small_plate_sweep', 320, 12.0, 50.0, resolution=2.0**-20),
+    changed(PLATE, 'small_plate', sensor=SMALL, robot=FEW_POSES),
+    changed(SPHERE, 'small_sphere', sensor=SMALL | {'columns': 640}, robot=FEW_POSES),
+    changed(LINE, 'small_line', sensor=SLOW | {'columns': 640}, robot=FEW_POSES),
+    changed(PLANE, 'small_plane', sensor=SLOW | {'columns': 640}, robot=FEW_POSES),
+    changed(SPHERE, 'small_arm', robot=replace(ARM, rate=20.0), stations=(30, 0),
+            sensor=SLOW | {'thinning': 20, 'columns': 320}),
+    changed(COARSE_PLATE, 'small_one_orientation', motion='one_orientation'),
+    changed(COARSE_PLATE, 'small_inverted_poses', convention_errors=('inverted',)),
+)}
+
+
+MM, UM = 1e-3, 1e-6
+QUICK: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
+BASELINE = Scenario('baseline', sensor=SensorModel(**QUICK),
+                    robot=RobotModel(rate=20.0, dwell=0.85, move=0.5))
+BASELINES = _, BALL, _, FLAT, _ = one_of_each(BASELINE, replace(WIDE, **QUICK))
+# x from 0 to 140 mm, range from -25 to +25 mm counted upwards
+OFF_CENTRE: dict[str, Any] = {'range': (0.25, 0.30), 'half_width': 0.2545, 'sampling': 'fan_x',
+                              'camera': (0.12, 0.0)}
+SPECKLE_STATED = (('noise.sensor', 20 * UM),)
+STATED_TOO_SMALL = tuple(zip(('noise.robot_translation', 'noise.robot_rotation'), (
+    sigma / 1.3 for sigma in BASELINE.robot.repeatability), strict=True))
+
+
+def smooth(error: float) -> dict[str, tuple[float, float]]:
+    """Return a robot's error (m) that varies smoothly; in radians what it is at 0.3 m."""
+    return {'systematic': (error, error / 0.3)}
+
+
+FAULTS: dict[str, Scenario] = {s.name: s for s in (
+    *BASELINES,
+    # targets
+    *(changed(BASELINE, f'rounded {r} mm', target={'rounding': r * MM}) for r in (0.3, 0.5, 1.0)),
+    changed(BASELINE, 'rounded 0.5 mm, 50 stations', target={'rounding': 0.5 * MM},
+            stations=(25, 25)),
+    *(changed(BASELINE, f'bevelled {legs} mm', target={'bevel': legs * MM})
+      for legs in (0.2, 0.3, 0.5)),
+    changed(BASELINE, 'thin, 2 mm', target={'thickness': 2 * MM}),
+    changed(BASELINE, 'thin, 2 mm, in air', target={'thickness': 2 * MM, 'table': None}),
+    *(changed(BASELINE, f'bowed {bow} mm', target={'bow': bow * MM}) for bow in (0.05, 0.1)),
+    changed(BASELINE, 'wavy 10 um', target={'waves': 10 * UM}),
+    *(changed(BASELINE, f'neighbour {word}, 3 mm', target={
+        'clutter': height * MM, 'clutter_gap': 3 * MM, 'clutter_width': 0.06})
+      for word, height in (('lower', -3), ('higher', 3))),
+    *(changed(BASELINE, f'neighbour 1 mm higher, {gap} mm', target={
+        'clutter': 1 * MM, 'clutter_gap': gap * MM}) for gap in (8, 16)),
+    # sensors
+    changed(BASELINE, 'smoothed over 9 columns', sensor={'smoothing': 9, 'outliers': 0.001}),
+    *(changed(BASELINE, f'blurred, {word} ground', sensor={'spot': 0.2 * MM, 'ground': ground})
+      for word, ground in (('bright', 4.0), ('dark', 0.25))),
+    *(changed(BASELINE, f'distorted {size} mm', sensor={'distortion': size * MM})
+      for size in (0.01, 0.02, 0.05)),
+    *(changed(base, f'{base.scene}, distorted 0.02 mm', sensor={'distortion': 0.02 * MM})
+      for base in BASELINES[1:]),
+    changed(BASELINE, 'scale 1e-3', sensor={'scale': 1e-3}),
+    changed(BASELINE, 'shear 1e-3', sensor={'shear': 1e-3}),
+    *(changed(base, f'{base.scene}, line bent by 0.15 mm', sensor={'line_bend': 0.15 * MM})
+      for base in BASELINES),
+    changed(BASELINE, 'diverging fan, resampled in x', sensor={'sampling': 'fan_x'}),
+    *(changed(base, f'{base.scene}, frozen speckle 20 um', stated=SPECKLE_STATED,
+              sensor={'noise': 4 * UM, 'speckle': 20 * UM}) for base in BASELINES[:2]),
+    *(changed(base, f'{base.scene}, wide off-centre', sensor=OFF_CENTRE, lever=(0.5, 2.0),
+              layout=Layout('off_centre')) for base in BASELINES),
+    # robots
+    *(changed(BASELINE, f'joints and links {error} mm', robot={'geometry': error * MM})
+      for error in (0.1, 0.3)),
+    *(changed(base, f'{base.scene}, joints and links 1 mm', robot={'geometry': 1 * MM})
+      for base in BASELINES),
+    *(changed(BASELINE, f'smooth {error} mm', robot=smooth(error * MM))
+      for error in (0.1, 0.2, 0.3, 1.0)),
+    changed(BASELINE, 'smooth 0.2 mm, 5 + 5', robot=smooth(0.2 * MM), stations=(5, 5)),
+    *(changed(base, f'{base.scene}, smooth 0.2 mm', robot=smooth(0.2 * MM))
+      for base in BASELINES[1:]),
+    changed(BASELINE, 'repeatability 1.3 times stated', stated=STATED_TOO_SMALL),
+    *(changed(BASELINE, f'6 poses x 4{word}', robot=error, stations=(3, 3), repeats=4)
+      for word, error in (('', {}), (', smooth 0.15 mm', smooth(0.15 * MM)),
+                          (', joints 0.1 mm', {'geometry': 0.1 * MM}))),
+    *(changed(BASELINE, f'robot scale {scale} %', robot={'scale': scale / 100})
+      for scale in (0.05, 0.1, 0.2)),
+    # stated sizes of the target
+    *(changed(BALL, f'radius {wrong} mm off', stated=(
+        ('target.radius', SphereTarget().radius - wrong * MM),)) for wrong in (0.2, 0.3)),
+    changed(BASELINE, 'size 0.3 mm off', wrong_edges=6, stated=(
+        ('target.size', [PlateTarget().size[0] + 0.3 * MM, PlateTarget().size[1]]),)),
+    # few stations
+    changed(FLAT, 'plane, 5 stations', stations=(5, 0)),
+    changed(BASELINE, '3 + 3, one bad', stations=(3, 3), bumped=1),
+    changed(BASELINE, '4 + 3, two bad', stations=(4, 3), bumped=2),
+    changed(BASELINE, '4 + 4, one bad', stations=(4, 4), bumped=1),
+)}
+"""The cells of bench/physics.py; the first five have no fault."""

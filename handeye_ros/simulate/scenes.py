@@ -1,6 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The targets of the simulator: stops, features, solids."""
+"""
+The targets: from where the sensor sees them, what stands there, and the features of each stop.
+
+SCENES has the three functions of each target. The features have exactly the noise that they state.
+"""
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -8,80 +12,263 @@ from dataclasses import dataclass, replace
 import math
 
 from handeye_ros import se3
-from handeye_ros.data import Arc, Array, FaceLine, Feature
-from handeye_ros.simulate import plate
-from handeye_ros.simulate.scenario import Scenario, SensorModel, SphereTarget, WedgeTarget
-from handeye_ros.simulate.solids import Ball, Box, Solid, table
-from handeye_ros.simulate.stations import fan, lift, Stops, strata, tilts
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature
+from handeye_ros.simulate.scenario import PlateTarget, Scenario, SphereTarget, WedgeTarget
+from handeye_ros.simulate.sensor import fan, lift
+from handeye_ros.simulate.solids import Ball, box, slab, Solid, table
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-ARC_POINTS = 12  # mean points that represent an arc
-
-
-def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
-    """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
-    target, n = scenario.target, sum(scenario.stations)
-    assert isinstance(target, SphereTarget)
-    radius, (near, far) = target.radius, scenario.sensor.range
-    margin = 0.45 * scenario.sensor.half_width * near
-    low = np.array([-margin, -0.6 * radius, near + 0.12 * (far - near)])
-    high = np.array([margin, 0.6 * radius, near + 0.45 * (far - near)])
-    centre = strata(rng, n, low, high)  # of the ball in the sensor frame; z: top of the arc
-    centre[:, 2] += np.sqrt(radius**2 - centre[:, 1]**2)
-    R = np.diag([1.0, -1.0, -1.0]) @ tilts(scenario, rng, (n,))
-    T = se3.transform(R, -(R @ centre[:, :, None])[:, :, 0])
-    return Stops(T, ('sphere',) * n, centre[:, [0, 2]])
+# -- stops
 
 
-def sphere_features(
-        scenario: Scenario, drawn: Stops,
-        rng: np.random.Generator) -> list[tuple[Feature, ...]]:
-    """Return the Arc of each stop: points between the rims and within the field of view."""
-    assert isinstance(scenario.target, SphereTarget)
-    y = (drawn.T_target_sensor[:, :3, 1] * drawn.T_target_sensor[:, :3, 3]).sum(axis=1)
-    radii = np.sqrt(scenario.target.radius**2 - y**2)
-    return [(_arc(scenario, centre, float(radius), rng),)
-            for centre, radius in zip(drawn.points, radii, strict=True)]
+@dataclass(frozen=True)
+class Motion:
+    """
+    The variation of orientations between stations.
+
+    shared: both edges are crossed with one nominal orientation, at 45 degrees to each. axes: which
+    tilts (about the sensor's x, y, z) vary; the others are drawn once, or are zero when level.
+    per_edge: drawn once for each edge.
+    """
+
+    shared: bool = False
+    axes: tuple[bool, bool, bool] = (True, True, True)
+    level: bool = False
+    per_edge: bool = False
 
 
-def _arc(scenario: Scenario, centre: Array, radius: float, rng: np.random.Generator) -> Arc:
-    """Return an arc; its mean points are on the circle except for their stated noise."""
-    sensor = scenario.sensor
-    sine = _visible(sensor, centre, radius)
-    width = len(sine) // ARC_POINTS
-    bins = [sine[k:k + width] for k in range(0, len(sine) - width + 1, width)]
-    middle = np.array([group.mean() for group in bins])
-    size = np.array([len(group) for group in bins])
-    std = sensor.noise * np.sqrt((1 - middle**2) / (size * scenario.profiles_per_stop))
-    points = _on_circle(centre, radius, middle, rng.normal(size=len(std)) * std)
-    noise = rng.normal(size=len(sine)) * sensor.noise * np.sqrt(1 - sine**2)
-    return Arc(points, std, centre, radius, _on_circle(centre, radius, sine, noise))
+MOTIONS = {
+    'general': Motion(),
+    'one_orientation': Motion(shared=True, axes=(False, False, False)),
+    'one_orientation_per_edge': Motion(axes=(False, False, False), per_edge=True),
+    'tilt_only': Motion(shared=True, axes=(True, False, False), level=True),
+    'yaw_only': Motion(axes=(False, False, True), level=True),
+}
 
 
-def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Array:
-    normals = np.stack([sine, -np.sqrt(1 - sine**2)], axis=1)
-    return np.asarray(centre + (radius + outwards)[:, None] * normals)
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """
+    Poses of the sensor at n stations.
+
+    T_target_sensor: (n, 4, 4), standard sensor frame; labels: n; points: (n, 2) true edge point
+    or centre of the arc in the sensor plane.
+    """
+
+    T_target_sensor: Array
+    labels: tuple[str, ...]
+    points: Array
+
+    def ordered(self, order: NDArray[np.int64]) -> Stops:
+        """Return the same stops in another order."""
+        labels = tuple(self.labels[k] for k in order)
+        return Stops(self.T_target_sensor[order], labels, self.points[order])
 
 
-def _visible(sensor: SensorModel, centre: Array, radius: float) -> Array:
-    """Return the sines of the angles between normals and range axis, for columns on the ball."""
-    rim = np.sin(sensor.max_incidence)
-    pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
-    sine = np.arange(-rim, rim, pitch / radius)
-    points = _on_circle(centre, radius, sine, np.zeros(len(sine)))
-    return sine[(np.abs(fan(points)) < sensor.half_width) & (points[:, 1] < sensor.range[1])]
+def strata(rng: np.random.Generator, n: int, low: Array, high: Array) -> Array:
+    """Return (n, k) stratified values from low to high (k,), each column shuffled."""
+    order = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
+    return np.asarray(low + (order + rng.random(order.shape)) / n * (high - low))
 
 
-def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
-    """Return ball, stem, table and, with clutter, a block beside the ball."""
+def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...]) -> Array:
+    """Return (n, 3, 3) rotations of the sensor about its own axes, group by group."""
+    motion = MOTIONS[scenario.motion]
+    limit = np.full(3, scenario.tilt)
+    constant = rng.uniform(-limit, limit, (len(counts), 3)) * (not motion.level)
+    if not motion.per_edge:
+        constant[:] = constant[0]
+    groups = [np.where(motion.axes, strata(rng, n, -limit, limit), constant[k])
+              for k, n in enumerate(counts)]
+    return np.asarray(Rotation.from_euler('xyz', np.concatenate(groups)).as_matrix())
+
+
+def seeing(R: Array, spots: Array, seen: Array) -> Array:
+    """Return T_target_sensor of sensors turned by R that see spots at points (n, 3) of theirs."""
+    return se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
+
+
+def _places(scenario: Scenario, rng: np.random.Generator, n: int, width: float, depth: float,
+            *others: tuple[float, float]) -> Array:
+    """
+    Return stratified values (n, k + 2): k others (low, high), then points of the field of view.
+
+    width: largest |x|, in half widths of the near end; depth: distance from both ends of the
+    range, in its lengths.
+    """
+    near, far = scenario.sensor.range
+    x, margin = width * scenario.sensor.half_width * near, depth * (far - near)
+    limits = np.array([*others, (-x, x), (near + margin, far - margin)])
+    return strata(rng, n, *limits.T)
+
+
+# -- lines of faces
+
+
+def _room(rise: Array, room: Array) -> Array:
+    """Return (n,) how far one can go until one of k limits: room (n, k), used up at a rate."""
+    outwards = rise > 1e-6
+    return np.asarray((np.where(outwards, room, np.inf) / np.where(outwards, rise, 1)).min(axis=1))
+
+
+def _in_view(scenario: Scenario, points: Array, along: Array) -> Array:
+    """Return (n,) the ways from points along directions, both (n, 2), in the field of view."""
+    w, (near, far) = scenario.sensor.half_width, scenario.sensor.range
+    view = np.array([[1, -w, 0], [-1, -w, 0], [0, -1, -near], [0, 1, far]])
+    return _room(along @ view[:, :2].T, view[:, 2] - points @ view[:, :2].T)
+
+
+def _along(T_target_sensor: Array, axis: int) -> Array:
+    """Return (n, 2) unit vectors in the sensor plane along a face with its normal on an axis."""
+    normal = T_target_sensor[:, axis, [0, 2]]
+    along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
+
+
+def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array
+           ) -> tuple[Array, Array, Array, Array]:
+    """
+    Return the lines of n faces: centres, directions, spreads and sigmas of FaceLine.
+
+    From start along (n, 2); noise (2, n): of height and slope in sigmas.
+    """
+    columns = _columns(scenario, start, along, length)
+    spread = length / np.sqrt(12)
+    std = scenario.sensor.noise * np.abs(along[:, 0]) / np.sqrt(
+        columns * scenario.profiles_per_stop)
+    shift, turn = noise * std
+    normals = along[:, ::-1] * [-1, 1]
+    centre = start + (length / 2)[:, None] * along + shift[:, None] * normals
+    direction = along + (turn / spread)[:, None] * normals
+    return centre, direction / np.linalg.norm(direction, axis=1, keepdims=True), spread, std
+
+
+def _columns(scenario: Scenario, start: Array, along: Array, length: Array) -> Array:
+    """Return the number of columns (n,) on lines from start along (n, 2)."""
+    sensor, end = scenario.sensor, start + length[:, None] * along
+    return np.asarray(np.abs(fan(end) - fan(start)) / (2 * sensor.half_width) * sensor.columns)
+
+
+def _face_lines(centres: Array, directions: Array, spreads: Array, stds: Array
+                ) -> list[FaceLine]:
+    return [FaceLine(centre, direction, float(spread), float(std)) for
+            centre, direction, spread, std in zip(centres, directions, spreads, stds, strict=True)]
+
+
+# -- plate, line: a plate with edges
+
+
+FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # of the sensor; line along the edge's y
+INWARD = {'p': (1, 1), 'q': (0, 1), 'p2': (1, -1), 'q2': (0, -1)}  # axis and sign, in the target
+END = 0.03  # m from the ends of an edge
+
+
+def edge_frames(target: PlateTarget) -> dict[str, Array]:
+    """Return T_target_edge of each edge: x along it, y into the face, z out of the face."""
+    (length, width), angle = target.size, target.edge_angle
+    end_of_q = (width * math.cos(angle), width * math.sin(angle))
+    starts = {'p': (0.0, (0.0, 0.0)), 'q': (angle + math.pi, end_of_q),
+              'p2': (math.pi, (length, width)), 'q2': (math.pi / 2, (length, 0.0))}
+    return {label: se3.transform(Rotation.from_rotvec([0, 0, turn]).as_matrix(),
+                                 np.array([*start, 0.0]))
+            for label, (turn, start) in starts.items()}
+
+
+def edge_lengths(target: PlateTarget) -> dict[str, float]:
+    """Return the length of each edge."""
+    length, width = target.size
+    return {'p': length, 'q': width, 'p2': length, 'q2': width}
+
+
+def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+    """Draw stops whose laser line crosses an edge inside the field of view."""
+    target, counts = scenario.target, scenario.stations
+    assert isinstance(target, PlateTarget)
+    labels = ['p'] * counts[0] + ['q'] * counts[1]
+    for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
+        labels[k] += '2'
+    fraction, points = np.split(np.concatenate([
+        _places(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
+    if MOTIONS[scenario.motion].shared:
+        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ FACING
+        nominal = np.repeat(diagonal[None], len(labels), axis=0)
+    else:  # the opposite edge is crossed outwards, so that the robot need not turn around
+        frames = edge_frames(PlateTarget())
+        nominal = np.array([frames[label[0]][:3, :3] @ FACING for label in labels])
+    edges = np.array([edge_frames(target)[label] for label in labels])
+    lengths = np.array([edge_lengths(target)[label] for label in labels])
+    along = END + fraction[:, 0] * (lengths - 2 * END)
+    spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
+    T = seeing(nominal @ tilts(scenario, rng, counts), spots, lift(points))
+    return Stops(T, tuple(labels), points)
+
+
+def plate_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+                   ) -> list[tuple[Feature, ...]]:
+    """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
+    assert isinstance(scenario.target, PlateTarget)
+    T, along = stops.T_target_sensor, _along(stops.T_target_sensor, 2)
+    axis, sign = np.array([INWARD[label] for label in stops.labels]).T
+    in_target = (T[:, :3, :3] @ lift(along)[:, :, None])[np.arange(len(T)), axis, 0]
+    inwards = along * (np.sign(in_target) * sign)[:, None]
+    start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
+    rise = (T[:, :3, :3] @ lift(inwards)[:, :, None])[:, :2, 0]
+    in_face = _room(np.hstack([rise, -rise]),
+                    np.hstack([np.array(scenario.target.size) - start, start]))
+    length = np.minimum(_in_view(scenario, stops.points, inwards), in_face)
+    noise = rng.normal(size=(3, len(T)))
+    centre, direction, spread, std = _lines(scenario, stops.points, inwards, length, noise[:2])
+    std_along = length / _columns(scenario, stops.points, inwards, length) / np.sqrt(12)
+    std_across = std * np.sqrt(1 + (length / 2 / spread)**2)
+    edge = centre - (length / 2 + noise[2] * std_along)[:, None] * direction
+    return [(face, EdgePoint(edge[k], -direction[k], float(std_along[k]), float(std_across[k])))
+            for k, face in enumerate(_face_lines(centre, direction, spread, std))]
+
+
+def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return table, plate and, with clutter, a block at each of the edges p and q."""
     target = scenario.target
-    assert isinstance(target, SphereTarget)
-    half, bottom = target.stem / 2, -(target.table or 0.2)
-    beside = 1.2 * target.radius
-    ball = (Ball(target.radius), Box((-half, -half, bottom), (half, half, 0)))
-    block = Box((beside, -target.radius, bottom), (beside + 0.03, target.radius, -0.015))
-    return (table(target.table) + ball * (not scenario.empty)
-            + (block,) * (target.clutter and not scenario.empty))
+    assert isinstance(target, PlateTarget)
+    if scenario.empty:
+        return table(target.table)
+    solids = (*table(target.table), *slab(target))
+    if target.clutter is None:
+        return solids
+    bottom, (length, width) = -target.thickness, target.size
+    near = target.clutter_gap
+    far = near + target.clutter_width
+    return (*solids, box((-0.02, -far, bottom), (length, -near, target.clutter)),
+            box((-far, -0.005, bottom), (-near, width, target.clutter)))
+
+
+# -- plane: the middle of a plate
+
+
+def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+    """Draw stops with the sensor aimed at the middle third of the plate."""
+    target, n = scenario.target, sum(scenario.stations)
+    assert isinstance(target, PlateTarget)
+    third = (1 / 3, 2 / 3)
+    in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
+    spots = np.column_stack([in_face * target.size, np.zeros(n)])
+    T = seeing(FACING @ tilts(scenario, rng, (n,)), spots, lift(points))
+    return Stops(T, ('plane',) * n, points)
+
+
+def plane_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+                   ) -> list[tuple[Feature, ...]]:
+    """Return the FaceLine of each stop, with the noise of all its profiles."""
+    along = _along(stops.T_target_sensor, 2)
+    along *= np.sign(along[:, :1])
+    before, behind = (_in_view(scenario, stops.points, way) for way in (-along, along))
+    noise = rng.normal(size=(len(along), 2)).T
+    lines = _lines(scenario, stops.points - before[:, None] * along, along, before + behind, noise)
+    return [(face,) for face in _face_lines(*lines)]
+
+
+# -- wedge
 
 
 MARGIN = 0.02  # from the ends of the edge (m)
@@ -99,56 +286,31 @@ def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
     target, n = scenario.target, sum(scenario.stations)
     assert isinstance(target, WedgeTarget)
-    near, far = scenario.sensor.range
-    depth, width = far - near, 0.35 * scenario.sensor.half_width * near
-    low = np.array([MARGIN, -width, near + 0.3 * depth])
-    high = np.array([target.length - MARGIN, width, far - 0.3 * depth])
-    drawn = strata(rng, n, low, high)
-    R = facing(target) @ tilts(scenario, rng, (n,))
-    spots = np.column_stack([drawn[:, 0], np.zeros((n, 2))])
-    points = drawn[:, 1:]
-    T = se3.transform(R, spots - (R @ lift(points)[:, :, None])[:, :, 0])
+    along, points = np.split(_places(
+        scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
+    spots = np.column_stack([along, np.zeros((n, 2))])
+    T = seeing(facing(target) @ tilts(scenario, rng, (n,)), spots, lift(points))
     return Stops(T, ('wedge',) * n, points)
 
 
-def wedge_features(
-        scenario: Scenario, drawn: Stops,
-        rng: np.random.Generator) -> list[tuple[Feature, ...]]:
+def wedge_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+                   ) -> list[tuple[Feature, ...]]:
     """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
-    target = scenario.target
+    target, T = scenario.target, stops.T_target_sensor
     assert isinstance(target, WedgeTarget)
-    lines = [[_line(scenario, point, along, rng) for along in _directions(target, T)]
-             for T, point in zip(drawn.T_target_sensor, drawn.points, strict=True)]
-    return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in lines]
-
-
-def _directions(target: WedgeTarget, T_target_sensor: Array) -> list[Array]:
-    """Return unit vectors (2,) along the two faces in the sensor plane, away from the edge."""
-    directions = []
-    for normal, inward in ((2, (1, 1.0)), (1, (2, 1.0 if target.concave else -1.0))):
-        n = T_target_sensor[normal, [0, 2]]
-        along = np.array([n[1], -n[0]]) / np.linalg.norm(n)
-        in_target = T_target_sensor[inward[0], [0, 2]] @ along
-        directions.append(along * np.sign(in_target) * inward[1])
-    return directions
-
-
-def _line(scenario: Scenario, point: Array, along: Array, rng: np.random.Generator) -> FaceLine:
-    """Return the line of a face from the edge to the border of the field of view."""
-    sensor = scenario.sensor
-    w, (near, far) = sensor.half_width, sensor.range
-    view = np.array([[1, -w, 0], [-1, -w, 0], [0, -1, -near], [0, 1, far]])
-    rise, room = view[:, :2] @ along, view[:, 2] - view[:, :2] @ point
-    length = float(np.min(room[rise > 1e-6] / rise[rise > 1e-6]))
-    end = point + length * along
-    columns = abs(fan(end) - fan(point)) / (2 * w) * sensor.columns
-    std = float(sensor.noise * abs(along[0]) / np.sqrt(columns * scenario.profiles_per_stop))
-    spread = length / math.sqrt(12)
-    normal = np.array([-along[1], along[0]])
-    shift, turn = rng.normal(size=2) * std
-    direction = along * np.sign(along[0]) + turn / spread * normal
-    return FaceLine((point + end) / 2 + shift * normal, direction / np.linalg.norm(direction),
-                    spread, std)
+    noise = rng.normal(size=(len(T), 2, 2))
+    faces = []
+    # the axes of a face's normal and of the way into it, and the sense of that way
+    for k, (normal, into, sense) in enumerate(((2, 1, 1.0), (1, 2, 1 if target.concave else -1))):
+        along = _along(T, normal)
+        along *= (np.sign((T[:, into, [0, 2]] * along).sum(axis=1)) * sense)[:, None]
+        rightwards = np.sign(along[:, 0])
+        height, slope = noise[:, k].T
+        centre, direction, spread, std = _lines(
+            scenario, stops.points, along, _in_view(scenario, stops.points, along),
+            np.stack([height, slope * rightwards]))
+        faces.append(_face_lines(centre, direction * rightwards[:, None], spread, std))
+    return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in zip(*faces, strict=True)]
 
 
 def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
@@ -159,12 +321,76 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
         return ()
     length, width = target.length, target.width
     if not target.concave:
-        return (Box((0.0, 0.0, -width), (length, width, 0.0)),)
-    return (Box((0.0, 0.0, -WALL), (length, width, 0.0)),
-            Box((0.0, -WALL, -WALL), (length, 0.0, width)))
+        return (box((0.0, 0.0, -width), (length, width, 0.0)),)
+    return (box((0.0, 0.0, -WALL), (length, width, 0.0)),
+            box((0.0, -WALL, -WALL), (length, 0.0, width)))
 
 
-MANY = 100  # stops at each edge
+# -- sphere
+
+
+ARC_POINTS = 12  # mean points that represent an arc
+
+
+def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+    """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
+    target, n = scenario.target, sum(scenario.stations)
+    assert isinstance(target, SphereTarget)
+    radius, (near, far) = target.radius, scenario.sensor.range
+    margin = 0.45 * scenario.sensor.half_width * near
+    low = np.array([-margin, -0.6 * radius, near + 0.12 * (far - near)])
+    high = np.array([margin, 0.6 * radius, near + 0.45 * (far - near)])
+    centre = strata(rng, n, low, high)  # of the ball in the sensor frame; z: top of the arc
+    centre[:, 2] += np.sqrt(radius**2 - centre[:, 1]**2)
+    R = np.diag([1.0, -1.0, -1.0]) @ tilts(scenario, rng, (n,))
+    return Stops(seeing(R, np.zeros(3), centre), ('sphere',) * n, centre[:, [0, 2]])
+
+
+def sphere_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+                    ) -> list[tuple[Feature, ...]]:
+    """Return the Arc of each stop: points between the rims and within the field of view."""
+    assert isinstance(scenario.target, SphereTarget)
+    y = (stops.T_target_sensor[:, :3, 1] * stops.T_target_sensor[:, :3, 3]).sum(axis=1)
+    radii = np.sqrt(scenario.target.radius**2 - y**2)
+    return [(_arc(scenario, centre, float(radius), rng),)
+            for centre, radius in zip(stops.points, radii, strict=True)]
+
+
+def _arc(scenario: Scenario, centre: Array, radius: float, rng: np.random.Generator) -> Arc:
+    """Return an arc; its mean points are on the circle except for their stated noise."""
+    sensor = scenario.sensor
+    rim = np.sin(sensor.max_incidence)
+    pitch = 2 * sensor.half_width * (centre[1] - radius) / sensor.columns
+    sine = np.arange(-rim, rim, pitch / radius)
+    points = _on_circle(centre, radius, sine, np.zeros(len(sine)))
+    sine = sine[(np.abs(fan(points)) < sensor.half_width) & (points[:, 1] < sensor.range[1])]
+    width = len(sine) // ARC_POINTS
+    bins = sine[:len(sine) // width * width].reshape(-1, width)
+    middle = bins.mean(axis=1)
+    std = sensor.noise * np.sqrt((1 - middle**2) / (width * scenario.profiles_per_stop))
+    points = _on_circle(centre, radius, middle, rng.normal(size=len(std)) * std)
+    noise = rng.normal(size=len(sine)) * sensor.noise * np.sqrt(1 - sine**2)
+    return Arc(points, std, centre, radius, _on_circle(centre, radius, sine, noise))
+
+
+def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Array:
+    normals = np.stack([sine, -np.sqrt(1 - sine**2)], axis=1)
+    return np.asarray(centre + (radius + outwards)[:, None] * normals)
+
+
+def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return ball, stem, table and, with clutter, a block beside the ball."""
+    target = scenario.target
+    assert isinstance(target, SphereTarget)
+    if scenario.empty:
+        return table(target.table)
+    half, bottom = target.stem / 2, -(target.table or 0.2)
+    beside = 1.2 * target.radius
+    solids = (*table(target.table), Ball(target.radius),
+              box((-half, -half, bottom), (half, half, 0)))
+    if not target.clutter:
+        return solids
+    return (*solids, box((beside, -target.radius, bottom), (beside + 0.03, target.radius, -0.015)))
 
 
 @dataclass(frozen=True)
@@ -172,22 +398,23 @@ class Scene:
     """
     A target of the simulator.
 
-    stops: draws the sensor poses; solids: target and surroundings, in the target frame; features:
-    of each stop, with noise.
+    stops: draws the sensor poses; features: of each stop, with noise; solids: target and
+    surroundings, in the target frame.
     """
 
     stops: Callable[[Scenario, np.random.Generator], Stops]
-    solids: Callable[[Scenario], tuple[Solid, ...]]
     features: Callable[[Scenario, Stops, np.random.Generator], list[tuple[Feature, ...]]]
+    solids: Callable[[Scenario], tuple[Solid, ...]]
 
 
 SCENES = {
-    'plate': Scene(plate.stops, plate.solids, plate.features),
-    'line': Scene(plate.stops, plate.solids, plate.features),
-    'plane': Scene(plate.plane_stops, plate.solids, plate.plane_features),
-    'sphere': Scene(sphere_stops, sphere_solids, sphere_features),
-    'wedge': Scene(wedge_stops, wedge_solids, wedge_features),
+    'plate': Scene(plate_stops, plate_features, plate_solids),
+    'line': Scene(plate_stops, plate_features, plate_solids),
+    'plane': Scene(plane_stops, plane_features, plate_solids),
+    'sphere': Scene(sphere_stops, sphere_features, sphere_solids),
+    'wedge': Scene(wedge_stops, wedge_features, wedge_solids),
 }
+MANY = 100  # stops at each edge
 
 
 def anywhere(scenario: Scenario) -> Stops:

@@ -1,8 +1,9 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The profiler: rendering of the scene, camera effects, and the sensor's own errors."""
+"""The profiler: what its columns see, its own errors, and the frame in which its driver sends."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3
@@ -10,10 +11,21 @@ from handeye_ros.data import Array
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import cast, hidden, Relief, Solid
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
 CHUNK = 32  # profiles cast at once, so that the arrays stay in the cache
 EDGE_COLUMNS = 3
+
+
+def fan(points: Array) -> Array:
+    """Return the tangent of the fan's angle of points (..., 2)."""
+    return np.asarray(points[..., 0] / points[..., 1])
+
+
+def lift(points: Array) -> Array:
+    """Return points (..., 2) of the standard sensor plane as 3D points."""
+    return np.stack([points[..., 0], np.zeros(points.shape[:-1]), points[..., 1]], axis=-1)
 
 
 def columns(sensor: SensorModel) -> tuple[Array, Array]:
@@ -27,7 +39,7 @@ def columns(sensor: SensorModel) -> tuple[Array, Array]:
     return np.stack([across * sensor.range[1], bent, zero]), np.stack([zero, zero, one])
 
 
-def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array,
+def render(sensor: SensorModel, solids: Sequence[Solid], T: Array,
            relief: Relief | None = None) -> tuple[Array, Array]:
     """
     Return exact ranges and angles of incidence (m, n) of the columns, NaN without a return.
@@ -35,37 +47,35 @@ def render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array,
     T: (m, 4, 4) T_target_sensor; the solids are in the target frame. relief: heights that are
     added to the solids at the intersection of a ray with z = 0, None: none.
     """
-    parts = [_render(sensor, solids, T[k:k + CHUNK], relief) for k in range(0, len(T), CHUNK)]
-    ranges, angles = zip(*parts, strict=True)
-    return np.concatenate(ranges), np.concatenate(angles)
+    ranges, angles = np.empty((2, len(T), sensor.columns))
+    for k in range(0, len(T), CHUNK):
+        part = slice(k, k + CHUNK)
+        ranges[part], angles[part] = _render(sensor, solids, T[part], relief)
+    return ranges, angles
 
 
-def _render(sensor: SensorModel, solids: tuple[Solid, ...], T: Array, relief: Relief | None
+def _render(sensor: SensorModel, solids: Sequence[Solid], T: Array, relief: Relief | None
             ) -> tuple[Array, Array]:
     origin, direction = columns(sensor)
-    origin_of_light = T[:, :3, 3].T[:, :, None]
-    o = np.einsum('mij,jn->imn', T[:, :3, :3], origin) + origin_of_light
+    o = np.einsum('mij,jn->imn', T[:, :3, :3], origin) + T[:, :3, 3].T[:, :, None]
     d = np.einsum('mij,jn->imn', T[:, :3, :3], direction)
-    raised = _raised(relief, o, d) if relief else 0.0
-    o[2] -= raised  # lower the ray instead of raising the solids, for each ray separately
+    raised: Array | float = 0.0
+    if relief:  # lower the ray instead of raising the solids, for each ray separately
+        at_face = -o[2] / np.where(np.abs(d[2]) > 1e-6, d[2], 1e-6)
+        raised = relief.heights(o[0] + at_face * d[0], o[1] + at_face * d[1])
+    o[2] -= raised
     z, cosine = cast(solids, o, d)
     angle = np.arccos(np.clip(cosine, 0, 1))
     near, far = sensor.range
     x = origin[0] + direction[0] * np.where(np.isfinite(z), z, 0)
     visible = (z > near) & (z < far) & (np.abs(x) <= sensor.half_width * z * (1 + 1e-12))
     visible &= angle < sensor.max_incidence
-    eye = T[:, :3, :3] @ [0.0, *sensor.camera] + T[:, :3, 3]
+    camera = T[:, :3, :3] @ [0.0, *sensor.camera] + T[:, :3, 3]
     points = o + d * np.where(visible, z, near)
-    for light in (eye, T[:, :3, 3]) if sensor.sampling == 'fan_x' else (eye,):
-        origin_of_light = light.T[:, :, None] - np.array([0.0, 0.0, 1.0])[:, None, None] * raised
-        visible &= ~hidden(solids, points, origin_of_light)
+    for eye in (camera, T[:, :3, 3]) if sensor.sampling == 'fan_x' else (camera,):
+        lowered = eye.T[:, :, None] - np.array([0.0, 0.0, 1.0])[:, None, None] * raised
+        visible &= ~hidden(solids, points, lowered)
     return np.where(visible, z, np.nan), np.where(visible, angle, np.nan)
-
-
-def _raised(relief: Relief, o: Array, d: Array) -> Array:
-    """Return the height (m, n) of the relief where rays (3, m, n) meet z = 0."""
-    parameter = -o[2] / np.where(np.abs(d[2]) > 1e-6, d[2], 1e-6)
-    return relief.heights(o[0] + parameter * d[0], o[1] + parameter * d[1])
 
 
 def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generator,
@@ -74,58 +84,39 @@ def measure(sensor: SensorModel, z: Array, angle: Array, rng: np.random.Generato
     rim = (angle / sensor.max_incidence)**8
     noise = sensor.noise * (1 + 4 * rim) * rng.normal(size=z.shape)
     exact = z + distortion.ranges(z) if distortion else z
-    measured = _mixed(sensor, z, exact + noise + sensor.rim_bias * rim**4, rng)
-    measured = _lost(sensor, z, measured, rng)
-    measured = _outliers(sensor, measured, rng)
-    return smoothed(sensor, _reflections(sensor, measured, rng))
-
-
-def steps(sensor: SensorModel, z: Array) -> Array:
-    """Return (m, n - 1), true where the range jumps or the light ends between two columns."""
-    pitch = 2 * sensor.half_width * sensor.range[1] / sensor.columns
-    jump = np.abs(np.diff(z, axis=1)) > max(3e-4, 6 * pitch)
-    visible = np.isfinite(z)
-    return np.asarray(jump | (visible[:, 1:] != visible[:, :-1]))
-
-
-def _mixed(sensor: SensorModel, z: Array, measured: Array, rng: np.random.Generator) -> Array:
-    """Move a point between the two levels at some of the steps."""
-    row, column_before = np.nonzero(steps(sensor, z))
-    column = column_before + rng.integers(0, 2, len(column_before))
-    fraction = rng.random(len(column_before))
-    level = (measured[row, column_before] * fraction
-             + measured[row, column_before + 1] * (1 - fraction))
-    use = np.isfinite(level) & (rng.random(len(column_before)) < sensor.mixed)
+    measured = exact + noise + sensor.rim_bias * rim**4
+    row, before = np.nonzero(steps(sensor, z))
+    # a point between the two levels at some of the steps
+    column, fraction = before + rng.integers(0, 2, len(before)), rng.random(len(before))
+    level = measured[row, before] * fraction + measured[row, before + 1] * (1 - fraction)
+    use = np.isfinite(level) & (rng.random(len(before)) < sensor.mixed)
     measured[row[use], column[use]] = level[use]
-    return measured
-
-
-def _lost(sensor: SensorModel, z: Array, measured: Array, rng: np.random.Generator) -> Array:
-    row, column = np.nonzero(steps(sensor, z))
+    # lost points, more of them near steps
     probability = np.full(z.shape, sensor.lost)
     for shift in range(1 - EDGE_COLUMNS, EDGE_COLUMNS + 1):
-        probability[row, np.clip(column + shift, 0, z.shape[1] - 1)] = sensor.lost_at_edge
-    return np.where(rng.random(z.shape) < probability, np.nan, measured)
-
-
-def _outliers(sensor: SensorModel, measured: Array, rng: np.random.Generator) -> Array:
-    """Displace some points by up to 5 mm, and add some false returns."""
+        probability[row, np.clip(before + shift, 0, z.shape[1] - 1)] = sensor.lost_at_edge
+    measured[rng.random(z.shape) < probability] = np.nan
+    # points off by up to 5 mm, and false returns
     probability = np.where(np.isfinite(measured), sensor.outliers, sensor.outliers / 5)
     row, column = np.nonzero(rng.random(measured.shape) < probability)
     wrong = measured[row, column] + rng.uniform(-5e-3, 5e-3, len(row))
     anywhere = rng.uniform(*sensor.range, len(row))
     measured[row, column] = np.clip(np.where(np.isfinite(wrong), wrong, anywhere), *sensor.range)
-    return measured
-
-
-def _reflections(sensor: SensorModel, measured: Array, rng: np.random.Generator) -> Array:
-    """Move a short piece of some profiles 3-8 mm nearer."""
+    # a short piece of some profiles, 3-8 mm nearer
     width = max(3, sensor.columns // 40)
-    for row in np.nonzero(rng.random(len(measured)) < sensor.reflections)[0]:
+    for profile in np.nonzero(rng.random(len(measured)) < sensor.reflections)[0]:
         start = rng.integers(0, sensor.columns - width)
-        ghost = measured[row, start:start + width] - rng.uniform(3e-3, 8e-3)
-        measured[row, start:start + width] = np.maximum(ghost, sensor.range[0])
-    return measured
+        piece = measured[profile, start:start + width]
+        piece[:] = np.maximum(piece - rng.uniform(3e-3, 8e-3), sensor.range[0])
+    return _smoothed(sensor, measured)
+
+
+def steps(sensor: SensorModel, z: Array) -> NDArray[np.bool_]:
+    """Return (m, n - 1), true where the range jumps or the light ends between two columns."""
+    pitch = 2 * sensor.half_width * sensor.range[1] / sensor.columns
+    jump = np.abs(np.diff(z, axis=1)) > max(3e-4, 6 * pitch)
+    visible = np.isfinite(z)
+    return np.asarray(jump | (visible[:, 1:] != visible[:, :-1]))
 
 
 def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | None = None
@@ -152,24 +143,35 @@ def blurred(sensor: SensorModel, z: Array, T: Array) -> Array:
     T: (m, 4, 4) T_target_sensor. The camera measures the brighter of two surfaces under one spot,
     at the middle of its lit part.
     """
-    if not sensor.spot:
-        return z
     across = np.linspace(-1, 1, z.shape[1]) * sensor.half_width
     height = T[:, 2, :1] * across * z + T[:, 2, 2:3] * z + T[:, 2, 3:]
     pitch = 2 * sensor.half_width * np.mean(sensor.range) / sensor.columns
     reach = int(np.ceil(WIDEST * sensor.spot / pitch))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * pitch / sensor.spot)**2)
     kernel /= kernel.sum()
-    visible = np.isfinite(z)
+    visible, on_target = np.isfinite(z), height > GROUND
     best, result = np.full(z.shape, FAINT), np.full(z.shape, np.nan)
-    for lit, bright in ((visible & (height > GROUND), 1.0), (visible & ~(height > GROUND),
-                                                             sensor.ground)):
-        fraction = convolve1d(lit.astype(float), kernel, mode='constant')
-        total = convolve1d(np.where(lit, z, 0.0), kernel, mode='constant')
+    for lit, bright in ((visible & on_target, 1.0), (visible & ~on_target, sensor.ground)):
+        fraction, total = _filtered(z, lit, kernel)
         wins = bright * fraction > best
         result[wins] = total[wins] / fraction[wins]
         best = np.where(wins, bright * fraction, best)
     return result
+
+
+def _filtered(z: Array, lit: NDArray[np.bool_], kernel: Array) -> tuple[Array, Array]:
+    """Return the sums of weights, and of weighted ranges, of the lit points of each row."""
+    return (convolve1d(lit.astype(float), kernel, axis=1, mode='constant'),
+            convolve1d(np.where(lit, z, 0.0), kernel, axis=1, mode='constant'))
+
+
+def _smoothed(sensor: SensorModel, z: Array) -> Array:
+    """Return ranges (m, n) after the mean filter of the driver; missing returns stay missing."""
+    if sensor.smoothing < 2:
+        return z
+    visible = np.isfinite(z)
+    count, total = _filtered(z, visible, np.ones(sensor.smoothing))
+    return np.where(visible, total / np.maximum(count, 1), np.nan)
 
 
 def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -177,17 +179,6 @@ def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: np.random.Generato
     white = rng.normal(size=shape)
     smooth = gaussian_filter1d(white, sensor.speckle_columns, axis=1, mode='wrap')
     return np.asarray(sensor.speckle * smooth / smooth.std())
-
-
-def smoothed(sensor: SensorModel, z: Array) -> Array:
-    """Return ranges (m, n) after the mean filter of the driver; missing returns stay missing."""
-    if sensor.smoothing < 2:
-        return z
-    visible = np.isfinite(z)
-    kernel = np.ones(sensor.smoothing)
-    total = convolve1d(np.where(visible, z, 0.0), kernel, axis=1, mode='constant')
-    count = convolve1d(visible.astype(float), kernel, axis=1, mode='constant')
-    return np.where(visible, total / np.maximum(count, 1), np.nan)
 
 
 GRID = 21  # points along each side of the field
@@ -205,7 +196,7 @@ class Distortion:
         near, far = self.sensor.range
         x = np.linspace(-1, 1, z.shape[1])
         depth = (z - (near + far) / 2) / ((far - near) / 2)
-        terms = [a * b for a in legendre(x) for b in legendre(depth)]
+        terms = [a * b for a in _legendre(x) for b in _legendre(depth)]
         return np.asarray(sum(w * term for w, term in zip(self.weights, terms, strict=True)))
 
     def points(self, points: Array) -> Array:
@@ -243,7 +234,44 @@ def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion
     return Distortion(sensor, weights)
 
 
-def legendre(x: Array) -> tuple[Array, ...]:
+def _legendre(x: Array) -> tuple[Array, ...]:
     """Return the polynomials up to the third order, each of RMS 1 over -1 to 1."""
     return tuple(np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(x)
                  for k in range(4))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """
+    A published frame.
+
+    T_standard_sensor: (4, 4) pose of the published frame in the standard one (x along the laser
+    line, z the range, y = 0). axes: of the published frame, along the line and range. range_sign:
+    -1 if the published range decreases with the distance.
+    """
+
+    T_standard_sensor: Array
+    axes: tuple[str, str] = ('x', 'z')
+    range_sign: int = 1
+
+    def published(self, points: Array) -> Array:
+        """Return points (..., 2) of the standard sensor plane along the axes of this frame."""
+        R, t = self.T_standard_sensor[:3, :3], self.T_standard_sensor[:3, 3]
+        in_frame = (lift(points) - t) @ R
+        return np.asarray(in_frame[..., ['xyz'.index(axis) for axis in self.axes]])
+
+
+def _turned(x_axis: Sequence[int], y_axis: Sequence[int], z_axis: Sequence[int],
+            x: float = 0.0, z: float = 0.0) -> Array:
+    """Return T_standard_sensor (4, 4) of a frame with such axes, its origin at (x, 0, z)."""
+    return se3.transform(np.array([x_axis, y_axis, z_axis], float).T, np.array([x, 0.0, z]))
+
+
+FRAMES = {
+    'standard': Frame(np.eye(4)),
+    'z_up': Frame(_turned((1, 0, 0), (0, -1, 0), (0, 0, -1), z=0.2), range_sign=-1),
+    # zero in the middle of the range, which is counted upwards, and at the left of a wide field
+    'off_centre': Frame(_turned((1, 0, 0), (0, -1, 0), (0, 0, -1), -0.07, 0.275), range_sign=-1),
+    'x_reversed': Frame(_turned((-1, 0, 0), (0, -1, 0), (0, 0, 1))),
+    'y_along_line': Frame(_turned((0, -1, 0), (1, 0, 0), (0, 0, 1)), axes=('y', 'z')),
+}

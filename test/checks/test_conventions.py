@@ -13,7 +13,7 @@ from handeye_ros.config import with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import SCENARIOS
-from handeye_ros.simulate.arm import CONVENTION_ERRORS as SIMULATED
+from handeye_ros.simulate.robot import CONVENTION_ERRORS as SIMULATED
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

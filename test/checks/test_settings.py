@@ -23,7 +23,7 @@ from handeye_ros.simulate import (
     Simulated,
 )
 from handeye_ros.simulate.scenario import Layout
-from handeye_ros.simulate.solids import Box, Solid
+from handeye_ros.simulate.solids import box, Solid
 import numpy as np
 import pytest
 
@@ -64,8 +64,8 @@ def test_two_wrong_settings_are_named_together() -> None:
 def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
     """Return a block, and 2 mm beside it another one that is 1 mm lower: a plane fits both."""
     length, width = scenario.target.length, 0.05
-    return (Box((0.0, 0.0, -width), (length, width, 0.0)),
-            Box((0.0, -0.022, -width), (length, -0.002, -0.001)))
+    return (box((0.0, 0.0, -width), (length, width, 0.0)),
+            box((0.0, -0.022, -width), (length, -0.002, -0.001)))
 
 
 @pytest.mark.thorough

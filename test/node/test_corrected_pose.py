@@ -13,7 +13,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import ROOT, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
-from handeye_ros.simulate import arm  # noqa: E402
+from handeye_ros.simulate import robot  # noqa: E402
 import numpy as np  # noqa: E402
 from ros_helpers import BEST_EFFORT, Client, run_module  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
@@ -24,7 +24,7 @@ Q = [0.1, -0.2, 0.3, 0.4, 0.5, -0.6]
 
 def test_a_pose_follows_every_joint_state(tmp_path: Path, client: Client) -> None:
     pytest.importorskip('pinocchio', reason='needs pinocchio')
-    urdf = arm.urdf().replace('0 0 0.75', '0.002 0 0.75')
+    urdf = robot.urdf().replace('0 0 0.75', '0.002 0 0.75')
     (tmp_path / 'arm.urdf').write_text(urdf)
     got: list[PoseStamped] = []
     client.node.create_subscription(PoseStamped, '/corrected_pose', got.append, BEST_EFFORT)

@@ -22,8 +22,8 @@ from handeye_ros.node.pool import PoolEndedError
 from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
-from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.simulate.stations import lift, Stops
+from handeye_ros.simulate.scenes import SCENES, Stops
+from handeye_ros.simulate.sensor import lift
 from live_sessions import changed, fed, feed, Inline, later, new, SPHERE
 import numpy as np
 import pytest

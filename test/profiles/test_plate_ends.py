@@ -13,7 +13,7 @@ from handeye_ros.data import Array, EdgePoint, FaceLine, Sample
 from handeye_ros.profiles.edge_rounding import RADII
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.sampling.edge_shapes import common_shape, with_common_shape
-from handeye_ros.simulate.scenarios import BASELINE
+from handeye_ros.simulate.scenario import BASELINE
 import numpy as np
 from profiles import COLUMNS, drawn, NOISE, PITCH, step_up_to, with_lost, X
 import pytest

@@ -21,7 +21,7 @@ from handeye_ros.robot import points, sources
 from handeye_ros.robot.outcome import one_configuration, solve
 from handeye_ros.robot.stops import Points, Profiles, State, Stops
 from handeye_ros.sampling.session import Session
-from handeye_ros.simulate import arm as simulated_arm
+from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.targets import method_for
 import numpy as np

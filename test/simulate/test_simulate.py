@@ -6,7 +6,7 @@ from __future__ import annotations
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.simulate import SCENARIOS, settings, simulate, simulate_samples
-from handeye_ros.simulate.arm import CONVENTION_ERRORS
+from handeye_ros.simulate.robot import CONVENTION_ERRORS
 import numpy as np
 import pytest
 from scenes import scenario, seen_at

@@ -10,8 +10,9 @@ from handeye_ros.data import Array
 from handeye_ros.simulate import SCENARIOS, simulate, simulate_samples, Simulated, Station
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import PlateTarget, SensorModel, SphereTarget
-from handeye_ros.simulate.solids import Ball, Box
-from handeye_ros.simulate.stations import FRAMES, lift, MOTIONS
+from handeye_ros.simulate.scenes import MOTIONS
+from handeye_ros.simulate.sensor import FRAMES, lift
+from handeye_ros.simulate.solids import Ball, box
 import numpy as np
 import pytest
 from scenes import CLEAN, DOWN, scenario, seen_at
@@ -92,8 +93,8 @@ def test_profiles_of_the_sphere_lie_on_ball_block_or_table() -> None:
 
 
 def test_a_wall_hides_from_the_camera_what_is_behind_it() -> None:
-    floor = Box((-1, -1, -0.1), (1, 1, 0))
-    wall = Box((-1, 0.010, 0), (1, 0.012, 0.02))  # along the light plane, 10 mm beside it
+    floor = box((-1, -1, -0.1), (1, 1, 0))
+    wall = box((-1, 0.010, 0), (1, 0.012, 0.02))  # along the light plane, 10 mm beside it
     for y, seen in [(0.07, True), (-0.07, True), (0.1, True), (-0.1, False)]:
         # the sensor looks down, so its y runs against the world's; from the light plane's foot a
         # camera at 0.175 m is seen over the wall up to 0.0875 m beside the laser
@@ -104,7 +105,7 @@ def test_a_wall_hides_from_the_camera_what_is_behind_it() -> None:
 
 def test_a_step_casts_a_shadow_where_the_geometry_says() -> None:
     # a step of height h at y = x / 2: from the camera at +y (world: -y) points next to it are hid
-    step, floor = Box((0.0, -1, -0.1), (1, 1, 0.0)), Box((-1, -1, -0.2), (1, 1, -0.02))
+    step, floor = box((0.0, -1, -0.1), (1, 1, 0.0)), box((-1, -1, -0.2), (1, 1, -0.02))
     turned = DOWN.copy()
     turned[:3, :3] = Rotation.from_rotvec([0, 0, 0.5]).as_matrix() @ DOWN[:3, :3]
     sensor = SensorModel(columns=2001, camera=(0.07, 0.0))
@@ -133,7 +134,7 @@ def test_rays_meet_the_ball_where_the_circle_is() -> None:
 
 
 def test_the_field_of_view_is_a_trapezoid() -> None:
-    floor = (Box((-1, -1, -1), (1, 1, 0)),)
+    floor = (box((-1, -1, -1), (1, 1, 0)),)
     for sampling in ('fan', 'x'):
         sensor = SensorModel(columns=801, sampling=sampling)
         for range_ in (0.151, 0.199):

@@ -11,8 +11,8 @@ from handeye_ros.data import Arc, Array, EdgePoint, FaceLine
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples, Station
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import SensorModel
-from handeye_ros.simulate.solids import Box
-from handeye_ros.simulate.stations import lift
+from handeye_ros.simulate.sensor import lift
+from handeye_ros.simulate.solids import box
 import numpy as np
 import pytest
 from scenes import CLEAN, DOWN
@@ -21,7 +21,7 @@ from scenes import CLEAN, DOWN
 def test_the_range_noise_is_as_stated() -> None:
     quiet, loud = {**CLEAN}, {**CLEAN, 'noise': 3e-5}
     sensor = SensorModel(columns=640, **loud)
-    z, angle = sensors.render(sensor, (Box((-1, -1, -1), (1, 1, 0)),), DOWN[None])
+    z, angle = sensors.render(sensor, (box((-1, -1, -1), (1, 1, 0)),), DOWN[None])
     z, angle = np.tile(z, (40, 1)), np.tile(angle, (40, 1))
     noise = sensors.measure(sensor, z, angle, np.random.default_rng(8)) - z
     assert noise.std() == pytest.approx(3e-5, rel=0.02) and abs(noise.mean()) < 1e-6
@@ -31,7 +31,7 @@ def test_the_range_noise_is_as_stated() -> None:
 
 def test_faults_occur_as_often_as_stated() -> None:
     sensor = SensorModel(columns=640, lost=0.01, outliers=0.02, mixed=0.0)
-    z, angle = sensors.render(sensor, (Box((-1, -1, -1), (1, 1, 0)),), DOWN[None])
+    z, angle = sensors.render(sensor, (box((-1, -1, -1), (1, 1, 0)),), DOWN[None])
     z, angle = np.tile(z, (60, 1)), np.tile(angle, (60, 1))
     measured = sensors.measure(sensor, z, angle, np.random.default_rng(9))
     assert np.isnan(measured).mean() == pytest.approx(0.01, rel=0.15)
@@ -40,7 +40,7 @@ def test_faults_occur_as_often_as_stated() -> None:
 
 def test_mixed_points_lie_between_the_levels_of_a_step() -> None:
     sensor = SensorModel(columns=640, **{**CLEAN, 'mixed': 1.0})
-    solids = (Box((-1, -1, -1), (1, 1, 0)), Box((0, -1, 0), (1, 1, 0.01)))
+    solids = (box((-1, -1, -1), (1, 1, 0)), box((0, -1, 0), (1, 1, 0.01)))
     z, angle = (np.tile(a, (50, 1)) for a in sensors.render(sensor, solids, DOWN[None]))
     measured = sensors.measure(sensor, z, angle, np.random.default_rng(10))
     between = (measured > 0.1652) & (measured < 0.1748)
@@ -52,7 +52,7 @@ def test_mixed_points_lie_between_the_levels_of_a_step() -> None:
 def test_more_points_are_lost_at_a_step_than_elsewhere() -> None:
     sensor = SensorModel(columns=640, **{**CLEAN, 'lost_at_edge': 0.5})
     z, angle = (np.tile(a, (50, 1)) for a in sensors.render(
-        sensor, (Box((0, -1, -1), (1, 1, 0)),), DOWN[None]))
+        sensor, (box((0, -1, -1), (1, 1, 0)),), DOWN[None]))
     lost = np.isnan(sensors.measure(sensor, z, angle, np.random.default_rng(11))) & np.isfinite(z)
     first = int(np.argmax(np.isfinite(z[0])))
     assert lost[:, first:first + 3].mean() == pytest.approx(0.5, abs=0.1)

@@ -16,7 +16,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
-from handeye_ros.simulate.stations import FRAMES
+from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
 import pytest
 

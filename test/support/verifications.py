@@ -6,10 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 import importlib.util
 from pathlib import Path
+import sys
 
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Quality
-from handeye_ros.simulate import gauges
 from handeye_ros.verification.routines import ROUTINES
 from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify
@@ -18,6 +18,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
 bench = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = bench
 spec.loader.exec_module(bench)
 
 
@@ -37,6 +38,6 @@ def result(name, made, found, config=None, **stated):
     routine, config = ROUTINES[name], config or Config(noise=bench.NOISE)
     config = replace(config, verify=replace(config.verify, **{
         'lengths': made.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
-        'reference': made.reference, 'aim': gauges.AIM if name == 'point' else 0.0} | stated))
+        'reference': made.reference, 'aim': bench.AIM if name == 'point' else 0.0} | stated))
     bags = [stations_of(routine, samples, found, config) for samples in made.bags]
     return verify(routine, bags, found, config)

@@ -14,7 +14,7 @@ from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.profiles.lines import corner_features
 from handeye_ros.sampling.features import combine
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
-from handeye_ros.simulate.solids import Box, Solid
+from handeye_ros.simulate.solids import box, Solid
 from handeye_ros.targets.wedge import WEDGE
 import numpy as np
 import pytest
@@ -176,8 +176,8 @@ def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
 def stepped(scenario: Scenario) -> tuple[Solid, ...]:
     """Return a block with a step of 10 by 3 mm along its edge: a second, parallel edge."""
     length, width = scenario.target.length, 0.05
-    return (Box((0.0, 0.01, -width), (length, width, 0.0)),
-            Box((0.0, 0.0, -width), (length, width, -0.003)))
+    return (box((0.0, 0.01, -width), (length, width, 0.0)),
+            box((0.0, 0.0, -width), (length, width, -0.003)))
 
 
 @pytest.mark.parametrize('seed', [3, 5])

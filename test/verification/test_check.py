@@ -11,8 +11,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
-from handeye_ros.simulate.scenario import RobotModel
-from handeye_ros.simulate.scenarios import SCENARIOS
+from handeye_ros.simulate.scenario import RobotModel, SCENARIOS
 from handeye_ros.verification.check import check
 import numpy as np
 import pytest

@@ -13,9 +13,7 @@ from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.verification_file import protocol
-from handeye_ros.simulate import gauges
-from handeye_ros.simulate.scenario import PlateTarget
-from handeye_ros.simulate.scenarios import SCENARIOS
+from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification import tooth_gauge
 from handeye_ros.verification.fit import stacked
@@ -48,13 +46,13 @@ def test_the_truth_lies_in_the_stated_region_and_wrong_calibrations_fail(name):
 
 def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
     rng = np.random.default_rng(1)
-    X, T, passes = gauges.sensor_on_flange(rng), gauges.draw_pose(rng), []
+    X, T, passes = bench.sensor_on_flange(rng), bench.draw_pose(rng), []
     for size, table, z in (((0.2, 0.15), None, 0.0), ((0.03, 0.009), 0.025, 0.025)):
-        scenario = replace(SCENARIOS['plane'], stations=(20, 0), tilt=gauges.TILT,
+        scenario = replace(SCENARIOS['plane'], stations=(20, 0), tilt=bench.TILT,
                            target=PlateTarget(size, table=table, clutter=None))
         place = T @ se3.transform(np.eye(3), np.array([0, 0, z]))
         passes.append(bench.take(scenario, X, place, SCENES['plane'].stops(scenario, rng), rng))
-    made = gauges.Measured((), X, (0.025,), passes=tuple(passes))
+    made = bench.Artefact((), X, (0.025,), passes=tuple(passes))
     found = bench.calibration(X, bench.covariance(rng))
     off = se3.perturb(X, np.array([1e-3, 0, 0, 0, 9e-3, 0]))
     right, wrong = bench.runs(ROUTINES['step'], made, (
@@ -113,7 +111,7 @@ def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
 
 def test_the_three_directions_of_a_step_block_give_one_result():
     rng = np.random.default_rng(3)
-    made = gauges.step_directions(rng)
+    made = bench.step_directions(rng)
     found = bench.calibration(made.T_flange_sensor, bench.covariance(rng))
     report = result('step', made, found)
     assert report.verdict == 'pass'
@@ -133,7 +131,7 @@ def test_a_point_without_a_reference_has_no_error_but_a_scatter():
         spread = [q.value for q in result(name, made, found).quantities if words in q.name]
         assert len(spread) == count and all(low < value < high for value in spread), spread
         if name == 'point':
-            expected = 3 * np.hypot(gauges.AIM, bench.ROBOT.repeatability[0])
+            expected = 3 * np.hypot(bench.AIM, bench.ROBOT.repeatability[0])
             assert np.mean(spread) == pytest.approx(expected, rel=0.4)
 
 
@@ -260,7 +258,7 @@ def test_teeth_of_another_gauge_never_pass(lengths):
 
 
 def test_of_points_without_noise_none_is_an_outlier():
-    made = gauges.tooth(np.random.default_rng(0), replace(gauges.PLAIN, noise=0.0),
+    made = bench.tooth(np.random.default_rng(0), replace(bench.PLAIN, noise=0.0),
                         replace(bench.ROBOT, repeatability=(0.0, 0.0)))
     report = teeth(made, bench.calibration(made.T_flange_sensor, np.diag(bench.STD ** 2)))
     assert report.verdict == 'pass' and max(abs(q.error) for q in report.quantities) < 1e-6
@@ -276,8 +274,8 @@ def test_the_noise_of_a_tilted_pass_goes_by_the_angle_of_each_face_to_the_ray():
     near, far = sorted(np.median(used.observations.noise[(used.row_bags == 3) & (
         used.observations.kind == face), 1, 0]) for face in (
             tooth_gauge.RISING, tooth_gauge.FALLING))
-    steep = gauges.PLAIN.noise * (1 + 4 * (np.deg2rad(60) / gauges.PLAIN.max_incidence) ** 8)
-    assert near < 1.05 * gauges.PLAIN.noise and 0.95 * steep < far < 1.2 * steep
+    steep = bench.PLAIN.noise * (1 + 4 * (np.deg2rad(60) / bench.PLAIN.max_incidence) ** 8)
+    assert near < 1.05 * bench.PLAIN.noise and 0.95 * steep < far < 1.2 * steep
 
 
 def test_a_height_of_which_no_top_is_seen_is_left_open():

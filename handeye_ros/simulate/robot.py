@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A six-axis arm with a spherical wrist, with errors unknown to its controller.
+The robot: a six-axis arm, and what is wrong with the poses that a controller reports.
 
-T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4) Ry(q5) Rz(q6) Tz(D6). Also
-convention errors of published poses.
+The arm has a spherical wrist: T_base_flange = Rz(q1) Tz(D1) Ry(q2) Tz(A2) Ry(q3) Tz(D4) Rz(q4)
+Ry(q5) Rz(q6) Tz(D6). Its errors are unknown to its controller.
 """
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.simulate.scenario import RobotModel
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +38,7 @@ class ArmErrors:
     phases: Array
 
 
-def draw(sigma: float, rng: np.random.Generator) -> ArmErrors:
+def draw_arm(sigma: float, rng: np.random.Generator) -> ArmErrors:
     """Return errors with 1 sigma of each length (m) and of each angle (sigma over 1 m)."""
     links = rng.normal(size=(6, 6)) * sigma
     offsets, eccentricity = rng.normal(size=(2, 6)) * sigma
@@ -57,26 +58,6 @@ def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
         if errors:
             T = T @ se3.perturb(np.eye(4), errors.links[k])
     return T
-
-
-def urdf() -> str:
-    """Return the URDF of the nominal arm."""
-    heights = (0.0, *LENGTHS[:-1])
-    links = ''.join(f'  <link name="{name}"/>\n' for name in (
-        'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
-    kinds = {False: 'revolute', True: 'continuous'}
-    axes = {'y': '0 1 0', 'z': '0 0 1'}
-    joints = ''.join(
-        f'  <joint name="joint_{k}" type="{kinds[k in ENDLESS]}">\n'
-        f'    <origin xyz="0 0 {height}"/>\n'
-        f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
-        f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
-        '    <limit lower="-3.2" upper="3.2" effort="0" velocity="3"/>\n  </joint>\n'
-        for k, (axis, height) in enumerate(zip(AXES, heights, strict=True), 1))
-    return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
-            '  <joint name="end" type="fixed">\n'
-            f'    <origin xyz="0 0 {LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
-            '    <child link="flange"/>\n  </joint>\n</robot>\n')
 
 
 def inverse(T: Array) -> Array:
@@ -103,6 +84,57 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
     nominal, real = forward(joints), forward(joints, errors)
     turn = se3.log_rotation(nominal[:, :3, :3] @ np.swapaxes(real[:, :3, :3], 1, 2))
     return np.hstack([nominal[:, :3, 3] - real[:, :3, 3], turn])
+
+
+def urdf() -> str:
+    """Return the URDF of the nominal arm."""
+    heights = (0.0, *LENGTHS[:-1])
+    links = ''.join(f'  <link name="{name}"/>\n' for name in (
+        'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
+    kinds = {False: 'revolute', True: 'continuous'}
+    axes = {'y': '0 1 0', 'z': '0 0 1'}
+    joints = ''.join(
+        f'  <joint name="joint_{k}" type="{kinds[k in ENDLESS]}">\n'
+        f'    <origin xyz="0 0 {height}"/>\n'
+        f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
+        f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
+        '    <limit lower="-3.2" upper="3.2" effort="0" velocity="3"/>\n  </joint>\n'
+        for k, (axis, height) in enumerate(zip(AXES, heights, strict=True), 1))
+    return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
+            '  <joint name="end" type="fixed">\n'
+            f'    <origin xyz="0 0 {LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
+            '    <child link="flange"/>\n  </joint>\n</robot>\n')
+
+
+def perturbed(T: Array, error: Array) -> Array:
+    """Return T (n, 4, 4) perturbed by error (n, 6)."""
+    R = se3.exp_rotation(error[:, 3:]) @ T[:, :3, :3]
+    return se3.transform(R, T[:, :3, 3] + error[:, :3])
+
+
+def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
+    """
+    Return errors (n, 6) of the reported poses at T (n, 4, 4), random and smooth.
+
+    The smooth part is six sinusoids over position (0.3 m) and orientation (0.5 rad).
+    """
+    random = rng.normal(size=(len(T), 6)) * np.repeat(robot.repeatability, 3)
+    mean = se3.mean_pose(T)
+    turned = se3.log_rotation(T[:, :3, :3] @ mean[:3, :3].T)
+    scaled = np.concatenate([T[:, :3, 3] / 0.3, turned / 0.5], axis=1)
+    wave, phase = rng.normal(size=(6, 6)) / np.sqrt(2), rng.uniform(0, 2 * np.pi, 6)
+    amplitude = np.repeat(robot.systematic, 3) * np.sqrt(2 / 3)  # RMS of the vector of three
+    return np.asarray(random + amplitude * np.sin(scaled @ wave.T + phase))
+
+
+def bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
+    """Return poses (n, 4, 4), count of them with errors of 1-3 mm and 0.1-0.3 degrees."""
+    error = np.zeros((len(T), 6))
+    size = np.repeat(rng.uniform([1e-3, 2e-3], [3e-3, 5e-3], (count, 2)), 3, axis=1)
+    direction = rng.normal(size=(count, 2, 3))
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    error[rng.permutation(len(T))[:count]] = size * direction.reshape(-1, 6)
+    return perturbed(T, error)
 
 
 PoseMap = Callable[[Array, Array], tuple[Array, Array]]
