@@ -92,9 +92,8 @@ class Inline(Pool):
 def work(output_dir: Path, acknowledge: int) -> None:
     """Go on with the last session: take samples, and sometimes remove one, for ever."""
     config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, OutputFolders())
-    pool = Inline()
-    live = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found), pool,
-                       pool, lambda: None)
+    live = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found),
+                       Inline(), lambda: None)
     if found:
         live.restore(found.session(config), found.config)
     rng, start = random.Random(), time.time_ns()

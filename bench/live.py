@@ -233,6 +233,10 @@ class Watcher:
         """Return what the node says that it dropped or left out."""
         return self._state.get('dropped', '')
 
+    def forget(self) -> None:
+        """Expect no answer any more, and no count."""
+        self._asked, self._state = None, {}
+
     def wait(self, seconds: float, solving: bool) -> None:
         """Listen for some time; solving: one calibration after the other is asked for."""
         import rclpy
@@ -240,7 +244,9 @@ class Watcher:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             rclpy.spin_once(self._node, timeout_sec=0.1)
-            if solving and (self._asked is None or self._asked.done()):
+            # a request that no node hears is never answered
+            if solving and self._solve.service_is_ready() and (
+                    self._asked is None or self._asked.done()):
                 if self._asked is not None:
                     result = self._asked.result()
                     self.answer, solved = result.message, result.success
@@ -254,6 +260,7 @@ def run(kind: str, rate: float, options: argparse.Namespace, watcher: Watcher
     mode = ['sampling.mode:=moving'] if options.sweep else []
     with (tempfile.TemporaryDirectory() as folder,
           listener(kind, folder, *mode) as (process, log)):
+        watcher.forget()  # what a node that has ended was asked
         watcher.wait(3.0, False)
         arguments = ['--publish', str(rate), '--seconds', str(options.seconds)]
         before, _ = usage(process.pid)

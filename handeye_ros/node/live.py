@@ -11,9 +11,10 @@ what is stored is used.
 
 Threads: the drain thread; the worker (one, here), the only one that changes anything but what
 messages change; the threads of ROS (node.py) and of the page, which ask the worker and wait for
-it. Two processes (pool.py): the evaluator, which the worker waits for, and the solver, which it
-does not. Locks: `lock` for what messages change, held for at most one message; one in outputs.py,
-so that nothing is published after the end; one in node.py, so that settings change one by one.
+it. Stops are evaluated, and reviews, solves and verifications computed, in two processes
+(pool.py); the worker waits for the stops alone. Locks: `lock` for what messages change, held for
+at most one message; one in outputs.py, so that nothing is published after the end; one in node.py,
+so that settings change one by one.
 """
 from __future__ import annotations
 
@@ -22,12 +23,13 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial, wraps
 from pathlib import Path
 from threading import Lock
 import time
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from handeye_ros import pipeline
+from handeye_ros import pipeline, se3
 from handeye_ros.bags.session import (
     CONFIGURED,
     Event,
@@ -36,20 +38,34 @@ from handeye_ros.bags.session import (
     SessionFiles,
 )
 from handeye_ros.config import Config, flatten
-from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
-from handeye_ros.errors import DataError, FeatureError, HandeyeError, InputError
+from handeye_ros.data import (
+    AnyProfile,
+    Array,
+    Calibration,
+    Feature,
+    Reject,
+    Sample,
+    TimedPose,
+)
+from handeye_ros.errors import (
+    DataError,
+    FeatureError,
+    HandeyeError,
+    InputError,
+    UnusableMessageError,
+)
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing, sample_summary
 from handeye_ros.guidance.advice import Advice
 from handeye_ros.guidance.score import extremes
-from handeye_ros.node.arrivals import Arrivals, Latest
-from handeye_ros.node.pool import ENDED, Pool, PoolEndedError, trim_memory, Worker
-from handeye_ros.node.state import calibration_summary
+from handeye_ros.node.pool import answer_of, Pool, PoolEndedError, trim_memory, Worker
+from handeye_ros.node.state import calibration_summary, MessageCount
 from handeye_ros.output import folder_name, write_whole
 from handeye_ros.results import calibration_file, exports
-from handeye_ros.sampling.features import result_of, sample_of
-from handeye_ros.sampling.session import judged, Outcome, Session, silent_poses
+from handeye_ros.sampling.features import features_of, result_of
+from handeye_ros.sampling.session import Outcome, Session, silent_poses
 from handeye_ros.sampling.stops import Stop
+from handeye_ros.sampling.stream import interpolate
 from handeye_ros.verification.session import VerificationSession
 from handeye_ros.verification.verify import sentence, time_of, Verification, yaml_text
 import numpy as np
@@ -59,32 +75,46 @@ SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_po
                'sampling.settle_time', 'time_offset', 'rotation_lag_std', 'clock_drift_std')
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
                'sampling.min_crossing_angle')
-COMPUTED = 'the calibration is computed'
+COMPUTED, VERIFIED = 'the calibration is computed', 'the calibration is verified'
 MOST_STOPS = 16  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
+KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
 SURE_FREEDOM = 6  # smallest degrees of freedom of a review for valid angles at the edges
 # s without a pose after which the pose is unknown: while profiles arrive, and if both stop
 POSES_SILENT, BOTH_SILENT = 2.0, 30.0
 PROFILES_COME = 1.0  # s since the last profile
 
+Arguments = ParamSpec('Arguments')
 Result = TypeVar('Result')
 
 
+def by_worker(method: Callable[Concatenate[LiveSession, Arguments], Result]
+              ) -> Callable[Concatenate[LiveSession, Arguments], Result]:
+    """Let the worker run a method, and wait for its result or exception."""
+    @wraps(method)
+    def asked(live: LiveSession, /, *args: Arguments.args, **named: Arguments.kwargs) -> Result:
+        try:
+            return live.worker.ask(partial(method, live, *args, **named))
+        finally:
+            live.wake()
+    return asked
+
+
 @dataclass(frozen=True, eq=False)
-class Derived:
+class Review:
     """
     What follows from the samples: their answer, how each agrees with it, and the advice.
 
-    answer: None before the first; agreements: of the samples by their numbers; advised: the number
-    of the last sample in the advice, 0 for none; basis: identifies samples and settings that it
-    follows from.
+    answer: None before the first; agreements: of the samples by their numbers; no_agreements: why
+    there are none; advised: the number of the last sample in the advice, 0 for none; basis:
+    identifies samples and settings that it follows from.
     """
 
     advice: Advice
-    advised: int = 0
     answer: pipeline.Answer | None = None
     agreements: Mapping[int, Agreement] = field(default_factory=dict)
-    no_review: str = ''
+    no_agreements: str = ''
+    advised: int = 0
     basis: object = None
 
     @property
@@ -93,72 +123,94 @@ class Derived:
         return self.answer.solution if self.answer else None
 
 
-def derive(samples: Mapping[int, Sample], excluded: frozenset[int], config: Config, seen: Array,
-           refused: Sequence[Array]) -> Derived:
+def review_of(session: Session, config: Config, seen: Array, refused: Sequence[Array],
+              asked: bool) -> Review:
     """
-    Return what follows from samples, by their numbers.
+    Return what follows from the samples of a session.
 
-    excluded: numbers of those that samples.exclude leaves out; seen, refused: see pipeline.advise.
+    seen, refused: see pipeline.advise; asked: whether somebody waits for the answer: then the
+    cause of a refusal is searched in the stops.
     """
-    used = sorted((sample for number, sample in samples.items() if number not in excluded),
-                  key=lambda sample: sample.stamp)
-    answer = pipeline.answer(used, (), config)
+    answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
+                             session if asked else None)
+    samples = {one.number: one.sample for one in session.outcomes if one.sample}
     found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
-    advice = pipeline.advise(used, config, seen, refused, answer)
-    return Derived(advice, max(samples, default=0), answer,
-                   {number: one for number, one in found.items() if one},
-                   '' if answer.solution else str(answer.refusal))
+    in_order = sorted(session.samples, key=lambda sample: sample.stamp)
+    return Review(pipeline.advise(in_order, config, seen, refused, answer), answer,
+                  {number: one for number, one in found.items() if one},
+                  '' if answer.solution else str(answer.refusal), max(samples, default=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """An attempt to take a sample; number: of the sample or the stop, 0 where it has none."""
+
+    text: str
+    number: int = 0
+    sample: Sample | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Current:
+    """
+    The current points (n, 2) and features in the sensor plane, at T_base_flange (4, 4).
+
+    reason: why there are no features, empty where there are some.
+    """
+
+    T_base_flange: Array
+    points: Array
+    features: tuple[Feature, ...]
+    reason: str = ''
 
 
 class LiveSession:
     """
     All functions of the running node.
 
-    Whoever holds lock may use session, waiting, early and joints; all else is changed by the
-    worker alone, and read at any time. calibration: the last answer that was not refused; missing:
-    why there is none; withdrawn: why the previous one was withdrawn; file: where it was saved, ''
-    if it was not; last: the last evaluated outcome; attempt: the last attempt to take a sample
-    (accepted, number or 0, text); verdict: of the last verification; extremes: visible points
-    (k, 2) at the ends of the field of view.
+    Whoever holds lock may use session, waiting, early, joints and the latest messages; all else is
+    changed by the worker alone, and read at any time. calibration: the last answer that was not
+    refused; missing: why there is none; withdrawn: whether there was one that is not valid any
+    more; attempt: the last one; verdict: of the last verification; seen: visible points (k, 2) at
+    the ends of the field of view.
     """
 
-    def __init__(self, config: Config, folders: OutputFolders, files: SessionFiles,
-                 evaluator: Pool, solver: Pool, changed: Callable[[], object]) -> None:
+    def __init__(self, config: Config, folders: OutputFolders, files: SessionFiles, pool: Pool,
+                 changed: Callable[[], object]) -> None:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
-        evaluator, solver: where stops are evaluated, and long computations run; changed: called by
-        the worker after every change.
+        pool: where long computations run; changed: called by the worker after every change.
         """
         self.config, self.folders, self.files = config, folders, files
-        self.evaluator, self.solver, self._changed = evaluator, solver, changed
+        self.pool, self._changed = pool, changed
         self.lock = Lock()
         self.session = Session(config)
         self.waiting: deque[Stop] = deque()  # complete stops, not yet evaluated
         self.early: Stop | None = None  # the current stop, once it has enough profiles
         self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
-        self.arrivals, self.latest = Arrivals(), Latest(self.lock)
-        self._skipped = 0  # number of dropped stops
+        self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
+        self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
+        self.messages = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+        self._left_out = 0  # stops that waited too long
 
         self.worker = Worker(changed)
         self._woken = False
-        self._works: list[str] = []  # that are running, in words
+        self._running: list[str] = []  # long computations in words, '' for a review
         self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
-        self._unstored: set[int] = set()  # numbers of stops that could not be stored
-        self._settings = self._cleared = 0  # how often they were changed, or all was cleared
-        self._evaluation_trouble = self._store_trouble = ''
+        self._store_trouble = ''
 
-        self.attempt: dict[str, Any] | None = None
-        self.last: Outcome | None = None
+        self.attempt: Attempt | None = None
         self._refused: dict[int, Array] = {}  # T_base_flange of stops without a sample, by start
-        self.extremes = np.zeros((0, 2))
-        self.derived = Derived(pipeline.advise((), config))
-        self._deriving = self._outdated = self._requested = False
+        self.seen = np.zeros((0, 2))
+        self.review = Review(pipeline.advise((), config))
 
         self.calibration: Calibration | None = None
-        self.missing = self.withdrawn = self.file = ''
-        self._solved: frozenset[tuple[int, ...]] = frozenset()  # samples of the answer
-        self._saved: tuple[object, str] = None, ''  # what was saved, and the message
+        self.missing, self.withdrawn = '', False
+        self._asked_with: object = None  # settings of the last attempt to compute it, if any
+        self._solved: set[int] = set()  # numbers of its samples
+        self._wanted: tuple[Any, ...] = ()  # folder, formats and answer that were saved last,
+        self._saved: exports.Saved | None = None  # and the files
         self._verifying: VerificationSession | None = None
         self.verdict = ''
 
@@ -166,9 +218,9 @@ class LiveSession:
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Add a profile."""
-        self.arrivals.add('profile', profile.stamp)
-        self.latest.add(profiles=[profile])
         with self.lock:
+            self.messages['profile'].add(profile.stamp)
+            self._profiles.append(profile)
             self.session.add_profile(profile)
             self._queue_stops()
             if self._verifying and self._verifying.scans:
@@ -176,10 +228,10 @@ class LiveSession:
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Add poses."""
-        self.latest.add(poses=poses)
         with self.lock:
             for pose in poses:
-                self.arrivals.add('pose', pose.stamp)
+                self.messages['pose'].add(pose.stamp)
+                self._poses.append(pose)
                 self.session.add_pose(pose)
             self.early = self.session.early() or self.early
             self._queue_stops()
@@ -194,32 +246,55 @@ class LiveSession:
     def _queue_stops(self) -> None:
         """Queue stops for evaluation; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
-        stops = self.session.passed()
-        self.waiting.extend(stops)
+        self.waiting.extend(self.session.passed())
         while len(self.waiting) > MOST_STOPS:
             self.waiting.popleft()
-            self._skipped += 1
-        if stops or self.early:
-            self._wake()
+            self._left_out += 1
+        if self.waiting or self.early:
+            self.wake()
+
+    @property
+    def pose(self) -> Array | None:
+        """Return T_base_flange (4, 4) of the last pose, None before the first."""
+        with self.lock:
+            last = self._poses[-1] if self._poses else None
+        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
+
+    def current(self) -> Current | None:
+        """Return the last usable profile with poses before and after it; None without one."""
+        config = self.config
+        with self.lock:
+            profiles = list(self._profiles)
+            # of equal stamps, as in a repeated playback, the last pose counts
+            by_stamp = {pose.stamp: pose for pose in self._poses}
+        poses = sorted(by_stamp.values(), key=lambda pose: pose.stamp)
+        inside = [p for p in profiles if poses and poses[0].stamp <= p.stamp <= poses[-1].stamp]
+        if len(poses) < 2 or not inside:
+            return None
+        try:
+            profile = inside[-1].read(config.profile)
+        except UnusableMessageError:
+            return None
+        (T,) = interpolate(poses, [profile.stamp])
+        try:
+            return Current(T, profile.points, features_of(profile, config))
+        except FeatureError as error:
+            return Current(T, profile.points, (), str(error))
 
     # the worker
 
     def start(self) -> None:
-        """Start the worker, and the processes, to finish their imports before the first stop."""
+        """Start the worker and the processes."""
         self.worker.start()
-        for pool in (self.evaluator, self.solver):
-            pool.submit(trim_memory)
-        self._wake()
+        self.pool.start()
+        self.wake()
 
     def stop(self) -> None:
         """End the worker and the processes."""
-        self.worker.stop(self.evaluator, self.solver)
+        self.worker.stop()
+        self.pool.stop()
 
-    def _ask(self, work: Callable[..., Result], *args: Any) -> Result:
-        """Return the result of something that the worker does; raises its exceptions."""
-        return self.worker.ask(self._wake, work, *args)
-
-    def _wake(self) -> None:
+    def wake(self) -> None:
         """Have the worker look for what is due."""
         if self.worker.runs and not self._woken:
             self._woken = True
@@ -229,7 +304,7 @@ class LiveSession:
         """Evaluate what is due, stop by stop: who has asked meanwhile waits for one stop only."""
         self._woken = False
         if self._evaluate_one():
-            self._wake()
+            self.wake()
 
     def update(self) -> None:
         """Evaluate all that is due; for a session without a worker."""
@@ -238,7 +313,7 @@ class LiveSession:
         self._changed()
 
     def _evaluate_one(self) -> bool:
-        """Evaluate one stop, or, if none is due, begin what follows from the samples."""
+        """Evaluate one stop, or, if none is due, begin the review of the samples."""
         with self.lock:
             over = bool(self.waiting)
             stop = self.waiting.popleft() if over else self.early
@@ -250,7 +325,7 @@ class LiveSession:
         elif self._stale:
             self._evaluate_again(self._stale.popleft())
         else:
-            self._derive()
+            self._begin_review()
             return False
         return True
 
@@ -272,10 +347,15 @@ class LiveSession:
         return str(self.files.path or '')
 
     @property
+    def pose_topic(self) -> str:
+        """Return where the poses come from."""
+        return self.config.pose_topic if self.config.pose_source == 'topic' else '/tf'
+
+    @property
     def working(self) -> str:
         """Return the running tasks in words; empty without any."""
-        again = ['the samples are extracted again from their profiles'] * bool(self._stale)
-        return '; '.join([*self._works, *again])
+        again = 'the samples are extracted again from their profiles' if self._stale else ''
+        return '; '.join(filter(None, (*self._running, again)))
 
     @property
     def troubles(self) -> tuple[str, ...]:
@@ -285,24 +365,31 @@ class LiveSession:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return the current warnings, one sentence each."""
-        verifying = self._verifying
-        continues = '' if verifying is None else (
-            f'a verification ({verifying.routine.name}) continues: stops are not samples until '
-            '~/verify_result')
-        skipped = '' if not self._skipped else (
-            f'left {self._skipped} stops out, the oldest of more than {MOST_STOPS} that waited to '
-            'be evaluated: the processor cannot keep up; stop less often, or publish fewer points')
-        return tuple(filter(None, (continues, skipped, self._evaluation_trouble)))
+        warnings = []
+        if self._verifying:
+            warnings.append(f'a verification ({self._verifying.routine.name}) continues: stops '
+                            'are not samples until ~/verify_result')
+        if self._left_out:
+            warnings.append(f'left {self._left_out} stops out, the oldest of more than '
+                            f'{MOST_STOPS} that waited to be evaluated: the processor cannot keep '
+                            'up; stop less often, or publish fewer points')
+        return tuple(warnings)
 
     @property
     def verification(self) -> str:
         """Return the progress of the verification in words; empty without one."""
-        verifying = self._verifying
-        return verifying.text if verifying else ''
+        return self._verifying.text if self._verifying else ''
+
+    @property
+    def saved(self) -> str:
+        """Return the file of the current answer, empty before it is saved."""
+        if self._saved is None or self._wanted[-1] is not self.calibration:
+            return ''
+        return str(self._saved.files[0])
 
     def changes(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
-        now = _identities(session)
+        now = _numbers(session)
         removed, added = len(self._solved - now), len(now - self._solved)
         if not removed and not added:
             return ''
@@ -314,59 +401,22 @@ class LiveSession:
 
     # samples
 
-    def _evaluated(self, function: Callable[..., Result], *args: Any) -> Result:
-        """Return the result of a function of a stop; this process helps where the other ends."""
+    def _result(self, stop: Stop, config: Config) -> Sample | Reject:
+        """Return what a stop gives."""
+        needed = stop if stop.source else stop.needed(config)
         try:
-            result = self.evaluator.run(function, *args)
-        except PoolEndedError as error:
-            if self.worker.ended:
-                raise
-            self._evaluation_trouble = f'{error}; the node itself has evaluated the stop'
-            return function(*args)  # the sample must not be lost
-        self._evaluation_trouble = ''
-        return result
+            return self.pool.run(result_of, needed, config)
+        except PoolEndedError as error:  # nothing is lost: the stop itself will be stored
+            return Reject(stop.began, str(error))
 
-    def _result(self, stop: Stop, config: Config | None = None) -> Sample | Reject:
-        config = config or self.config
-        return self._evaluated(result_of, stop.needed(config), config)
+    def _outcome(self, stop: Stop) -> Outcome:
+        """Return the outcome of a stop, not yet in the session."""
+        return self.session.outcome(stop, self._result(stop, self.config))
 
-    def _evaluate(self, stop: Stop, over: bool) -> None:
-        """Put the outcome of a stop into the session, replacing an earlier one."""
-        if not over and self.session.is_taken(stop):
-            return
-        if self._verifying:
-            self._verify(stop, over)
-            return
-        result = self._result(stop)
-        with self.lock:
-            outcome = self.session.outcome(stop, result)
-            earlier = [o for o in self.session.outcomes if o.number == outcome.number]
-        remark = self._objection(outcome)  # no refusal, as in the solution of a recording
-        try:
-            outcome = self._stored(outcome)
-        except InputError as error:
-            if earlier and outcome.number not in self._unstored:
-                outcome = earlier[0]  # of fewer profiles, but on the disk
-            else:
-                self._unstored.add(outcome.number)
-                outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)),
-                                  refused=str(error))
-        if outcome.sample is None:
-            self._refused[stop.began] = stop.pose(self.config)
+    def _put(self, outcome: Outcome, over: bool = True) -> None:
+        """Put an outcome into the session, in place of an earlier one of its stop."""
         with self.lock:
             self.session.put(outcome, over)
-        if earlier and bool(earlier[0].sample) == bool(outcome.sample):
-            return  # the same result with more profiles is not reported again
-        verdict = (f'sample {outcome.number} taken' if outcome.sample else
-                   f'stop {outcome.number} gave no sample')
-        self._tell(outcome, '; '.join(filter(None, (
-            f'{verdict}: {sample_summary(outcome.result)}', remark))))
-
-    def _tell(self, outcome: Outcome, text: str) -> None:
-        """Publish the last attempt to take a sample."""
-        self.attempt = {'accepted': outcome.sample is not None, 'number': outcome.number,
-                        'text': text}
-        self.last = outcome
 
     def _stored(self, outcome: Outcome) -> Outcome:
         """Store an outcome; return the stored form. Raises InputError, kept as trouble."""
@@ -378,27 +428,47 @@ class LiveSession:
             self._store_trouble = str(error)
             raise
         self._store_trouble = ''
-        self._unstored.discard(outcome.number)
         return stored
+
+    def _evaluate(self, stop: Stop, over: bool) -> None:
+        """Put the outcome of a stop into the session, replacing an earlier one."""
+        if not over and self.session.is_taken(stop):
+            return
+        if self._verifying:
+            with suppress(DataError):
+                self._verify(stop, over)
+            return
+        outcome = self._outcome(stop)
+        earlier = next((o for o in self.session.outcomes if o.number == outcome.number), None)
+        remark = self._objection(outcome)  # no refusal, as in the solution of a recording
+        try:
+            outcome = self._stored(outcome)
+        except InputError as error:
+            if earlier and earlier.stop.source:
+                outcome = earlier  # of fewer profiles, but on the disk
+            else:
+                outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)),
+                                  refused=str(error))
+        if outcome.sample is None:
+            self._refused[stop.began] = stop.pose(self.config)
+        self._put(outcome, over)
+        if earlier and bool(earlier.sample) == bool(outcome.sample):
+            return  # the same result with more profiles is not reported again
+        verdict = (f'sample {outcome.number} taken' if outcome.sample else
+                   f'stop {outcome.number} gave no sample')
+        self.attempt = Attempt('; '.join(filter(None, (
+            f'{verdict}: {sample_summary(outcome.result)}', remark))),
+            outcome.number, outcome.sample)
 
     def _evaluate_again(self, number: int) -> None:
         """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
-        outcome = next((o for o in self.copied().outcomes if o.number == number), None)
-        if outcome is None:
-            return
-        if number in self._unstored:
-            result = self._result(outcome.stop)
-            with self.lock:
-                fresh = self.session.outcome(outcome.stop, result)
+        outcome = next((o for o in self.session.outcomes if o.number == number), None)
+        if outcome and not outcome.stop.source:  # it could not be stored before
             with suppress(InputError):
-                # its stop is now that on the disk; the session knows it by the one in memory
-                outcome = replace(self._stored(fresh), stop=outcome.stop)
-        else:
-            bare = replace(outcome, result=Reject(outcome.result.stamp, ''))
-            outcome = replace(outcome,
-                              result=self._evaluated(judged, bare, self.config).result)
-        with self.lock:
-            self.session.replace([outcome])
+                self._put(self._stored(self._outcome(outcome.stop)), over=False)
+        elif outcome and not outcome.refused:
+            result = self._result(outcome.stop, self.config)
+            self._put(replace(outcome, result=result), over=False)
 
     def _evaluate_all(self, rest: bool) -> None:
         """Evaluate all stops that wait; rest: the current stop counts as complete."""
@@ -413,72 +483,59 @@ class LiveSession:
 
     def _objection(self, outcome: Outcome) -> str:
         """Return a sentence if the laser crosses an estimated edge at too small an angle."""
-        solution = self.derived.solution
+        solution = self.review.solution
         if outcome.sample is None or solution is None or (
                 solution.degrees_of_freedom < SURE_FREEDOM):
             return ''
         return flat_crossing(outcome.sample, solution, self.config)
 
+    @by_worker
     def take_sample(self) -> str:
         """Take a sample at the current stop; raises DataError, or InputError unstored."""
-        return self._ask(self._take)
-
-    def _take(self) -> str:
-        silence = self.arrivals.silence('pose')
-        limit = POSES_SILENT if self.arrivals.silence('profile') < PROFILES_COME else BOTH_SILENT
+        silence = self.messages['pose'].silence
+        limit = POSES_SILENT if self.messages['profile'].silence < PROFILES_COME else BOTH_SILENT
         try:
-            if self.arrivals.counts['pose'] and silence > limit:
+            if self.messages['pose'].count and silence > limit:
                 raise silent_poses(silence)
             with self.lock:
                 stop = self.session.current_stop()
-            return self._take_for_verification(stop) if self._verifying else self._take_at(stop)
+            return self._verify(stop, True) if self._verifying else self._take_at(stop)
         except HandeyeError as error:
-            self.attempt = {'accepted': False, 'number': 0, 'text': str(error)}
+            self.attempt = Attempt(str(error))
             raise
 
     def _take_at(self, stop: Stop) -> str:
-        config = self.config
-        try:
-            sample = self._evaluated(sample_of, stop.needed(config), config)
-        except FeatureError:
-            self._refused[stop.began] = stop.pose(config)
-            raise
-        with self.lock:
-            outcome = self.session.outcome(stop, sample)
-            repeated = any(o.stop.began == stop.began for o in self.session.outcomes)
-        if isinstance(outcome.result, Reject):
-            raise DataError(f'{outcome.result.reason}: move on, and turn the tool')
+        outcome = self._outcome(stop)
+        if outcome.refused:
+            raise DataError(f'{outcome.refused}: move on, and turn the tool')
         objection = self._objection(outcome)
-        if objection:
-            self._refused[stop.began] = stop.pose(config)
-            raise DataError(f'{objection}, and take the sample again', reason='flat_crossing')
-        outcome = self._stored(outcome)
-        with self.lock:
-            self.session.put(outcome)
-        note = ' again, as the robot has not moved since' if repeated else ''
-        text = f'sample {outcome.number} taken{note}: {sample_summary(sample)}'
-        self._tell(outcome, text)
+        if objection or outcome.sample is None:
+            self._refused[stop.began] = stop.pose(self.config)
+            raise DataError(f'{objection}, and take the sample again' if objection else
+                            sample_summary(outcome.result))
+        again = any(o.stop.began == stop.began for o in self.session.outcomes)
+        self._put(self._stored(outcome))
+        note = ' again, as the robot has not moved since' if again else ''
+        text = f'sample {outcome.number} taken{note}: {sample_summary(outcome.sample)}'
+        self.attempt = Attempt(text, outcome.number, outcome.sample)
         return text
 
+    @by_worker
     def remove_last_sample(self) -> str:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""
-        return self._ask(self._remove_last)
-
-    def _remove_last(self) -> str:
-        last = self.copied().last(self._result)
-        if self.files.path:
-            self.files.append(Event(REMOVED, self.config, last.number))
+        samples = [outcome for outcome in self.session.outcomes if outcome.sample]
+        if not samples:
+            raise DataError('there is no sample to remove', reason='nothing_to_remove')
+        last = samples[-1]
+        self.files.append(Event(REMOVED, self.config, last.number))
         with self.lock:
             self.session.remove(last)
-            count = sum(o.sample is not None for o in self.session.outcomes)
         return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
-                f'{count} left')
+                f'{len(samples) - 1} left')
 
+    @by_worker
     def clear_samples(self) -> str:
         """Forget samples, verification, answer, and all messages; raises InputError."""
-        return self._ask(self._clear)
-
-    def _clear(self) -> str:
         note = ''
         if self.files.path:
             note = f'; they are kept in {self.path}'
@@ -488,17 +545,14 @@ class LiveSession:
 
     def _forget(self, why: str) -> int:
         """Forget stops, messages, and what follows; return the number of samples there were."""
-        self.latest.clear()
+        count = sum(outcome.sample is not None for outcome in self.session.outcomes)
         with self.lock:
-            count = sum(o.sample is not None for o in self.session.outcomes)
+            for messages in (self._profiles, self._poses, self.waiting, self._stale):
+                messages.clear()
             self.session.clear()
-            self.waiting.clear()
             self.early = self._verifying = None
-        self._cleared += 1
-        self.attempt, self._refused, self._unstored = None, {}, set()
-        self._stale.clear()
-        self._requested = self._outdated = False
-        self.derived = Derived(pipeline.advise((), self.config))
+        self.attempt, self._refused, self._asked_with = None, {}, None
+        self.review = Review(pipeline.advise((), self.config))
         self._withdraw(why)
         return count
 
@@ -511,40 +565,31 @@ class LiveSession:
         """
         with self.lock:
             self.session = session
-        self._refused = {outcome.stop.began: outcome.stop.pose(self.config)
-                         for outcome in session.outcomes if outcome.sample is None}
         if replace(old_config, session=self.config.session) != self.config:
             self.files.append(Event(CONFIGURED, self.config))
-        self._requested = self._outdated = bool(session.samples)
+        self._asked_with = {} if session.samples else None  # as with other settings: solve again
         count = sum(outcome.sample is not None for outcome in session.outcomes)
         return f'continuing with {count_of(count, "sample")} of {self.path}'
 
+    @by_worker
     def open(self, files: SessionFiles, session: Session, old_config: Config) -> str:
         """Continue with another session; see restore."""
-        def work() -> str:
-            self._forget('another session was opened')
-            self.files.close()
-            self.files = files
-            return self.restore(session, old_config)
-        return self._ask(work)
+        self._forget('another session was opened')
+        self.files.close()
+        self.files = files
+        return self.restore(session, old_config)
 
+    @by_worker
     def configure(self, config: Config) -> None:
-        """Apply another configuration, already checked by params.changed."""
-        self._ask(self._configure, config)
-
-    def _configure(self, config: Config) -> None:
-        old, new = flatten(self.config), flatten(config)
-        different = tuple(key for key in new if old[key] != new[key])
+        """Apply another configuration, already checked by the node."""
+        old = self.config
         with self.lock:
             self.config = config
             self.session.configure(config)
-            if 'verify.routine' in different:
+            if config.verify.routine != old.verify.routine:
                 self._verifying = None
-        if any(key.startswith(SAMPLE_KEYS) for key in different):
+        if _values(config, SAMPLE_KEYS) != _values(old, SAMPLE_KEYS):
             self._stale = deque(outcome.number for outcome in self.session.outcomes)
-        if any(key.startswith(ANSWER_KEYS) for key in different):
-            self._outdated = self._requested
-        self._settings += any(key.startswith((*ANSWER_KEYS, 'guidance.')) for key in different)
         try:
             if self.files.path:
                 self.files.append(Event(CONFIGURED, config))
@@ -552,44 +597,7 @@ class LiveSession:
         except InputError as error:
             self._store_trouble = str(error)
 
-    # review and advice
-
-    def _derive(self) -> None:
-        """Begin what follows from the samples, if they or the settings have changed."""
-        if self._outdated and COMPUTED not in self._works:
-            with suppress(HandeyeError):  # the state reports a refusal
-                self._solve(rest=False)
-        session = self.copied()
-        outcomes = tuple(outcome for outcome in session.outcomes if outcome.sample)
-        sampled = {outcome.stop.began for outcome in outcomes}
-        refused = [T for began, T in self._refused.items() if began not in sampled]
-        basis = (self._cleared, self._settings, len(refused),
-                 [(outcome.number, outcome.stop.began) for outcome in outcomes])
-        if self._deriving or basis == self.derived.basis:
-            return
-        current = self.latest.current(self.config)
-        if current:
-            self.extremes = extremes(np.concatenate([self.extremes, current.points]))
-        samples = {outcome.number: outcome.sample for outcome in outcomes if outcome.sample}
-        excluded = frozenset(o.number for o in outcomes if session.excludes(o))
-        with suppress(PoolEndedError):
-            future = self.solver.submit(derive, samples, excluded, self.config, self.extremes,
-                                        refused)
-            self._deriving = True
-            future.add_done_callback(
-                lambda done: self.worker.later(self._put_derived, done, basis))
-
-    def _put_derived(self, done: Future[Derived], basis: tuple[Any, ...]) -> None:
-        self._deriving = False
-        try:
-            derived = done.result()
-        except ENDED:
-            derived = Derived(self.derived.advice, no_review=str(PoolEndedError()))
-        if basis[0] == self._cleared:
-            self.derived = replace(derived, basis=basis)
-        self._derive()  # if the samples have changed meanwhile
-
-    # answer
+    # review and answer: computed by the solver, together
 
     def compute_calibration(self) -> str:
         """
@@ -598,65 +606,85 @@ class LiveSession:
         The current stop counts as complete. Raises DataError or InputError where there is no
         answer; after a DataError the previous answer is withdrawn.
         """
-        self._requested = True
-        return self._ask(self._solve, True).result()
+        return self._solve().result()
 
-    def _solve(self, rest: bool) -> Future[str]:
-        """Begin to solve; return the future of the message. rest: see _evaluate_all."""
-        self._outdated = False
-        answered: Future[str] = Future()
+    @by_worker
+    def _solve(self) -> Future[str]:
+        """Begin to solve; return the future of the message."""
+        self._asked_with = _values(self.config, ANSWER_KEYS)
         try:
-            self._evaluate_all(rest)
-            session, config = self.copied(), self.framed
+            self._evaluate_all(rest=True)
+            session = self.copied()
             if session.conflict:
                 raise session.conflict
             session.require_stations()
         except HandeyeError as error:
             self._refuse(error)
             raise
-        samples = Session(config)  # the messages of the streams stay here
-        samples.restore(session.outcomes, session.numbers, session.frame_id)
-        cleared = self._cleared
-        computed = self.solver.submit(pipeline.calibrate_session, samples, config)
-        self._works.append(COMPUTED)
-        computed.add_done_callback(
-            lambda done: self.worker.later(self._put_answer, done, answered, session, cleared))
+        return self._submit(asked=True)
+
+    def _basis(self) -> tuple[object, ...]:
+        """Return what identifies samples and settings; a session by its files."""
+        return (self.files, _values(self.config, (*ANSWER_KEYS, 'guidance.')), len(self._refused),
+                [(o.number, o.stop.began) for o in self.session.outcomes if o.sample])
+
+    def _begin_review(self) -> None:
+        """Begin the review, if samples or settings have changed."""
+        outdated = self._asked_with not in (None, _values(self.config, ANSWER_KEYS))
+        if not self._running and (outdated or self._basis() != self.review.basis):
+            self._submit(asked=outdated)
+
+    def _submit(self, asked: bool) -> Future[str]:
+        """Begin the review; return the future of the message. asked: whether for the answer."""
+        current, config, now = self.current(), self.framed, self.session
+        if current:
+            self.seen = extremes(np.concatenate([self.seen, current.points]))
+        if asked:
+            self._asked_with = _values(config, ANSWER_KEYS)
+        session = Session(config)  # the messages of the streams stay here
+        session.restore(now.outcomes, now.numbers, now.frame_id)
+        sampled = {outcome.stop.began for outcome in now.outcomes if outcome.sample}
+        refused = [T for began, T in self._refused.items() if began not in sampled]
+        basis, answered = self._basis(), Future[str]()
+        job = self.pool.submit(review_of, session, config, self.seen, refused, asked)
+        self._running.append(COMPUTED if asked else '')
+        job.add_done_callback(lambda done: self.worker.later(
+            self._put_review, done, basis, session, asked, answered))
         return answered
 
-    def _put_answer(self, computed: Future[Calibration], answered: Future[str], session: Session,
-                    cleared: int) -> None:
-        self._works.remove(COMPUTED)
+    def _put_review(self, job: Future[Review], basis: tuple[object, ...], session: Session,
+                    asked: bool, answered: Future[str]) -> None:
+        self._running.remove(COMPUTED if asked else '')
         try:
-            calibration = computed.result()
-        except ENDED:  # no refusal: the previous answer stays
-            answered.set_exception(PoolEndedError())
-        except HandeyeError as error:
-            if cleared == self._cleared:
-                self._refuse(error)
-            answered.set_exception(error)
+            review = answer_of(job)
+            if basis[0] is not self.files:
+                raise DataError('the samples were cleared while the calibration was computed, so '
+                                'there is no answer: take new samples')
+            self.review = replace(review, basis=basis)
+            answered.set_result(self._put_answer(review, session) if asked else '')
         except Exception as error:
             answered.set_exception(error)
-            raise
-        else:
-            if cleared == self._cleared:
-                self._put_calibration(calibration, session)
-                answered.set_result(calibration_summary(calibration))
-            else:
-                answered.set_exception(DataError(
-                    'the samples were cleared while the calibration was computed, so there is no '
-                    'answer: take new samples'))
-        self._derive()  # settings may have changed meanwhile
+            if isinstance(error, PoolEndedError):  # no refusal: the previous answer stays
+                self.review = replace(self.review, no_agreements=str(error), basis=basis)
+            elif not isinstance(error, HandeyeError):
+                raise
+        self._begin_review()  # samples or settings may have changed meanwhile
 
-    def _put_calibration(self, calibration: Calibration, session: Session) -> None:
-        """Publish an answer, computed from the samples of a session."""
-        config = self.config
-        inputs = [{'topic': config.profile_topic},
-                  {'topic': config.pose_topic if config.pose_source == 'topic' else '/tf'}]
+    def _put_answer(self, review: Review, session: Session) -> str:
+        """Publish an answer, and return the message about it; raises DataError for a refusal."""
+        assert review.answer is not None
+        try:
+            calibration = review.answer.required()
+        except DataError as error:
+            self._refuse(error)
+            raise
+        inputs = [{'topic': self.config.profile_topic}, {'topic': self.pose_topic}]
         inputs += [{'session': self.path}] * bool(self.path)
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})
-        self._solved = _identities(session)
-        self.withdrawn = self.missing = self.file = ''
+        self._solved = _numbers(session)
+        self.missing, self.withdrawn = '', False
+        return calibration_summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
         """Withdraw the answer after a refusal; what only disturbs the streams withdraws none."""
@@ -668,42 +696,37 @@ class LiveSession:
 
     def _withdraw(self, reason: str) -> None:
         """Remove the answer, with the reason for its state."""
-        self.withdrawn = (f'{reason}; the transform that was published before is not the answer'
-                          if self.calibration or self.withdrawn else '')
+        self.withdrawn = self.withdrawn or self.calibration is not None
         self.calibration, self.missing = None, reason
 
+    @by_worker
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
-        return self._ask(self._save)
-
-    def _save(self) -> str:
         calibration, config = self.calibration, self.config
         if calibration is None:
             raise DataError('there is no calibration to save: call ~/compute_calibration first, '
                             'and check that it succeeds')
         folder = self.folders.own(config)
-        wanted = calibration, folder, config.save.formats
-        before, text = self._saved
-        if not self.file or before != wanted or not Path(self.file).is_file():
-            named = replace(calibration, name=folder_name(config))
-            saved = exports.save_all(named, folder, config.save.formats)
-            self.file, text = str(saved.files[0]), str(saved)
-            self._saved = wanted, text.replace('wrote ', 'saved already: ').partition(';')[0]
+        wanted = folder, config.save.formats, calibration
+        if self._saved and self._wanted == wanted and self._saved.files[0].is_file():
+            text = f'saved already: {", ".join(map(str, self._saved.files))}'
+        else:
+            self._saved = exports.save_all(replace(calibration, name=folder_name(config)), folder,
+                                           config.save.formats)
+            self._wanted, text = wanted, str(self._saved)
         note = (f'; {COMPUTED} again: save it again after that'
-                if COMPUTED in self._works else '')
+                if COMPUTED in self._running else '')
         return f'{text}{self.changes(self.copied())}{note}'
 
     # verification: stops give no samples until its result
 
+    @by_worker
     def verify_start(self) -> str:
         """
         Begin a verification, or the next part (face, ball, pass) of the current one.
 
         Raises InputError for the settings, DataError without a calibration.
         """
-        return self._ask(self._begin_verification)
-
-    def _begin_verification(self) -> str:
         self._evaluate_all(rest=False)
         verifying = self._verifying
         if verifying is None or verifying.is_full:
@@ -719,27 +742,23 @@ class LiveSession:
         return (f'{verifying.text}; {advice}: what begins from now on counts, until '
                 '~/verify_result')
 
-    def _verify(self, stop: Stop, over: bool) -> Sample | Reject | None:
-        """Add a stop to the verification; one that is not over is replaced when it is."""
+    def _verify(self, stop: Stop, over: bool) -> str:
+        """Add a stop, and again when it is over; return the progress. Raises DataError."""
         verifying = self._verifying
+        assert verifying
         if over:
             with self.lock:
                 self.session.leave(stop)
-        if verifying is None or verifying.scans:
-            return None
-        result = verifying.add(stop, self.config, self._result)
-        self._tell(Outcome(0, stop, result),
-                   f'verification: {verifying.text}; {sample_summary(result)}')
-        return result
-
-    def _take_for_verification(self, stop: Stop) -> str:
-        result = self._verify(stop, True)
-        if result is None:
-            raise DataError(f'{self.verification}: stops do not count, points are taken while the '
+        if verifying.scans:
+            raise DataError(f'{verifying.text}: stops do not count, points are taken while the '
                             'robot moves')
+        result = verifying.add(stop, self.config, self._result)
+        text = f'{verifying.text}; {sample_summary(result)}'
         if isinstance(result, Reject):
+            self.attempt = Attempt(f'verification: {text}')
             raise DataError(result.reason)
-        return f'{self.verification}; {sample_summary(result)}'
+        self.attempt = Attempt(f'verification: {text}', sample=result)
+        return text
 
     def verify_result(self) -> str:
         """
@@ -748,15 +767,17 @@ class LiveSession:
         Raises DataError without a verification, a calibration or enough stops, and where it is
         neither pass nor fail: the verification then continues.
         """
-        session, calibration, config = self._ask(self._finished_verification)
-        self._works.append('the calibration is verified')
+        session, calibration, config = self._measured()
+        self._running.append(VERIFIED)
         try:
-            result = self.solver.run(session.result, calibration, config)
+            result = self.pool.run(session.result, calibration, config)
         finally:
-            self._works.remove('the calibration is verified')
-        return self._ask(self._put_verdict, result)
+            self._running.remove(VERIFIED)
+            self.wake()
+        return self._put_verdict(result)
 
-    def _finished_verification(self) -> tuple[VerificationSession, Calibration, Config]:
+    @by_worker
+    def _measured(self) -> tuple[VerificationSession, Calibration, Config]:
         if self._verifying is None:
             raise DataError('no verification was started: call ~/verify_start, and measure the '
                             'artefact')
@@ -764,17 +785,15 @@ class LiveSession:
         with self.lock:
             return self._verifying.copied(), self._verified(), self.config
 
+    @by_worker
     def _put_verdict(self, result: Verification) -> str:
-        self.verdict = sentence(result)
-        config = self.config
-        poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
-        file = self.folders.own(config) / f'verification_{result.routine}.yaml'
+        self.verdict, verified = sentence(result), self.config.verify.calibration
+        file = self.folders.own(self.config) / f'verification_{result.routine}.yaml'
         previous = exports.set_aside(file.parent, [file.name], {file.name})
-        verified = config.verify.calibration
         write_whole(file, yaml_text(replace(
-            result, inputs=(config.profile_topic, poses), created=time_of(time.time_ns()),
-            calibration_file=calibration_file.input_values(Path(verified).expanduser())
-            if verified else {})))
+            result, inputs=(self.config.profile_topic, self.pose_topic),
+            created=time_of(time.time_ns()), calibration_file=calibration_file.input_values(
+                Path(verified).expanduser()) if verified else {})))
         text = f'{self.verdict}; {exports.Saved((file,), previous)}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
@@ -792,7 +811,12 @@ class LiveSession:
         return self.calibration
 
 
-def _identities(session: Session) -> frozenset[tuple[int, ...]]:
-    """Return what identifies the samples of a session: numbers are never used again."""
-    return frozenset((outcome.number, outcome.sample.stamp) for outcome in session.outcomes
-                     if outcome.sample and not session.excludes(outcome))
+def _numbers(session: Session) -> set[int]:
+    """Return the numbers of the samples that an answer uses; none is ever used again."""
+    return {outcome.number for outcome in session.outcomes
+            if outcome.sample and not session.excludes(outcome)}
+
+
+def _values(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:
+    """Return the settings whose keys begin with some of these."""
+    return {key: value for key, value in flatten(config).items() if key.startswith(keys)}

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+import re
 from threading import Lock
 from typing import Any
 
@@ -13,10 +14,10 @@ from handeye_ros.bags.session import OutputFolders, read_session, SessionFiles
 from handeye_ros.errors import HandeyeError
 from handeye_ros.node import params
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.outputs import Outputs, RepeatedWarnings
+from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
-from handeye_ros.node.streams import Streams, topics_with
+from handeye_ros.node.streams import Streams
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
@@ -29,7 +30,6 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 CURRENT = 0.2  # s between two messages on ~/current
-NICER = 5  # nice value of the process that solves: the streams come first
 REQUESTS = QoSProfile(depth=1000)  # may wait for a solve; by default ROS keeps only ten
 # Services of type Trigger: those that are quick wait for each other, and for no slow one.
 QUICK = ('take_sample', 'remove_last_sample', 'clear_samples', 'save_calibration', 'verify_start')
@@ -45,12 +45,12 @@ class HandeyeNode(Node):
         self._folders = folders = OutputFolders(self.get_namespace())
         config, stored = params.declare(self, folders)
         self.live = LiveSession(config, folders, SessionFiles(folders.folder, stored), Pool(),
-                                Pool(NICER), partial(self._quietly, self._show))
+                                partial(self._quietly, self._show))
         self._outputs = Outputs(self, self.live)
         self._streams = Streams(self, self.live)
-        self._warnings = RepeatedWarnings(self._warn)
         self._changing = Lock()  # the page sets parameters from its own thread
-        self._logged: object = None  # the last outcome in the log
+        self._logged: object = None  # the last attempt in the log,
+        self._warned: set[str] = set()  # and the warnings
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
         if stored:
@@ -61,9 +61,8 @@ class HandeyeNode(Node):
         self.live.start()
         self._streams.start()
         self._serve()
-        self._inform(f'waiting for profiles on {config.profile_topic}, poses '
-                     + (f'on {config.pose_topic}' if config.pose_source == 'topic'
-                        else 'from /tf'))
+        self._inform(f'waiting for profiles on {config.profile_topic}, poses on '
+                     f'{self.live.pose_topic}')
         self._page = None
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
@@ -94,7 +93,7 @@ class HandeyeNode(Node):
 
     def topics_of(self, kind: str) -> list[str]:
         """Return the topics with publishers of a message type."""
-        return topics_with(self, kind)
+        return self._streams.topics_of(kind)
 
     @property
     def state(self) -> State:
@@ -110,21 +109,26 @@ class HandeyeNode(Node):
                 raise
 
     def _show(self) -> None:
-        """Log a new outcome, and publish what has changed."""
-        outcome, attempt = self.live.last, self.live.attempt
-        if outcome and attempt and outcome is not self._logged:
-            self._logged = outcome
-            if outcome.sample:
-                self._inform(attempt['text'])
-                self._outputs.show_features(outcome.sample)
+        """Log a new attempt to take a sample, and publish what has changed."""
+        attempt = self.live.attempt
+        if attempt and attempt is not self._logged:
+            self._logged = attempt
+            if attempt.sample:
+                self._inform(attempt.text)
+                self._outputs.show_features(attempt.sample)
             else:
-                self._warn(attempt['text'])
+                self._warn(attempt.text)
         self._outputs.show()
 
     def _diagnose(self) -> None:
+        """Publish the state, and log the warnings that are new but for their numbers."""
         state = self.state
         self._outputs.diagnose(state)
-        self._warnings.update([*troubles_of(state), *state['session']['notes']])
+        warnings = {re.sub(r'[-+.\d]+', '#', sentence): sentence
+                    for sentence in (*troubles_of(state), *state['session']['notes'])}
+        for kind in warnings.keys() - self._warned:
+            self._warn(warnings[kind])
+        self._warned = set(warnings)
 
     def _inform(self, text: str) -> None:
         if rclpy.ok():  # once a signal has shut ROS down, rcl would print an error of its own
@@ -145,10 +149,8 @@ class HandeyeNode(Node):
         if name == 'clear_samples' and success:
             self._streams.restart()
         text = with_trouble(self.state, text, success, name)
-        if not success:
-            self._warn(f'{name}: {text}')
-        elif name != 'take_sample':  # its outcome is in the log already
-            self._inform(text)
+        if name != 'take_sample':  # which is in the log as an attempt
+            self._inform(text) if success else self._warn(f'{name}: {text}')
         return success, text
 
     def open_session(self, name: str) -> str:

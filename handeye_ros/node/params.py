@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros.bags.session import OutputFolders, resumed, Stored
+from handeye_ros.bags.session import OutputFolders, resumed, SOURCE, Stored
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
 from handeye_ros.errors import InputError, UnknownKeyError
 from handeye_ros.output import folder_name
@@ -35,48 +35,48 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
     cannot be read.
     """
     # rclpy offers no other access to the values of parameter files and arguments
-    overrides = _values(node._parameter_overrides.values())
-    config, stored = resumed(overrides, folders)
+    config, stored = resumed(_values(node._parameter_overrides.values()), folders)
     _check_names(config)
-    values = configuration.flatten(config)
-    for parameter in parameters():
-        node.declare_parameter(parameter.key, values[parameter.key], descriptor(parameter),
-                               ignore_override=True)
-    description = ParameterDescriptor(description='Free text, kept with the answer.',
-                                      dynamic_typing=True)
-    for name in dict.fromkeys((*RECORD_NAMES, *dict(config.record))):
-        node.declare_parameter(f'{RECORD}{name}', dict(config.record).get(name, ''), description,
-                               ignore_override=True)
+    values, record = configuration.flatten(config), dict(config.record)
+    described = {p.key: (values[p.key], _descriptor(p)) for p in _parameters()}
+    free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
+    described |= {f'{RECORD}{name}': (record.get(name, ''), free)
+                  for name in (*RECORD_NAMES, *record)}
+    for key, (value, descriptor) in described.items():
+        node.declare_parameter(key, value, descriptor, ignore_override=True)
     return config, stored
 
 
-def parameters() -> tuple[Parameter, ...]:
+def _parameters() -> list[Parameter]:
     """Return the parameters that the node has."""
-    return tuple(p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY))
+    return [p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY)]
 
 
 def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
     """Return the values of the parameters of this package by key; raises UnknownKeyError."""
-    values = {p.name: _value(p) for p in ros_parameters if not p.name.startswith(EVERY_NODES)}
-    keys = [p.key for p in parameters()]
-    for name in values:
-        if name not in keys and not name.startswith(RECORD):
-            raise UnknownKeyError(name, keys, "the node's parameters")
+    keys, values = [p.key for p in _parameters()], {}
+    for p in ros_parameters:
+        if p.name.startswith(EVERY_NODES):
+            continue
+        if p.name not in keys and not p.name.startswith(RECORD):
+            raise UnknownKeyError(p.name, keys, SOURCE)
+        # ROS gives an empty list no type, and other lists as arrays
+        value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
+        values[p.name] = value if isinstance(value, str | int | float) else list(value)
     return values
 
 
-def _value(parameter: RosParameter) -> Any:
-    """Return the value of a parameter, arrays as lists; ROS gives an empty list no type."""
-    if parameter.type_ == RosParameter.Type.NOT_SET:
-        return []
-    value = parameter.value
-    return list(value) if not isinstance(value, str | int | float) else value
-
-
-def descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
+    texts = []
+    if parameter.length:
+        texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
+    if parameter.choices:
+        texts.append('one of ' + ', '.join(map(str, parameter.choices)))
+    if parameter.key in FIXED:
+        texts.append('fixed while the node runs')
     result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
-                                 additional_constraints=_constraints(parameter))
+                                 additional_constraints='; '.join(texts))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:
         if isinstance(parameter.default, int):
@@ -86,17 +86,6 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     return result
 
 
-def _constraints(parameter: Parameter) -> str:
-    texts = []
-    if parameter.length:
-        texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
-    if parameter.choices:
-        texts.append('one of ' + ', '.join(map(str, parameter.choices)))
-    if parameter.key in FIXED:
-        texts.append('fixed while the node runs')
-    return '; '.join(texts)
-
-
 def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
     """
     Return the configuration with changes at run time.
@@ -104,7 +93,7 @@ def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
     Raises BadValueError, and InputError for a key that is fixed.
     """
     values = _values(changes)
-    changed_config = configuration.with_values(config, values, "the node's parameters")
+    changed_config = configuration.with_values(config, values, SOURCE)
     old, new = configuration.flatten(config), configuration.flatten(changed_config)
     for key in values:
         if key in FIXED and old[key] != new[key]:

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Who works for a session: one thread, and processes for long computations.
+Who works for a session: one thread, and two processes for long computations.
 
 Python runs one thread at a time: solves and the evaluation of stops would slow down streams and
 services. A process is started when it is first needed, and again after it has ended.
@@ -28,9 +28,11 @@ from typing import Any, TypeVar
 
 from handeye_ros.errors import HandeyeError
 
-Result = TypeVar('Result')
-ENDED = (BrokenProcessPool, CancelledError)
+PROCESSES = 2  # a stop is evaluated while the calibration is computed
+NICER = 5  # nice value of the processes: the streams come first
 TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
+
+Result = TypeVar('Result')
 
 
 class PoolEndedError(HandeyeError):
@@ -41,18 +43,25 @@ class PoolEndedError(HandeyeError):
                          'of memory?): call the service again; this restarts the process')
 
 
+def answer_of(future: Future[Result]) -> Result:
+    """Return the result of a future; raises its exception, PoolEndedError if there is none."""
+    try:
+        return future.result()
+    except (BrokenProcessPool, CancelledError) as error:
+        raise PoolEndedError from error
+
+
 class Worker:
     """
     One thread that does things one after the other; before start() they are done at once.
 
-    failure: why the last thing failed, '' if it did not; ended: whether stop() was called.
+    failure: why the last thing failed, '' if it did not.
     """
 
     def __init__(self, changed: Callable[[], object]) -> None:
         """Start no thread yet; changed: called after each thing that was done later."""
-        self._changed = changed
+        self._changed, self.failure = changed, ''
         self._executor: ThreadPoolExecutor | None = None
-        self.failure, self.ended = '', False
 
     @property
     def runs(self) -> bool:
@@ -63,11 +72,8 @@ class Worker:
         """Start the thread."""
         self._executor = ThreadPoolExecutor(1, 'worker')
 
-    def stop(self, *pools: Pool) -> None:
-        """End the thread, and the processes that it may wait for."""
-        self.ended = True
-        for pool in pools:
-            pool.stop()
+    def stop(self) -> None:
+        """Do nothing more."""
         if self._executor:
             self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -76,8 +82,8 @@ class Worker:
         if self._executor is None:
             work(*args)
             self._changed()
-        elif not self.ended:
-            with suppress(RuntimeError):  # it has ended meanwhile
+        else:
+            with suppress(RuntimeError):  # it has ended
                 self._executor.submit(self._report, work, *args)
 
     def _report(self, work: Callable[..., object], *args: Any) -> None:
@@ -86,52 +92,44 @@ class Worker:
             self._changed()
             self.failure = ''
         except Exception as error:  # noqa: BLE001 - the thread must go on
-            if not self.ended:
-                self.failure = str(error) if isinstance(error, HandeyeError) else (
-                    f'the work on the samples failed, which should not happen: {error!r}; see the '
-                    'log, and please report it')
+            self.failure = str(error) if isinstance(error, HandeyeError) else (
+                f'the work on the samples failed, which should not happen: {error!r}; see the '
+                'log, and please report it')
+            if not isinstance(error, HandeyeError):
                 print(traceback.format_exc(), file=sys.stderr, flush=True)
 
-    def ask(self, afterwards: Callable[[], object], work: Callable[..., Result], *args: Any
-            ) -> Result:
-        """
-        Return the result of something; raises its exceptions, and PoolEndedError at the end.
-
-        afterwards: called when the thread has been asked.
-        """
+    def ask(self, work: Callable[..., Result], *args: Any) -> Result:
+        """Return the result of something; raises its exceptions, PoolEndedError at the end."""
         if self._executor is None:
             return work(*args)
         try:
             answered = self._executor.submit(work, *args)
         except RuntimeError as error:
             raise PoolEndedError from error
-        afterwards()
-        try:
-            return answered.result()
-        except CancelledError as error:
-            raise PoolEndedError from error
+        return answer_of(answered)
 
 
 class Pool:
-    """Runs functions of modules in another process, one after the other."""
+    """Runs functions of modules in other processes."""
 
-    def __init__(self, nice: int = 0) -> None:
-        """Start no process yet; nice: increment of its nice value."""
+    def __init__(self) -> None:
+        """Start no process yet."""
         # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
         # removes them, and nobody needs to hear of it
         sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
-        self._nice, self._stopped = nice, False
+        self._stopped = False
         self._executor = self._new()
 
     def _new(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(1, multiprocessing.get_context('spawn'), _begin, (self._nice,))
+        return ProcessPoolExecutor(PROCESSES, multiprocessing.get_context('spawn'), _begin)
+
+    def start(self) -> None:
+        """Let the processes finish their imports before they are needed."""
+        for _ in range(PROCESSES):
+            self.submit(trim_memory)
 
     def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
-        """
-        Return the future of a call; if the process ends, its exception is one of ENDED.
-
-        Raises PoolEndedError after stop().
-        """
+        """Return the future of a call, for answer_of; raises PoolEndedError after stop()."""
         if self._stopped:
             raise PoolEndedError
         try:
@@ -141,24 +139,27 @@ class Pool:
             return self._executor.submit(_call, function, args)
 
     def run(self, function: Callable[..., Result], *args: Any) -> Result:
-        """Return the result of a function; raises its exceptions, and PoolEndedError."""
-        try:
-            return self.submit(function, *args).result()
-        except ENDED as error:
-            raise PoolEndedError from error
+        """
+        Return the result of a function; raises its exceptions.
+
+        If the process is killed, another one tries; raises PoolEndedError if it is killed too.
+        """
+        with suppress(PoolEndedError):
+            return answer_of(self.submit(function, *args))
+        return answer_of(self.submit(function, *args))
 
     def stop(self) -> None:
-        """End the process, also a running function."""
+        """End the processes, also running functions."""
         self._stopped = True
         self._executor.shutdown(wait=False, cancel_futures=True)
         for process in multiprocessing.active_children():
             process.kill()
 
 
-def _begin(nice: int) -> None:
+def _begin() -> None:
     """Prepare the process: it ends with the node, even if that is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the node
-    os.nice(nice)
+    os.nice(NICER)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -9,6 +9,7 @@ agree and use the same sentences. SI units; docs/cell.md documents the fields.
 from __future__ import annotations
 
 from collections.abc import Mapping
+import time
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
@@ -28,6 +29,66 @@ SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
 SILENCE = 2.0  # s without a message until it is reported
+BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
+BAD_SHARE = 0.01  # or such a share of all, or of the messages lost in transit
+FRESH = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
+LARGEST_APART = 5.0  # s: difference of the clocks that a slow network or a queue explains
+
+
+class MessageCount:
+    """
+    Counts the valid, malformed and lost messages of one kind (profile, pose).
+
+    reason: of the last malformed one; stamp: of the last valid one (ns), 0 before.
+    """
+
+    def __init__(self, kind: str) -> None:
+        """Start without messages."""
+        self.kind, self.count, self.malformed, self.lost = kind, 0, 0, 0
+        self.reason, self.stamp = '', 0
+        self._bad_in_a_row, self._received = 0, time.monotonic()
+
+    def add(self, stamp: int) -> None:
+        """Count a valid message; stamp: of its header, in ns."""
+        self.count, self.stamp = self.count + 1, stamp
+        self._bad_in_a_row, self._received = 0, time.monotonic()
+
+    def add_malformed(self, reason: str) -> None:
+        """Count an invalid message."""
+        self.malformed, self.reason = self.malformed + 1, reason
+        self._bad_in_a_row += 1
+
+    @property
+    def silence(self) -> float:
+        """Return the seconds since the last valid message, or since the start."""
+        return time.monotonic() - self._received
+
+    @property
+    def trouble(self) -> str:
+        """Return a sentence if many, or the last, messages are invalid or lost."""
+        bad, last, total, sentences = self.malformed, self._bad_in_a_row, self.count, []
+        if last >= BAD_IN_A_ROW or bad >= max(BAD_IN_A_ROW, BAD_SHARE * (bad + total)):
+            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of {bad + total}'
+            sentences.append(f'{which} {self.kind}s cannot be used; the last reason: '
+                             f'{self.reason}')
+        sent = self.lost + bad + total
+        if self.lost > BAD_SHARE * sent:
+            sentences.append(f'{self.lost} of {sent} {self.kind}s were lost on their way: let '
+                             'the driver publish them reliably, or fewer or smaller ones')
+        return '; '.join(sentences)
+
+
+def _clocks(profiles: MessageCount, poses: MessageCount) -> str:
+    """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
+    if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH:
+        return ''
+    ahead = (profiles.stamp - poses.stamp) * 1e-9 + profiles.silence - poses.silence
+    if abs(ahead) < LARGEST_APART:
+        return ''
+    size = f'{abs(ahead):.1f} s' if abs(ahead) < 3600 else f'{abs(ahead) / 3600:.2f} hours'
+    return (f'the stamps of the profiles are {size} {"ahead of" if ahead > 0 else "behind"} '
+            'those of the poses: the clocks of sensor and robot differ; set them to one time '
+            '(PTP or NTP), or let one driver stamp as the other does')
 
 
 def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trouble: str = ''
@@ -38,23 +99,22 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     obstacles: why no messages of a kind (profile, pose) arrive, where it is known; trouble: what
     else disturbs the node.
     """
-    session, config, derived = live.copied(), live.config, live.derived
-    obstacles = obstacles or {}
-    poses = config.pose_topic if config.pose_source == 'topic' else '/tf'
-    samples = [_sample(outcome, session, derived.agreements.get(outcome.number))
+    session, config, review, attempt = live.copied(), live.config, live.review, live.attempt
+    obstacles, profiles, poses = obstacles or {}, live.messages['profile'], live.messages['pose']
+    samples = [_sample(outcome, session, review.agreements.get(outcome.number))
                for outcome in session.outcomes]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion
     late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
             'before: sampling continues by itself if the clock was set back'
             ) if session.late else ''
-    troubles = (str(session.conflict or ''), late, live.arrivals.clocks, session.unasked,
+    troubles = (str(session.conflict or ''), late, _clocks(profiles, poses), session.unasked,
                 *live.troubles, trouble)
     return {
         'name': folder_name(config),
-        'profiles': _stream(live, 'profile', config.profile_topic, session.frame_id,
+        'profiles': _stream(profiles, config.profile_topic, session.frame_id,
                             obstacles.get('profile', '')),
-        'poses': _stream(live, 'pose', poses, '', obstacles.get('pose', '')),
+        'poses': _stream(poses, live.pose_topic, '', obstacles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
             'speed': motion.speed if motion else 0.0,
@@ -65,8 +125,9 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                     'trouble': '; '.join(filter(None, troubles)),
                     'notes': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst],
-        'review': derived.no_review,
-        'attempt': live.attempt,
+        'review': review.no_agreements,
+        'attempt': attempt and {'accepted': attempt.sample is not None, 'number': attempt.number,
+                                'text': attempt.text},
         'calibration': _calibration(live, session), 'guidance': _guidance(live)}
 
 
@@ -94,7 +155,7 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     return text if trouble in text else f'{text}; {trouble}'
 
 
-def samples_message(state: State) -> dict[str, Any]:
+def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
     return {'format': SAMPLES_FORMAT, 'session': state['session']['path'],
             'mode': state['session']['mode'], 'samples': state['samples'],
@@ -102,7 +163,7 @@ def samples_message(state: State) -> dict[str, Any]:
             'attempt': state['attempt']}
 
 
-def status_message(state: State) -> dict[str, Any]:
+def status_message(state: State) -> State:
     """Return the content of ~/status, as plain values."""
     return {'format': STATUS_FORMAT, **state['calibration']}
 
@@ -120,21 +181,21 @@ def calibration_summary(calibration: Calibration) -> str:
             f'{quality.samples_rejected} not used; save it with ~/save_calibration')
 
 
-def _stream(live: LiveSession, kind: str, topic: str, frame: str, obstacle: str) -> State:
+def _stream(messages: MessageCount, topic: str, frame: str, obstacle: str) -> State:
     """
-    Return the messages of one kind, 'profile' or 'pose'.
+    Return the messages of one kind.
 
     count, malformed: numbers of valid and invalid messages; lost: of those lost on their way; age:
     seconds since the last valid one, or since the start; trouble: why no usable messages arrive
     and what to do, or ''.
     """
-    arrivals = live.arrivals
-    count, silence, trouble = arrivals.counts[kind], arrivals.silence(kind), arrivals.trouble(kind)
-    if not trouble and silence >= SILENCE:
-        trouble = (f'{"no more" if count else "no"} {kind}s {"from" if topic == "/tf" else "on"} '
-                   f'{topic} for {silence:.0f} s' + (f' ({obstacle})' if obstacle else ''))
-    return {'kind': kind, 'topic': topic, 'count': count, 'malformed': arrivals.malformed[kind],
-            'lost': arrivals.lost[kind], 'age': silence, 'frame': frame, 'trouble': trouble}
+    kind, count, trouble = messages.kind, messages.count, messages.trouble
+    if not trouble and messages.silence >= SILENCE:
+        cause = f' ({obstacle})' if obstacle else ''
+        trouble = (f'{"no more" if count else "no"} {kind}s on {topic} for '
+                   f'{messages.silence:.0f} s{cause}')
+    return {'kind': kind, 'topic': topic, 'count': count, 'malformed': messages.malformed,
+            'lost': messages.lost, 'age': messages.silence, 'frame': frame, 'trouble': trouble}
 
 
 def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> State:
@@ -147,7 +208,6 @@ def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> 
     None without a sample.
     """
     sample, excluded = outcome.sample, session.excludes(outcome)
-    T = sample.T_base_flange if sample else None
     return {
         'number': outcome.number, 'stamp': outcome.result.stamp, 'taken': sample is not None,
         'excluded': excluded,
@@ -155,8 +215,13 @@ def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> 
         'text': sample_summary(outcome.result),
         'residual': agreement.residual if agreement else None,
         'left_out': agreement.left_out if agreement else None,
-        'translation': None if T is None else T[:3, 3].tolist(),
-        'rotation': None if T is None else se3.quaternion(T).tolist()}
+        **_pose(sample.T_base_flange if sample else None)}
+
+
+def _pose(T: Any) -> State:
+    """Return a transform (4, 4), or None, as translation and rotation (quaternion x y z w)."""
+    return {'translation': None if T is None else T[:3, 3].tolist(),
+            'rotation': None if T is None else se3.quaternion(T).tolist()}
 
 
 def _calibration(live: LiveSession, session: Session) -> State:
@@ -168,27 +233,22 @@ def _calibration(live: LiveSession, session: Session) -> State:
     child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
     file of this answer, empty before it is saved.
     """
-    calibration, values = live.calibration, dict[str, Any]()
+    calibration = live.calibration
     if calibration is None:
-        text = live.withdrawn or ': '.join(filter(None, (
-            'no calibration has been computed yet', live.missing)))
-        state = WITHDRAWN if live.withdrawn else NONE
-    else:
-        T, quality = calibration.T_flange_sensor, calibration.quality
-        changes = live.changes(session)
-        state, text = OUTDATED if changes else CURRENT, calibration_summary(calibration) + changes
-        values = {
-            'parent': calibration.parent_frame, 'child': calibration.child_frame,
-            'translation': T[:3, 3].tolist(), 'rotation': se3.quaternion(T).tolist(),
-            'rpy': [float(angle) for angle in se3.rpy(T)],
-            'std': np.sqrt(np.diag(calibration.covariance)).tolist(),
-            'residual_rms': quality.residual_rms, 'holdout_rms': quality.holdout_rms,
-            'used': quality.samples_used, 'rejected': quality.samples_rejected,
-            'saved': live.file}
+        text = (f'{live.missing}; the transform that was published before is not the answer'
+                if live.withdrawn else
+                ': '.join(filter(None, ('no calibration has been computed yet', live.missing))))
+        return {'state': WITHDRAWN if live.withdrawn else NONE, 'text': text, 'parent': '',
+                'child': '', **_pose(None), 'rpy': None, 'std': None, 'residual_rms': None,
+                'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
+    T, quality, changes = calibration.T_flange_sensor, calibration.quality, live.changes(session)
     return {
-        'state': state, 'text': text, 'parent': '', 'child': '', 'translation': None,
-        'rotation': None, 'rpy': None, 'std': None, 'residual_rms': None, 'holdout_rms': None,
-        'used': 0, 'rejected': 0, 'saved': '', **values}
+        'state': OUTDATED if changes else CURRENT, 'text': calibration_summary(calibration)
+        + changes, 'parent': calibration.parent_frame, 'child': calibration.child_frame,
+        **_pose(T), 'rpy': [float(angle) for angle in se3.rpy(T)],
+        'std': np.sqrt(np.diag(calibration.covariance)).tolist(),
+        'residual_rms': quality.residual_rms, 'holdout_rms': quality.holdout_rms,
+        'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': live.saved}
 
 
 def _guidance(live: LiveSession) -> State:
@@ -202,14 +262,11 @@ def _guidance(live: LiveSession) -> State:
     x y z w), None before a first estimate of the sensor's pose; expected: 1 sigma of mapped points
     with it (m).
     """
-    advice, sample = live.derived.advice, live.derived.advised
-    pose = advice.next
-    prefix = f'after sample {sample}: ' if sample else ''
+    advice, sample = live.review.advice, live.review.advised
     return {
-        'sample': sample, 'text': prefix + advice.text, 'sentences': list(advice.sentences),
-        'enough': advice.enough, 'why': advice.why,
+        'sample': sample, 'text': (f'after sample {sample}: ' if sample else '') + advice.text,
+        'sentences': list(advice.sentences), 'enough': advice.enough, 'why': advice.why,
         'sigmas': [{'name': s.name, 'std': float(s.std), 'limit': float(s.limit), 'unit': s.unit}
                    for s in advice.sigmas],
-        'translation': pose.T_base_flange[:3, 3].tolist() if pose else None,
-        'rotation': se3.quaternion(pose.T_base_flange).tolist() if pose else None,
-        'expected': float(pose.std) if pose else None}
+        **_pose(advice.next.T_base_flange if advice.next else None),
+        'expected': float(advice.next.std) if advice.next else None}

@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The subscriptions of the node: profiles, poses from a topic, /tf or joint values, and joints."""
+"""What comes in: the subscriptions of the node, the thread that reads them, what disturbs them."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 import struct
@@ -22,8 +22,8 @@ from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
-from handeye_ros.node.arrivals import Arrivals
 from handeye_ros.node.live import LiveSession
+from handeye_ros.node.state import MessageCount
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -33,16 +33,13 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState, PointCloud2
 
 try:
-    from tf2_msgs.msg import TFMessage
+    from tf2_msgs.msg import TFMessage as TFMessage
 except ImportError:  # the wheels of rclpy come without it
     TFMessage = None
 
-__all__ = ['LATCHED_TREE', 'pose_topics', 'STREAM', 'Streams', 'TFMessage', 'THROTTLE',
-           'topics_with']
-
-RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 # The queue holds 20 s of poses at 100 Hz, for times when other work takes the processor.
-STREAM = QoSProfile(depth=2000, reliability=BEST_EFFORT)
+STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 OVERRIDES = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH))
 SILENT = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -55,6 +52,7 @@ LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 ReadPoses = Callable[[bytes], list[TimedPose]]
+
 
 class NoExecutor(MutuallyExclusiveCallbackGroup):
     """Excludes subscriptions from executors, which are slower than reading in a thread."""
@@ -69,16 +67,16 @@ class _Topic:
     """
     A topic that is read.
 
-    kind: of what it is counted as, '' if it is not; alone: whether it should have one publisher;
-    number: of the last message, as its publisher counts them.
+    alone: whether it should have one publisher; number: of the last message, as its publisher
+    counts them.
     """
 
-    kind: str
+    messages: MessageCount
     message: Any
     name: str
     receive: Callable[[bytes], None]
-    qos: QoSProfile = field(default_factory=lambda: STREAM)
-    alone: bool = False
+    qos: QoSProfile
+    alone: bool = True
     subscription: Any = None
     publishers: int = 0
     number: int = 0
@@ -98,12 +96,8 @@ def pose_topics(config: Config, tracker: FlangeTracker) -> list[tuple[Any, str, 
     if not TFMessage:
         raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                          f'{INSTALL_TF2}; or publish the poses on pose_topic')
-    return [(TFMessage, name, partial(_flange_poses, tracker, static))
-            for name, static in (('/tf_static', True), ('/tf', False))]
-
-
-def _flange_poses(tracker: FlangeTracker, static: bool, data: bytes) -> list[TimedPose]:
-    return tracker.add(transforms_from_cdr(data), static)
+    return [(TFMessage, '/tf_static', lambda data: tracker.add(transforms_from_cdr(data), True)),
+            (TFMessage, '/tf', lambda data: tracker.add(transforms_from_cdr(data), False))]
 
 
 class Streams:
@@ -132,17 +126,16 @@ class Streams:
         self._names = _names_of(config)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
-        self._live.arrivals = Arrivals()
-        reliable = QoSProfile(depth=STREAM.depth, reliability=RELIABLE)
-        topics = [_Topic('profile', PointCloud2, config.profile_topic, self._on_profile,
-                         reliable, alone=True)]
+        self._live.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+        topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic, self._on_profile,
+                         RELIABLE)]
         if not config.kinematics:
-            topics.append(_Topic('', JointState, config.joint_topic, self._on_joints))
+            topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
+                                 self._on_joints, STREAM, alone=False))
         for message, name, read in pose_topics(config, self._tracker):
-            shared = message is TFMessage
-            qos = STREAM if name == '/tf' else LATCHED_TREE if shared else reliable
-            topics.append(_Topic('pose', message, name, partial(self._on_poses, read), qos,
-                                 alone=not shared))
+            qos = {'/tf': STREAM, '/tf_static': LATCHED_TREE}.get(name, RELIABLE)
+            topics.append(_Topic(counts['pose'], message, name, partial(self._on_poses, read),
+                                 qos, alone=message is not TFMessage))
         for topic in topics:
             self._subscribe(topic)
         self._topics = topics
@@ -203,16 +196,15 @@ class Streams:
         for topic in [topic for topic in topics if topic.alone]:
             publishers = self._node.get_publishers_info_by_topic(self._full_name(topic.name))
             topic.publishers = len(publishers)
-            if topic.qos is not STREAM and any(
-                    info.qos_profile.reliability == BEST_EFFORT for info in publishers):
-                old, topic.qos = topic.subscription, STREAM
+            if topic.qos is RELIABLE and any(
+                    info.qos_profile.reliability == STREAM.reliability for info in publishers):
+                old, topic.qos, topic.number = topic.subscription, STREAM, 0
                 self._subscribe(topic)
-                topic.number = 0
                 self._node.destroy_subscription(old)
 
     def _drain(self, topic: _Topic) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
-        handle, arrivals = topic.subscription.handle, self._live.arrivals
+        handle, log = topic.subscription.handle, self._node.get_logger()
         with handle:
             for count in range(MOST_AT_ONCE):
                 received = handle.take_message(topic.message, True)
@@ -221,16 +213,15 @@ class Streams:
                 data, info = received
                 number = info['publication_sequence_number'] or 0
                 if topic.publishers == 1 and 0 < topic.number < number:
-                    arrivals.lost[topic.kind] += number - topic.number - 1
+                    topic.messages.lost += number - topic.number - 1
                 topic.number = number
                 try:
                     topic.receive(data)
                 except Exception as error:  # noqa: BLE001 - the streams must continue
                     if not isinstance(error, UnusableMessageError):
-                        self._node.get_logger().error(traceback.format_exc())
-                    if topic.kind:
-                        arrivals.add_malformed(topic.kind, str(error))
-                    self._node.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+                        log.error(traceback.format_exc())
+                    topic.messages.add_malformed(str(error))
+                    log.warning(str(error), throttle_duration_sec=THROTTLE)
         return MOST_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:
@@ -264,26 +255,45 @@ class Streams:
 
     def obstacles(self) -> dict[str, str]:
         """Return why no messages of a kind (profile, pose) arrive, where it is known."""
-        config, node = self._live.config, self._node
-        profile = _why_silent(node, 'profile_topic', config.profile_topic, CLOUD)
-        if config.kinematics:
-            pose = _why_silent(node, 'joint_topic', config.joint_topic, JOINTS)
-        elif config.pose_source == 'topic':
-            pose = _why_silent(node, 'pose_topic', config.pose_topic, POSE)
-        else:
-            pose = self._tracker.missing()
-        return {'profile': profile, 'pose': pose}
+        config = self._live.config
+        return {'profile': self._why_silent('profile_topic', config.profile_topic, CLOUD),
+                'pose': self._why_silent('joint_topic', config.joint_topic, JOINTS)
+                if config.kinematics else
+                self._why_silent('pose_topic', config.pose_topic, POSE)
+                if config.pose_source == 'topic' else self._tracker.missing()}
+
+    def _why_silent(self, key: str, topic: str, message_type: str) -> str:
+        """Return why no messages of a type arrive, '' if there is a publisher; key: names it."""
+        name = self._full_name(topic)
+        types = {info.topic_type for info in self._node.get_publishers_info_by_topic(name)}
+        if message_type in types:
+            return ''
+        reason = f'{name} has no publisher' if not types else (
+            f'it carries {", ".join(sorted(types))}, expected {message_type}')
+        others = ', '.join(self.topics_of(message_type)[:LISTED])
+        return f'{reason}; {message_type} is on {others}: set {key}' if others else reason
+
+    def topics_of(self, message_type: str) -> list[str]:
+        """Return the topics with publishers of a message type in other nodes."""
+        node = self._node
+        own = (node.get_name(), node.get_namespace())
+        return sorted(name for name, types in node.get_topic_names_and_types()
+                      if message_type in types and any(
+                          info.topic_type == message_type
+                          and (info.node_name, info.node_namespace) != own
+                          for info in node.get_publishers_info_by_topic(name)))
 
     def trouble(self) -> str:
         """Return a sentence for each topic with several publishers, and for a second node."""
         sentences, node = [], self._node
         for topic in (topic for topic in self._topics if topic.alone):
             name = self._full_name(topic.name)
-            if node.count_publishers(name) > 1:
-                names = [f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-                         for info in node.get_publishers_info_by_topic(name)]
-                sentences.append(f'{len(names)} publishers send {topic.kind}s on {name} '
-                                 f'({", ".join(sorted(names)[:LISTED])}): let only one publish')
+            names = [f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+                     for info in node.get_publishers_info_by_topic(name)]
+            if len(names) > 1:
+                sentences.append(
+                    f'{len(names)} publishers send {topic.messages.kind}s on {name} '
+                    f'({", ".join(sorted(names)[:LISTED])}): let only one publish')
         own_name = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(own_name) > 1:
             sentences.append(
@@ -296,31 +306,3 @@ class Streams:
 def _names_of(config: Config) -> tuple[str, str, str]:
     """Return the settings of topics that may change at run time."""
     return config.profile_topic, config.pose_source, config.pose_topic
-
-
-def _why_silent(node: Node, key: str, topic: str, message_type: str) -> str:
-    """
-    Return why no messages of a type arrive; empty if there is a publisher.
-
-    key: of the configuration that names the topic.
-    """
-    name = node.resolve_topic_name(topic)
-    types = {info.topic_type for info in node.get_publishers_info_by_topic(name)}
-    if message_type in types:
-        return ''
-    reason = f'{name} has no publisher' if not types else (
-        f'it carries {", ".join(sorted(types))}, expected {message_type}')
-    alternatives = topics_with(node, message_type)
-    if alternatives:
-        reason += f'; {message_type} is on {", ".join(alternatives[:LISTED])}: set {key}'
-    return reason
-
-
-def topics_with(node: Node, message_type: str) -> list[str]:
-    """Return the topics with publishers of a message type in other nodes."""
-    names = [name for name, types in node.get_topic_names_and_types() if message_type in types]
-    own_name = (node.get_name(), node.get_namespace())
-    return sorted(name for name in names
-                  if any(info.topic_type == message_type
-                         and (info.node_name, info.node_namespace) != own_name
-                         for info in node.get_publishers_info_by_topic(name)))

@@ -161,7 +161,7 @@ def _file(live: Live, name: str) -> tuple[str, str]:
     calibration = calibration_file.dated(replace(
         live.calibration, name=folder_name(live.config)))
     if name == exports.REPORT:
-        return name, live.solver.run(_report, calibration, live.path)
+        return name, live.pool.run(_report, calibration, live.path)
     form = exports.format_of(name)
     return form.file_name(calibration), form.text(calibration)
 
@@ -175,7 +175,7 @@ def _report(calibration: Calibration, session: str) -> str:
 
 def contents(state: State, live: Live) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
-    config, current = live.config, live.latest.current(live.config)
+    config, current = live.config, live.current()
     profile = current and {**profile_picture(current.points, current.features),
                            'reason': current.reason}
     return {**state, 'profile': profile, 'scene': _scene(live, current),
@@ -207,7 +207,7 @@ def stop_profile(live: Live, number: int) -> dict[str, Any]:
 
 def _edges(live: Live) -> dict[int, str]:
     """Return the edges of the target crossed by each used sample, by its number."""
-    answer, edges = live.derived.answer, dict[int, str]()
+    answer, edges = live.review.answer, dict[int, str]()
     if answer is None or answer.solution is None:
         return edges
     problem = answer.solution.problem
@@ -229,13 +229,13 @@ def _scene(live: Live, current: Any) -> dict[str, Any]:
     view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
     the advice while the sensor's pose is unknown.
     """
-    config, advice = live.config, live.derived.advice
-    solution = live.derived.solution if advice.sigmas else None
+    config, advice = live.config, live.review.advice
+    solution = live.review.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
     samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
-    pose = live.latest.pose
+    pose = live.pose
     aim = advice.next.T_base_flange if advice.next else None
-    extreme_points = live.extremes
+    extreme_points = live.seen
     if current:
         extreme_points = extremes(np.concatenate([extreme_points, current.points]))
     offset = extreme_points - extreme_points.sum(axis=0) / max(len(extreme_points), 1)

@@ -9,7 +9,7 @@ depend on the order of arrival.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
 
@@ -394,11 +394,6 @@ class Session(Copied):
             self._taken.add(began)
         return outcome
 
-    def replace(self, outcomes: Iterable[Outcome]) -> None:
-        """Replace the outcomes of stops, except those removed in the meantime."""
-        fresh = {id(outcome.stop): outcome for outcome in outcomes}
-        self._outcomes = [fresh.get(id(outcome.stop), outcome) for outcome in self._outcomes]
-
     def restore(self, outcomes: Sequence[Outcome], numbers: int, frame_id: str) -> None:
         """Continue from the stops of an earlier run; numbers: how many were assigned."""
         self.clear()
@@ -413,22 +408,6 @@ class Session(Copied):
     def leave(self, stop: Stop) -> None:
         """Mark a stop as taken, so that it is not returned again."""
         self._taken.add(stop.began)
-
-    def last(self, judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Outcome:
-        """
-        Return the last sample, which may be of the current stop.
-
-        judge: tells what a stop gives. Raises DataError when there is none.
-        """
-        standing = self.standing()
-        if standing:
-            outcome = self.outcome(standing, judge(standing, self._config))
-            if outcome.sample:
-                return outcome
-        samples = [outcome for outcome in self._outcomes if outcome.sample]
-        if not samples:
-            raise DataError('there is no sample to remove', reason='nothing_to_remove')
-        return max(samples, key=lambda outcome: outcome.number)
 
     def remove(self, outcome: Outcome) -> None:
         """Forget the outcome of a stop; the stop counts as taken."""

@@ -70,7 +70,7 @@ def again(live: LiveSession, **values: object) -> LiveSession:
     assert found
     pool = Inline()
     other = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found),
-                        pool, pool, lambda: None)
+                        pool, lambda: None)
     other.restore(found.session(config), found.config)
     other.update()
     return other

@@ -17,7 +17,6 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import ROOT  # noqa: E402, I100
 from geometry_msgs.msg import TransformStamped  # noqa: E402
 from handeye_ros.node.main import own_arguments  # noqa: E402
-from handeye_ros.node.outputs import RepeatedWarnings  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import (  # noqa: E402
@@ -137,16 +136,6 @@ def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client)
         assert late_state.until(lambda report: True, 'a state is there')['state'] == 'withdrawn'
         client.state()
         assert not late
-
-
-def test_what_lasts_is_said_again_after_a_while() -> None:
-    said: list[str] = []
-    warnings = RepeatedWarnings(said.append)
-    for now in (0.0, 1.0, 5.0, 9.9, 10.0, 12.0):
-        warnings.update([f'no poses for {now:.0f} s'], now)
-    warnings.update([], 13.0)
-    warnings.update(['no poses for 1 s'], 14.0)
-    assert said == ['no poses for 0 s', 'no poses for 10 s', 'no poses for 1 s']
 
 
 # -- the executable

@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 import re
 import threading
+import time
 
 from cells import recorded
 from command import PATIENCE
@@ -18,8 +19,8 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.node import live as lives
-from handeye_ros.node.pool import PoolEndedError
-from handeye_ros.node.state import samples_message, state_of, status_message, taken
+from handeye_ros.node.state import MessageCount, samples_message, state_of, status_message, taken
+from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES, Stops
@@ -274,29 +275,26 @@ def test_a_foreign_frame_for_a_while_disturbs_only_that_while() -> None:
 def test_poses_that_are_silent_while_profiles_come_take_no_sample(
         monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed(set_to(SPHERE.config, sampling__mode='manual'))
-    monkeypatch.setattr(live.arrivals, 'silence',
-                        lambda kind: {'pose': 3.0, 'profile': 0.1}[kind])
+    monkeypatch.setattr(live.messages['pose'], '_received', time.monotonic() - 3.0)
     with pytest.raises(DataError, match='no pose has come for 3.0 s'):
         live.take_sample()
 
 
 def test_malformed_and_lost_messages_are_told_from_one_in_a_hundred_on() -> None:
-    live = fed()
-    live.arrivals.counts['pose'] = 999
-    live.arrivals.add('pose', SPHERE.poses[-1].stamp)
-    live.arrivals.add('profile', SPHERE.poses[-1].stamp)
+    poses = MessageCount('pose')
+    for stamp in range(1000):
+        poses.add(stamp)
     for count in range(1, 7):
-        live.arrivals.add_malformed('pose', 'a reason')
-        assert bool(state_of(live)['poses']['trouble']) == (count >= 3), 'so many in a row'
-    live.arrivals.add('pose', SPHERE.poses[-1].stamp)
-    assert not state_of(live)['poses']['trouble']
+        poses.add_malformed('a reason')
+        assert bool(poses.trouble) == (count >= 3), 'so many in a row'
+    poses.add(1)
+    assert not poses.trouble
     for _ in range(100):
-        live.arrivals.add_malformed('pose', 'a reason')
-        live.arrivals.add('pose', SPHERE.poses[-1].stamp)
-    assert '106 of 1207 poses cannot be used; the last reason: a reason' in (
-        state_of(live)['poses']['trouble'])
-    live.arrivals.lost['profile'] = live.arrivals.counts['profile']
-    assert 'were lost on their way' in state_of(live)['profiles']['trouble']
+        poses.add_malformed('a reason')
+        poses.add(2)
+    assert '106 of 1207 poses cannot be used; the last reason: a reason' in poses.trouble
+    poses.lost = poses.count
+    assert 'were lost on their way' in poses.trouble
 
 
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
@@ -319,18 +317,16 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
 
 
 class Gate(Inline):
-    """Runs things when it is open, and tells that somebody waits for it; ended: it fails."""
+    """Evaluates stops at once, and all else when it is open; tells that somebody waits."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.open, self.asked, self.ended = threading.Event(), threading.Event(), False
+        self.open, self.asked = threading.Event(), threading.Event()
         self.open.set()
 
     def submit(self, function, *args) -> Future:
         self.asked.set()
-        if self.ended:
-            raise PoolEndedError
-        if self.open.is_set():
+        if self.open.is_set() or function is result_of:
             return super().submit(function, *args)
         future = Future()
 
@@ -368,7 +364,7 @@ def asked(work) -> tuple[threading.Thread, list]:
 def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
     live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
                       verify__tolerance=2e-3, verify__angle_tolerance=0.02))
-    live.solver = gate
+    live.pool = gate
     feed(live, items_of(PARTS[0]))
     live.start()
     live.compute_calibration()
@@ -403,17 +399,6 @@ def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
     thread.join(PATIENCE)
     assert 'cleared while the calibration was computed' in str(report[0])
     live.stop()
-
-
-def test_a_stop_is_judged_also_where_the_process_has_ended(gate: Gate) -> None:
-    live = new()
-    live.evaluator, gate.ended = gate, True
-    feed(live, items_of(PARTS[0]))
-    assert taken(state_of(live)) >= 7
-    assert any('the node itself has evaluated the stop' in note for note in live.warnings)
-    expected = fed(recording=replace(SPHERE, profiles=PARTS[0][0], poses=PARTS[0][1]))
-    assert [repr(o.sample) for o in live.copied().outcomes] == [
-        repr(o.sample) for o in expected.copied().outcomes]
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:

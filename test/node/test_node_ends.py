@@ -31,11 +31,13 @@ SLOW = """
 import sys, threading
 from handeye_ros import pipeline
 
-def solve(*args):
+def answer(samples, rejects, config, frame_id='', session=None):
+    if not session:  # a review, which nobody asked for
+        return whole(samples, rejects, config, frame_id)
     print('solving', flush=True)
     threading.Event().wait()
 
-pipeline.calibrate_session = solve
+whole, pipeline.answer = pipeline.answer, answer
 if __name__ == '__main__':
     from handeye_ros.node.main import main
     sys.exit(main())

@@ -22,6 +22,9 @@ PLACES = []  # folders of sessions that name none, until the tests end
 class Inline(Pool):
     """Runs functions in this process."""
 
+    def start(self) -> None:
+        """Do nothing: there is no process."""
+
     def submit(self, function, *args) -> Future:
         future = Future()
         try:
@@ -39,8 +42,7 @@ def new(config: Config = SPHERE.config, pool: Pool | None = None) -> LiveSession
     folders, stored = OutputFolders(), None
     if config.session:
         _, stored = resumed({'output_dir': config.output_dir, 'session': config.session}, folders)
-    pool = pool or Inline()
-    live = LiveSession(config, folders, SessionFiles(folders.folder, stored), pool, pool,
+    live = LiveSession(config, folders, SessionFiles(folders.folder, stored), pool or Inline(),
                        lambda: None)
     if stored:
         live.restore(stored.session(config), stored.config)
