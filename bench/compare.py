@@ -51,9 +51,9 @@ def run(target: str, seeds: range) -> tuple[dict[str, np.ndarray], dict[str, np.
     errors, others = defaultdict(list), defaultdict(list)
     for seed in seeds:
         for name, row in trial(target, seed).items():
-            e = row.errors
-            errors[name].append((1e3 * e.translation, math.degrees(e.rotation),
-                                 1e3 * e.mapped_points) if e else NOTHING)
+            errors[name].append(NOTHING if row.error_translation is None else (
+                1e3 * row.error_translation, math.degrees(row.error_rotation),
+                1e3 * row.error_mapped_points))
             others[name].append((1e3 * (row.residual_rms or math.nan), row.seconds))
     return ({name: np.array(values) for name, values in errors.items()},
             {name: np.array(values) for name, values in others.items()})

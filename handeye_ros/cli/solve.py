@@ -150,8 +150,7 @@ def compare(
         with doing('comparing') as update:
             comparison = comparing.compare(session.samples, session.rejects, settings, T_true,
                                            progress=update)
-    if comparison.answered:
-        show(comparing.tables(comparison))
+    show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal
     if out:

@@ -10,7 +10,9 @@ What is wrong in print, and what is done here:
 
 - eq. 7 sums the products v_p . v_q without squaring them. Over ordered pairs that sum is zero
   for every x, so it is no objective; the squares are summed here.
-- N points give N (N - 1) / 2 vectors, not N!; the sum over them needs none (`scatter_sum`).
+- N points give N (N - 1) / 2 vectors, not N!; the sum over them needs none. With S = sum
+  (x - mean)(x - mean)', the sum of v v' over unordered pairs is N S, so the sum of squares over n
+  and m points is n m trace(S_p S_q). Over ordered pairs, as eq. 7 runs, it is four times that.
 - eq. 4 leaves out r1 . r3 = 0, and the matrix printed in Table 2 is no rotation; `orthogonal`
   adds the missing constraint.
 - the start of the interior-point method is not said; see `STARTS`.
@@ -59,20 +61,6 @@ class Result:
     T_flange_sensor: Array
     cost: float
     costs: Array
-
-
-def scatter_sum(p: Array, q: Array) -> float:
-    """
-    Return the sum over all unordered pairs of pairs of (v_p . v_q)^2, in O(N).
-
-    p: (n, 3), q: (m, 3), metres, of the two edges in one frame.
-
-    With S = sum (x - mean)(x - mean)', the sum of v v' over unordered pairs is N S, so the sum
-    of squares is n m trace(S_p S_q). Over ordered pairs, as eq. 7 runs, it is four times that.
-    """
-    n, m = len(p), len(q)
-    p, q = p - np.add.reduce(p) / n, q - np.add.reduce(q) / m
-    return float(n * m * np.vdot(p.T.dot(p), q.T.dot(q)))
 
 
 def edge_rows(T_base_flange: Array, points: Array) -> Array:
@@ -151,8 +139,8 @@ def solve_rigid(T_base_flange: Array, points: Array, edges: Array,
     rows, pairs = _prepare(T_base_flange, points, edges)
     found = []
     for R in starts:
-        fit = least_squares(_products, np.zeros(6), jac=_products_jacobian, args=(rows, R),
-                            method='lm', xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=400)
+        fit = least_squares(_products, np.zeros(6), args=(rows, R), method='lm', xtol=1e-15,
+                            ftol=1e-15, gtol=1e-15, max_nfev=4000)
         found.append(_parameters(fit.x, R))
     return _best(rows, pairs, np.array(found))
 
@@ -195,27 +183,6 @@ def _products(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
     """Return the products of all centred points of both edges, flat."""
     p, q = (M @ np.append(_parameters(delta, R), 1.0) for M in rows)
     return cast(Array, (p @ q.T).ravel())
-
-
-def _products_jacobian(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
-    """Return the Jacobian (products, 6) of `_products`."""
-    u = _parameters(delta, R)
-    p, q = (M @ np.append(u, 1.0) for M in rows)
-    J = np.einsum('iak,ja->ijk', rows[0][:, :, :9], q, optimize=True)
-    J += np.einsum('ia,jak->ijk', p, rows[1][:, :, :9], optimize=True)
-    turn = np.zeros((9, 6))
-    left = _left_jacobian(delta[:3])
-    turn[:3, :3], turn[3:6, :3] = -se3.skew(u[:3]) @ left, -se3.skew(u[3:6]) @ left
-    turn[6:, 3:] = np.eye(3)
-    return cast(Array, J.reshape(-1, 9) @ turn)
-
-
-def _left_jacobian(r: Array) -> Array:
-    """Return J (3, 3) with Exp(r + dr) = Exp(J dr) Exp(r)."""
-    angle = max(float(np.linalg.norm(r)), 1e-9)
-    K = se3.skew(r / angle)
-    second = np.sin(angle / 2.0) ** 2 * 2.0 / angle
-    return cast(Array, np.eye(3) + second * K + (1.0 - np.sin(angle) / angle) * K @ K)
 
 
 def _best(rows: tuple[Array, Array], pairs: int, found: Array) -> Result:

@@ -3,8 +3,8 @@
 """Puts the same samples through every estimator of a target, and shows them side by side."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 import math
 import time
 from typing import Any
@@ -18,13 +18,12 @@ from handeye_ros.published.estimators import (
     Estimator,
     ESTIMATORS,
     Given,
-    Known,
     Measurements,
+    Plane,
     Stations,
 )
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.results.truth_file import Errors, errors_against, FIELD, field_points
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.results.truth_file import errors_against, FIELD, field_points
 from handeye_ros.tabulated.method import (
     FileMethod,
     Input,
@@ -40,6 +39,13 @@ from rich.text import Text
 
 FOLDS = 10
 FORMAT = 'handeye_ros/comparison/1'
+FIGURES = {  # of a row: the head of its column, in which unit, with how many digits
+    'residual_rms': ('residual\nmm', 1e3, 4),
+    'holdout_rms': ('held out\nmm', 1e3, 4),
+    'error_translation': ('error\nmm', 1e3, 4),
+    'error_rotation': ('\ndegrees', math.degrees(1), 4),
+    'error_mapped_points': ('mapped\nmm', 1e3, 4),
+    'seconds': ('time\ns', 1.0, 3)}
 
 Progress = Callable[[str], None]
 
@@ -47,12 +53,12 @@ Progress = Callable[[str], None]
 @dataclass(frozen=True, eq=False)
 class Row:
     """
-    Result of one estimator.
+    Result of one estimator, in SI units.
 
     T_flange_sensor: (4, 4), None if the estimator failed; failure: the reason. residual_rms: RMS
     residual of the target's own method with this transform, the target fitted to it; holdout_rms:
-    the same for stations left out of the estimate (metres; None: unknown). errors: against the
-    true transform, None if unknown. seconds: duration of one fit.
+    the same for stations left out of the estimate. error_...: against the true transform.
+    seconds: duration of one fit. None: unknown.
     """
 
     name: str
@@ -61,7 +67,9 @@ class Row:
     failure: str = ''
     residual_rms: float | None = None
     holdout_rms: float | None = None
-    errors: Errors | None = None
+    error_translation: float | None = None
+    error_rotation: float | None = None
+    error_mapped_points: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +78,14 @@ class Comparison:
     The rows, the target's own method first.
 
     used, rejected: number of stations given to every estimator, and of the others. refusal: why
-    the target's own method has no answer, or None. over: region of the errors, in words.
+    the answer of the target's own method is none, or None. over: region of the errors, in words.
     """
 
     rows: tuple[Row, ...]
     used: int
     rejected: int
     refusal: DataError | None
-    over: str = FIELD
-
-    @property
-    def answered(self) -> bool:
-        """Return whether any estimator has an answer."""
-        return any(row.T_flange_sensor is not None for row in self.rows)
+    over: str
 
 
 def own_method(config: Config) -> Config:
@@ -100,28 +103,22 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     rejects: stations that gave no sample; T_true: T_flange_sensor (4, 4), where it is known;
     folds: how many parts of the stations are left out in turn, 0 for none; progress: receives
     what is being done. All estimators are given the stations that the target's own method
-    believes. Raises BadValueError for a target or method that does not exist.
+    believes. Raises DataError where it believes none, BadValueError for a target or method that
+    does not exist.
     """
     config = own_method(config)
-    ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     progress(config.target.type)
-    start, X, refusal = time.perf_counter(), None, None
-    stations = Stations(tuple(ordered), config)
-    try:
-        answer = pipeline.answer(ordered, rejects, config)
-        solution = answer.consensus()
-        # the others know no motion
-        used = [replace(answer.samples[i], motion=None) for i in solution.used]
-        stations = Stations(tuple(used), config,
-                            Known(solution.problem, solution.estimate, solution.noise))
-        answer.required()
-        X = solution.estimate.X
-    except DataError as error:
-        refusal = error
+    start = time.perf_counter()
+    answer = pipeline.answer(samples, rejects, config)
+    solution = answer.consensus()
     seconds = time.perf_counter() - start
-    judge = _Judge(stations, T_true, folds, progress, sensor_axes(config), field_points())
-    return Comparison(tuple(judge.rows(X, refusal, seconds)), len(stations),
-                      len(samples) + len(rejects) - len(stations), refusal)
+    # the others know no motion
+    used = tuple(replace(answer.samples[i], motion=None) for i in solution.used)
+    plane = Plane(sensor_axes(config), field_points(), FIELD)
+    given = Stations(used, config, solution.problem, solution.estimate, solution.noise, plane)
+    rejected = len(answer.samples) + len(rejects) - len(used)
+    return _compared(given, solution.estimate.X, answer.refusal, seconds, rejected, T_true, folds,
+                     progress)
 
 
 def compare_files(method: FileMethod, given: Input, config: Config,
@@ -129,82 +126,60 @@ def compare_files(method: FileMethod, given: Input, config: Config,
                   progress: Progress = lambda doing: None) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
     progress(method.name)
-    start, X, refusal = time.perf_counter(), None, None
-    measured = Measurements(method, given.values, config)
-    total = len(measured)
+    start, refusal = time.perf_counter(), None
+    answer = solve(method, given.values, config)
     try:
-        answer = solve(method, given.values, config)
-        measured = replace(measured, values=answer.agreed)
         require_trusted(method, answer, config)
-        X = answer.X
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start
-    judge = _Judge(measured, T_true, folds, progress, plane_axes(method, config),
-                   measured.values.field())
-    return Comparison(tuple(judge.rows(X, refusal, seconds)), len(measured),
-                      total - len(measured), refusal, method.over)
+    plane = Plane(plane_axes(method, config), answer.agreed.field(), method.over)
+    agreed = Measurements(method, answer.agreed, config, plane)
+    rejected = len(given.values.samples) - len(agreed)
+    return _compared(agreed, answer.X, refusal, seconds, rejected, T_true, folds, progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Judge:
-    """
-    What all estimators are given, and compared with: see `compare`.
+def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float, rejected: int,
+              T_true: Array | None, folds: int, progress: Progress) -> Comparison:
+    """Return the row of the target's own method, whose answer is X, and those of the others."""
+    own, *others = ESTIMATORS[given.config.target.type]
+    rows = [Row(own.name, seconds, failure=str(refusal or ''))]
+    if not refusal:
+        rows[0] = _judged(rows[0], own, X, given, T_true, folds, progress)
+    for estimator in others:
+        progress(estimator.name)
+        start = time.perf_counter()
+        try:
+            X = estimator.fit(given)
+        except (DataError, np.linalg.LinAlgError) as error:
+            rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
+            continue
+        row = Row(estimator.name, time.perf_counter() - start)
+        rows.append(_judged(row, estimator, X, given, T_true, folds, progress))
+    return Comparison(tuple(rows), len(given), rejected, refusal, given.plane.over)
 
-    T_sensor_plane: (4, 4), the sensor plane to which X refers; field: points (k, 3) in it over
-    which errors are reported.
-    """
 
-    given: Given
-    T_true: Array | None
-    folds: int
-    progress: Progress
-    T_sensor_plane: Array
-    field: Array
-
-    def rows(self, X: Array | None, refusal: DataError | None, seconds: float) -> Iterator[Row]:
-        """Yield the row of the target's own method, whose answer is X, and of the others."""
-        own, *others = ESTIMATORS[self.given.config.target.type]
-        first = Row(own.name, seconds, failure=str(refusal or ''))
-        yield first if X is None else self.judged(first, own, X)
-        for estimator in others:
-            self.progress(estimator.name)
-            start, X, failure = time.perf_counter(), None, ''
-            try:
-                X = estimator.fit(self.given)
-            except (DataError, np.linalg.LinAlgError) as error:
-                failure = str(error)
-            row = Row(estimator.name, time.perf_counter() - start, failure=failure)
-            yield row if X is None else self.judged(row, estimator, X)
-
-    def judged(self, row: Row, estimator: Estimator, X: Array) -> Row:
-        """Return a row with a transform X (4, 4) of the sensor plane, its errors and residuals."""
-        row = replace(row, T_flange_sensor=X @ se3.inverse(self.T_sensor_plane))
-        if self.T_true is not None:
-            T_true = self.T_true @ self.T_sensor_plane
-            row = replace(row, errors=errors_against(X, T_true, self.field))
-        every = np.arange(len(self.given))
-        residuals = self.given.residuals(X, every, every)
-        if residuals is None:
+def _judged(row: Row, estimator: Estimator, X: Array, given: Given, T_true: Array | None,
+            folds: int, progress: Progress) -> Row:
+    """Return a row with a transform X (4, 4) of the sensor plane, its errors and residuals."""
+    row = replace(row, T_flange_sensor=X @ se3.inverse(given.plane.T_sensor_plane))
+    if T_true is not None:
+        errors = errors_against(X, T_true @ given.plane.T_sensor_plane, given.plane.points)
+        row = replace(row, **{f'error_{name}': value for name, value in asdict(errors).items()})
+    every = np.arange(len(given))
+    row = replace(row, residual_rms=_root_mean_square(given.residuals(X, every, every)))
+    if not folds or not estimator.refit:
+        return row
+    residuals = []
+    for part in range(min(folds, len(every))):
+        progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
+        out = every % folds == part
+        try:
+            X = estimator.fit(given.subset(every[~out]))
+        except (DataError, np.linalg.LinAlgError):
             return row
-        row = replace(row, residual_rms=_root_mean_square(residuals))
-        if not self.folds or not estimator.refit:
-            return row
-        return replace(row, holdout_rms=self.left_out(estimator))
-
-    def left_out(self, estimator: Estimator) -> float | None:
-        """Return the cross-validated RMS residual over the parts of the samples."""
-        residuals, index = [], np.arange(len(self.given))
-        for part in range(min(self.folds, len(index))):
-            self.progress(f'{estimator.name}: left out, part {part + 1} of {self.folds}')
-            mine = index % self.folds == part
-            try:
-                X = estimator.fit(self.given.subset(index[~mine]))
-                found = self.given.residuals(X, index[~mine], index[mine])
-            except (DataError, np.linalg.LinAlgError):
-                return None
-            residuals += [] if found is None else [found]
-        return _root_mean_square(np.concatenate(residuals))
+        residuals.append(given.residuals(X, every[~out], every[out]))
+    return replace(row, holdout_rms=_root_mean_square(np.concatenate(residuals)))
 
 
 def _root_mean_square(values: Array) -> float:
@@ -213,31 +188,30 @@ def _root_mean_square(values: Array) -> float:
 
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
-    with_errors = any(row.errors for row in comparison.rows)
-    lost = f', {comparison.rejected} rejected' if comparison.rejected else ''
-    title = (f'{comparison.used} samples{lost}. The published estimators are given what '
-             f'{comparison.rows[0].name} finds: which samples agree, and the labels, sides or '
-             'start that they need.')
+    rows = comparison.rows
     transforms, figures = (Table(box=box.SIMPLE_HEAD, pad_edge=False) for _ in range(2))
-    transforms.add_column('estimator')
-    transforms.add_column('x, y, z (mm)\nroll, pitch, yaw (degrees)')
+    for column in ('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)'):
+        transforms.add_column(column)
+    with_errors = any(row.error_mapped_points for row in rows)
+    shown = {name: column for name, column in FIGURES.items()
+             if with_errors or not name.startswith('error')}
     figures.add_column('estimator')
-    errors = ('error\nmm', '\ndegrees', 'mapped\nmm') if with_errors else ()
-    for name in ('residual\nmm', 'held out\nmm', *errors, 'time\ns'):
-        figures.add_column(name, justify='right', no_wrap=True)
-    for row in comparison.rows:
-        T, e = row.T_flange_sensor, row.errors
+    for head, _, _ in shown.values():
+        figures.add_column(head, justify='right', no_wrap=True)
+    for row in rows:
+        T, texts = row.T_flange_sensor, []
         transforms.add_row(row.name, Text(
             f'failed: {row.failure}' if T is None else
             ' '.join(f'{v * 1e3:9.3f}' for v in T[:3, 3]) + '\n'
             + ' '.join(f'{math.degrees(a):9.4f}' for a in se3.rpy(T))))
-        lengths = [row.residual_rms, row.holdout_rms]
-        texts = ['-' if v is None else f'{v * 1e3:.4f}' for v in lengths]
-        if with_errors:
-            texts += ['-'] * 3 if e is None else [
-                f'{e.translation * 1e3:.4f}', f'{math.degrees(e.rotation):.4f}',
-                f'{e.mapped_points * 1e3:.4f}']
-        figures.add_row(row.name, *texts, f'{row.seconds:.3f}')
+        for name, (_, unit, digits) in shown.items():
+            value = getattr(row, name)
+            texts.append('-' if value is None else f'{value * unit:.{digits}f}')
+        figures.add_row(row.name, *texts)
+    lost = f', {comparison.rejected} rejected' if comparison.rejected else ''
+    title = (f'{comparison.used} samples{lost}. The published estimators are given what '
+             f'{rows[0].name} finds: which samples agree, and the labels, sides or start that '
+             'they need.')
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
               'fitted to it; held out: of samples the estimator was not given')
     if with_errors:
@@ -252,12 +226,9 @@ def values(comparison: Comparison) -> dict[str, Any]:
         if row.T_flange_sensor is None:
             rows.append({'name': row.name, 'failure': row.failure})
             continue
-        e = row.errors
-        rows.append({
-            'name': row.name, 'transform': transform_values(row.T_flange_sensor),
-            'residual_rms': row.residual_rms, 'holdout_rms': row.holdout_rms,
-            **({'error_translation': e.translation, 'error_rotation': e.rotation,
-                'error_mapped_points': e.mapped_points} if e else {}),
-            'seconds': row.seconds})
+        figures = {name: getattr(row, name) for name in FIGURES}
+        rows.append({'name': row.name, 'transform': transform_values(row.T_flange_sensor),
+                     **{name: value for name, value in figures.items()
+                        if value is not None or not name.startswith('error')}})
     return {'format': FORMAT, 'samples_used': comparison.used,
             'samples_rejected': comparison.rejected, 'estimators': rows}

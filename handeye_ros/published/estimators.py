@@ -34,50 +34,49 @@ ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """Solution of the target's own method: labelled stations, estimate and noise."""
+class Plane:
+    """
+    The sensor plane T_sensor_plane (4, 4), to which estimates refer.
 
-    problem: Problem
-    estimate: Estimate
-    noise: Noise
+    points: (k, 3) in it over which errors are reported; over: these in words.
+    """
+
+    T_sensor_plane: Array
+    points: Array
+    over: str
 
 
 @dataclass(frozen=True, eq=False)
 class Stations:
     """
-    The stations for all estimators.
+    The stations for all estimators, with the solution of the target's own method.
 
-    samples: in the order of their stamps; known: the solution for the same stations, in the same
-    order, None where the target's own method has no answer.
+    samples: in the order of their stamps; problem: of the same stations, labelled.
     """
 
     samples: tuple[Sample, ...]
     config: Config
-    known: Known | None = None
+    problem: Problem
+    estimate: Estimate
+    noise: Noise
+    plane: Plane
 
     def __len__(self) -> int:
         """Return the number of stations."""
         return len(self.samples)
 
-    def subset(self, samples: NDArray[np.intp]) -> Stations:
+    def subset(self, stations: NDArray[np.intp]) -> Stations:
         """Return some of the stations (ascending indices)."""
-        known = self.known and replace(self.known, problem=self.known.problem.subset(samples))
-        return replace(self, samples=tuple(self.samples[i] for i in samples), known=known)
+        return replace(self, samples=tuple(self.samples[i] for i in stations),
+                       problem=self.problem.subset(stations))
 
-    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
-                  ) -> Array | None:
-        """
-        Return the distances (m) of `measured` stations from the target fitted to `fitted` ones.
-
-        X (4, 4) is kept. None where the target's own method has no answer.
-        """
-        if (known := self.known) is None:
-            return None
-        part = known.problem.subset(fitted)
+    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
+        """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
+        part = self.problem.subset(fitted)
         given = _GivenTransform(part.method, part.poses, part.observations, part.config)
-        estimate = fit_target(given, Estimate(X, known.estimate.target), known.noise)
-        points = measured_points(self.samples, known.problem)
-        return points.select(np.isin(points.station, measured)).residuals(known.problem, estimate)
+        estimate = fit_target(given, Estimate(X, self.estimate.target), self.noise)
+        points = measured_points(self.samples, self.problem)
+        return points.select(np.isin(points.station, measured)).residuals(self.problem, estimate)
 
 
 class _GivenTransform(Problem):
@@ -90,11 +89,12 @@ class _GivenTransform(Problem):
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Values read from files, without those that the target's own method drops."""
+    """Values read from files, without those that the target's own method drops; see Stations."""
 
     method: FileMethod
     values: Any
     config: Config
+    plane: Plane
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -104,9 +104,8 @@ class Measurements:
         """Return some of the samples (ascending indices)."""
         return replace(self, values=self.values.subset(samples))
 
-    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]
-                  ) -> Array | None:
-        """Return distances (m) of `measured` samples for X, the target fitted to `fitted` ones."""
+    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
+        """Return distances (m) of `measured` samples for X, the target fitted to `fitted`."""
         return np.asarray(self.values.residuals(X, fitted, measured))
 
 
@@ -127,13 +126,6 @@ class Estimator:
     refit: bool = True
 
 
-def _known(stations: Stations, name: str) -> Known:
-    if stations.known is None:
-        raise SingularError(name, f'it needs what the method {stations.config.target.type} finds '
-                            'first, which has no answer')
-    return stations.known
-
-
 def _by_method(name: str) -> Callable[[Stations], Array]:
     """Return the fit by one of the own methods."""
     def fit(stations: Stations) -> Array:
@@ -146,11 +138,9 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
 
 def _line_on_one_edge(stations: Stations) -> Array:
     """Return the fit of the line to the plate's edge with more points."""
-    known = _known(stations, 'the line on one edge')
-    kind = known.problem.observations.kind
+    kind = stations.problem.observations.kind
     edge = max((plate.P, plate.Q), key=lambda k: int((kind == k).sum()))
-    points = known.problem.observations.select(kind == edge)
-    samples = []
+    points, samples = stations.problem.observations.select(kind == edge), []
     for i, sample in enumerate(stations.samples):
         mine = points.points[points.station == i]
         edges = tuple(f for f in sample.features if isinstance(f, EdgePoint)
@@ -159,44 +149,35 @@ def _line_on_one_edge(stations: Stations) -> Array:
     return _by_method('line')(replace(stations, samples=tuple(samples)))
 
 
-def _chen(solve: Callable[[Array, Array, Array], chen2023.Result]
-          ) -> Callable[[Stations], Array]:
-    def fit(stations: Stations) -> Array:
-        problem = _known(stations, 'Chen 2023').problem
-        obs = problem.observations
-        obs = obs.select((obs.kind == plate.P) | (obs.kind == plate.Q))
-        labels = np.array(plate.KINDS)[obs.kind]
-        return solve(problem.poses[obs.station], obs.points, labels).T_flange_sensor
-    return fit
+def _edges(stations: Stations) -> tuple[Array, Array, Array]:
+    """Return poses (n, 4, 4), points (n, 2) and edges (n,) of the points of a plate's edges."""
+    obs = stations.problem.observations
+    obs = obs.select((obs.kind == plate.P) | (obs.kind == plate.Q))
+    return stations.problem.poses[obs.station], obs.points, np.array(plate.KINDS)[obs.kind]
 
 
-def _fixed_point(solve: Callable[[Array, Array], fixed_point.Result]
-                 ) -> Callable[[Stations], Array]:
-    def fit(stations: Stations) -> Array:
-        radius = stations.config.target.radius
-        if radius <= 0:
-            raise SingularError('the fixed point', 'it needs the radius of the sphere; set '
-                                'target.radius')
-        known = _known(stations, 'the fixed point')
-        arcs = [(i, f) for i, sample in enumerate(stations.samples) for f in sample.features
-                if isinstance(f, Arc)]
-        poses = known.problem.poses[[i for i, _ in arcs]]
-        T_plane_base = se3.inverse(poses @ known.estimate.X)
-        centre = se3.apply(T_plane_base, known.estimate.target[None, :3])[:, 0]
-        centres = fixed_point.ball_centres(
-            np.array([arc.centre for _, arc in arcs]), np.array([arc.radius for _, arc in arcs]),
-            radius, np.where(centre[:, 1] < 0, -1.0, 1.0))
-        return solve(poses, centres).T_flange_sensor
-    return fit
+def _ball(stations: Stations) -> tuple[Array, Array]:
+    """Return poses (n, 4, 4), and the centres (n, 3) of the ball as the sensor sees it."""
+    radius = stations.config.target.radius
+    if radius <= 0:
+        raise SingularError('the fixed point', 'it needs the radius of the sphere; set '
+                            'target.radius')
+    arcs = [(i, f) for i, sample in enumerate(stations.samples) for f in sample.features
+            if isinstance(f, Arc)]
+    poses = stations.problem.poses[[i for i, _ in arcs]]
+    T_plane_base = se3.inverse(poses @ stations.estimate.X)
+    centre = se3.apply(T_plane_base, stations.estimate.target[None, :3])[:, 0]
+    return poses, fixed_point.ball_centres(
+        np.array([arc.centre for _, arc in arcs]), np.array([arc.radius for _, arc in arcs]),
+        radius, np.where(centre[:, 1] < 0, -1.0, 1.0))
 
 
 def _zheng(stations: Stations) -> Array:
-    known = _known(stations, 'Zheng 2018')
-    obs = known.problem.observations
+    obs = stations.problem.observations
     edge = obs.kind == line.EDGE_Y  # each point is there twice, for y and for z
     to_plane = zheng2018.T_plane_x_plane_y
-    start = se3.perturb(known.estimate.X, ZHENG_START_OFF) @ se3.inverse(to_plane)
-    found = zheng2018.solve(known.problem.poses[obs.station[edge]], obs.points[edge], start)
+    start = se3.perturb(stations.estimate.X, ZHENG_START_OFF) @ se3.inverse(to_plane)
+    found = zheng2018.solve(stations.problem.poses[obs.station[edge]], obs.points[edge], start)
     return np.asarray(found.T_flange_sensor @ to_plane)
 
 
@@ -212,8 +193,8 @@ def _park(given: Measurements) -> Array:
 
 
 def _cn105021139a(given: Measurements) -> Array:
-    return np.asarray(cn105021139a.solve_motions(*cn105021139a.motions(
-        given.values.T, given.values.T_camera_target)))
+    return cn105021139a.solve_motions(*cn105021139a.motions(
+        given.values.T, given.values.T_camera_target))
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
@@ -221,13 +202,17 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('plate', _by_method('plate')),
         Estimator('plane, the face lines alone', _by_method('plane')),
         Estimator('line, one edge alone', _line_on_one_edge),
-        Estimator('Chen 2023, nine parameters', _chen(chen2023.solve_nine)),
-        Estimator('Chen 2023, on SE(3)', _chen(chen2023.solve_rigid)),
+        Estimator('Chen 2023, nine parameters',
+                  lambda given: chen2023.solve_nine(*_edges(given)).T_flange_sensor),
+        Estimator('Chen 2023, on SE(3)',
+                  lambda given: chen2023.solve_rigid(*_edges(given)).T_flange_sensor),
     ),
     'sphere': (
         Estimator('sphere', _by_method('sphere')),
-        Estimator('fixed point, linear', _fixed_point(fixed_point.solve_linear)),
-        Estimator('fixed point, least squares', _fixed_point(fixed_point.solve_least_squares)),
+        Estimator('fixed point, linear',
+                  lambda given: fixed_point.solve_linear(*_ball(given)).T_flange_sensor),
+        Estimator('fixed point, least squares',
+                  lambda given: fixed_point.solve_least_squares(*_ball(given)).T_flange_sensor),
     ),
     'line': (
         Estimator('line', _by_method('line')),

@@ -158,15 +158,20 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
     mean = points.mean(axis=0)
     basis = np.linalg.svd(points - mean)[2]
     flat = (points - mean) @ basis[:2].T
-    design = np.column_stack([2.0 * flat, np.ones(len(flat))])
-    first = np.linalg.lstsq(design, np.sum(flat ** 2, axis=1), rcond=None)[0]
-    first[2] = np.sqrt(first[2] + first[:2] @ first[:2])
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
-    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], first,
+    fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], _round(flat),
                         xtol=1e-15, ftol=1e-15, gtol=1e-15)
     spokes = flat - fit.x[:2]
     turn = np.sum(spokes[:-1, 0] * spokes[1:, 1] - spokes[:-1, 1] * spokes[1:, 0])
     return mean + fit.x[:2] @ basis[:2], np.sign(turn) * np.cross(basis[0], basis[1])
+
+
+def _round(points: Array) -> Array:
+    """Return the centre and radius (d + 1,) of a circle or sphere through points (n, d)."""
+    design = np.column_stack([2.0 * points, np.ones(len(points))])
+    found = np.linalg.lstsq(design, np.sum(points ** 2, axis=1), rcond=None)[0]
+    found[-1] = np.sqrt(max(found[-1] + found[:-1] @ found[:-1], 1e-12))
+    return np.asarray(found)
 
 
 def swept(points: Array, q30: float, direction: Array) -> Array:
@@ -194,28 +199,20 @@ def fit_swept_ball(points: Array, q30: float,
         cloud = swept(points, q30, at(unknown))
         return np.asarray(np.linalg.norm(cloud - unknown[2:5], axis=1) - unknown[5])
 
-    cloud = swept(points, q30, direction)
-    design = np.column_stack([2.0 * cloud, np.ones(len(cloud))])
-    sphere = np.linalg.lstsq(design, np.sum(cloud ** 2, axis=1), rcond=None)[0]
-    sphere[3] = np.sqrt(max(sphere[3] + sphere[:3] @ sphere[:3], 1e-12))
+    start = np.append(np.zeros(2), _round(swept(points, q30, direction)))
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
-    fit = least_squares(residuals, np.concatenate([np.zeros(2), sphere]), x_scale='jac',
-                        xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    fit = least_squares(residuals, start, x_scale='jac', xtol=1e-15, ftol=1e-15, gtol=1e-15)
     return at(fit.x), fit.x[2:5], float(fit.x[5])
-
-
-def axis_angle_shift(T: Array) -> tuple[Array, float, Array]:
-    """Return the axis v (3,), angle theta (radians) and translation p (3,) of eqs. 13 to 15."""
-    u = np.array([T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]])
-    angle = np.arccos(np.clip((np.trace(T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
-    return u / np.linalg.norm(u), float(angle), T[:3, 3]
 
 
 def errors(T: Array, T_reference: Array) -> tuple[float, float, float]:
     """
-    Return e_v, e_theta (radians) and e_p (metres) of T against a reference, both (4, 4).
+    Return e_v, e_theta (radians) and e_p (metres) of eqs. 13 to 15 against a reference, (4, 4).
 
     The paper's reference is the mean of its own three trials.
     """
-    (v, angle, p), (v_0, angle_0, p_0) = axis_angle_shift(T), axis_angle_shift(T_reference)
-    return (float(np.linalg.norm(v - v_0)), abs(angle - angle_0), float(np.linalg.norm(p - p_0)))
+    turns = [se3.log_rotation(each[:3, :3]) for each in (T, T_reference)]
+    angles = np.linalg.norm(turns, axis=1)
+    v, v_reference = turns / angles[:, None]
+    return (float(np.linalg.norm(v - v_reference)), abs(float(angles[0] - angles[1])),
+            float(np.linalg.norm(T[:3, 3] - T_reference[:3, 3])))

@@ -13,7 +13,8 @@ What is wrong in print, and what is done here:
   not their squares.
 - T is no rigid transform when there is noise; `T_camera_base` is the nearest one beside it.
 - four points in one plane have no inverse (eq. 3); such quadruples are left out.
-- eq. 11 says a0 twice; the second is a1. The plane z = a0 x + a1 y + a2 cannot stand upright.
+- eq. 11 says a0 twice; the second is a1. Its plane z = a0 x + a1 y + a2 (eqs. 10 to 14), whose
+  normal is o, cannot stand upright; `handeye seam` takes o from the faces of the seam.
 - n and o are measured apart and not square to each other, so eq. 16 is no rotation, and the
   third column printed in eq. 19 is not n x o (eq. 15).
 """
@@ -104,14 +105,6 @@ def advance(coefficients: Array, t: float | Array) -> Array:
     one = np.ones_like(t)
     tangent = np.stack([3.0 * t ** 2, 2.0 * t, one, 0.0 * one], axis=-1) @ coefficients.T
     return np.asarray(tangent / np.linalg.norm(tangent, axis=-1, keepdims=True))
-
-
-def approach(neighbours: Array) -> Array:
-    """Return the unit normal o (3,) of the plane through points (k, 3) (eqs. 10 to 14)."""
-    design = np.column_stack([neighbours[:, :2], np.ones(len(neighbours))])
-    a0, a1, _ = np.linalg.lstsq(design, neighbours[:, 2], rcond=None)[0]
-    normal = np.array([a0, a1, -1.0])
-    return np.asarray(normal / np.linalg.norm(normal))
 
 
 def tool_frame(n: Array, o: Array, point: Array) -> Array:

@@ -19,15 +19,8 @@ What is lost or wrong in print, and what is done here:
   0.5 Max (f0 - f2)^2 and f2 < f0 are used.
 - the start is not said. It is the mounting's nominal transform, and the line fitted to the
   points it gives; 20 mm and 10 degrees off still converge.
-- the profile filter (section 1.3): a median filter, the slope from differences widened to +-4
-  neighbours, and the extremum of the second derivative, likewise widened, as the feature point.
-  Its formulas are lost, the text names the neighbours i +- 1 to i +- 4; used are the differences
-  summed over them, both exact on parabolas:
-
-    slope_i = sum (z_{i+j} - z_{i-j}) / 20,    second_i = sum (z_{i+j} + z_{i-j} - 2 z_i) / 30.
-
-- the paper picks among the extrema by how the plate lies to the sensor. The plate is the nearer
-  side, so its last point is where the range turns up most: the maximum.
+- the sensor's calibration and the profile filter (sections 1.2, 1.3, whose formulas are lost) are
+  not here: points come from the package's own features.
 """
 from __future__ import annotations
 
@@ -38,7 +31,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.optimize import golden
 
 MINIMUM = 5
 """Fewest points: two equations each for ten unknowns (four of them the line's)."""
@@ -59,7 +52,6 @@ T_plane_x_plane_y = se3.transform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [
                                   np.zeros(3))
 """From the right: turns the answer into that of a sensor with x along the line and y = 0."""
 
-_GOLDEN = (5.0 ** 0.5 - 1.0) / 2.0
 _CONSTRAINTS = ((0, 0, 1.0), (3, 3, 1.0), (0, 3, 0.0), (12, 12, 1.0))
 
 
@@ -194,118 +186,8 @@ def quartic(coefficients: Sequence[float], s: float) -> float:
 
 def line_search(line: Sequence[float], step: float = 0.05) -> float:
     """Return the minimum of a quartic near 0: advance and retreat, then the 0.618 method."""
-    low, high = _bracket(line, step)
-    tolerance = 1e-9 * (high - low)
-    s1, s2 = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    f1, f2 = quartic(line, s1), quartic(line, s2)
-    while high - low > tolerance:
-        if f1 < f2:
-            high, s2, f2 = s2, s1, f1
-            s1 = high - _GOLDEN * (high - low)
-            f1 = quartic(line, s1)
-        else:
-            low, s1, f1 = s1, s2, f2
-            s2 = low + _GOLDEN * (high - low)
-            f2 = quartic(line, s2)
-    s = 0.5 * (low + high)
+    try:
+        s = float(golden(lambda s: quartic(line, s), brack=(0.0, step), maxiter=45))
+    except RuntimeError:  # it falls to neither side
+        return 0.0
     return s if quartic(line, s) < line[0] else 0.0
-
-
-def _bracket(line: Sequence[float], step: float) -> tuple[float, float]:
-    """Return an interval that holds a minimum: try both sides, then double the step."""
-    if quartic(line, step) >= line[0]:
-        step = -step
-        if quartic(line, step) >= line[0]:
-            return step, -step
-    behind = 0.0
-    for _ in range(40):
-        if quartic(line, 2 * step) >= quartic(line, step):
-            break
-        behind, step = step, 2 * step
-    return min(behind, 2 * step), max(behind, 2 * step)
-
-
-# The sensor and its profile filter.
-
-NEIGHBOURS = 4
-FEWEST = 2 * NEIGHBOURS + 1
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """
-    The sensor's parameters, metres.
-
-    L: lens to light plane; H: from the foot of L to the origin; f: focal length (lens to image
-    plane); pitch: of the pixels, along x_i and y_i; centre: the pixel on the optical axis.
-    """
-
-    L: float
-    H: float
-    f: float
-    pitch: tuple[float, float] = (1.0, 1.0)
-    centre: tuple[float, float] = (0.0, 0.0)
-
-    @classmethod
-    def from_tilt(cls, theta: float, distance: float, f: float,
-                  pitch: tuple[float, float] = (1.0, 1.0),
-                  centre: tuple[float, float] = (0.0, 0.0)) -> Sensor:
-        """Return a sensor from its tilt (radians) and the distance from lens to origin."""
-        return cls(distance * np.sin(theta), distance * np.cos(theta), f, pitch, centre)
-
-    @property
-    def theta(self) -> float:
-        """The angle (radians) between the optical axis and the light plane."""
-        return float(np.arctan2(self.L, self.H))
-
-    @property
-    def T_camera_sensor(self) -> Array:
-        """The (4, 4) transform of eqs. 1 and 2: shift O_l, half a turn about x, -theta about y."""
-        shift = se3.transform(np.eye(3), np.array([self.L, 0.0, -self.H]))
-        half_turn = np.diag([1.0, -1.0, -1.0])
-        tilt = se3.exp_rotation(np.array([0.0, -self.theta, 0.0]))
-        return np.asarray(se3.transform(tilt @ half_turn, np.zeros(3)) @ shift)
-
-
-def to_plane(pixels: Array, sensor: Sensor) -> Array:
-    """
-    Return (n, 2) y and z in the sensor plane (metres) of (n, 2) pixels along x_i and y_i.
-
-    A pixel on or beyond the image of the light plane's horizon gives NaN: nothing of the plane
-    in front of the camera is seen there.
-    """
-    x, y = ((pixels - sensor.centre) * sensor.pitch).T
-    D = np.hypot(sensor.L, sensor.H)
-    scale = sensor.f * sensor.L - sensor.H * x
-    scale = np.where(scale > 0.0, scale, np.nan)
-    return np.column_stack([sensor.L * D * y / scale, -D ** 2 * x / scale])
-
-
-def derivatives(z: Array) -> tuple[Array, Array]:
-    """Return slope and second derivative (n,) of a range (n,) by sample; NaN in the border."""
-    slope, second = np.full((2, len(z)), np.nan)
-    middle = slice(NEIGHBOURS, len(z) - NEIGHBOURS)
-    slope[middle] = second[middle] = 0.0
-    for j in range(1, NEIGHBOURS + 1):
-        ahead = z[NEIGHBOURS + j:len(z) - NEIGHBOURS + j]
-        behind = z[NEIGHBOURS - j:len(z) - NEIGHBOURS - j]
-        slope[middle] += (ahead - behind) / 20.0
-        second[middle] += (ahead + behind - 2.0 * z[middle]) / 30.0
-    return slope, second
-
-
-def edge_point(points: Array, width: int = 5, range_sign: int = 1) -> Array:
-    """
-    Return the feature point (2,) of a profile (n, 2): the plate's last point at the step.
-
-    points: along the line and range (metres), rows with NaN are left out; width: of the
-    median filter (samples); range_sign: -1 when the range grows towards the sensor.
-    Raises TooFewError. A profile without a step has an extremum too: the paper takes it.
-    """
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < FEWEST:
-        raise TooFewError('the profile filter of Zheng 2018', FEWEST, 'points', len(points))
-    z = median_filter(points[:, 1], size=width, mode='nearest')
-    _, second = derivatives(range_sign * z)
-    i = int(np.nanargmax(second))
-    return np.array([points[i, 0], z[i]])

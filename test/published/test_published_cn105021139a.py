@@ -22,7 +22,8 @@ def project(points: Array) -> Array:
     return np.asarray(image[:, :2] / image[:, 2:])
 
 
-def view_of(T_camera_target: Array, rng: np.random.Generator, noise: float) -> patent.View:
+def view_of(T_camera_target: Array, rng: np.random.Generator, noise: float = 0.0
+            ) -> patent.View:
     """Return the image of the target: the ends of its diameters, its centre and the stripe."""
     marks = RADIUS * np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, 0]])
     along = np.cross(CAMERA.light_plane[:3], T_camera_target[:3, 2])
@@ -55,20 +56,13 @@ def session(seed: int, count: int = 3,
     return X, poses, tuple(view_of(t, rng, noise) for t in T), T
 
 
-@pytest.mark.parametrize('seed', range(6))
-@pytest.mark.parametrize('count', [3, 8])
+@pytest.mark.parametrize(('seed', 'count'), [(0, 3), (1, 3), (2, 8)])
 def test_the_truth_without_noise(seed: int, count: int) -> None:
     X, poses, views, targets = session(seed, count)
     for view, target in zip(views, targets, strict=True):
         assert np.abs(se3.difference(patent.target_pose(view, CAMERA), target)).max() < 1e-9
     found = patent.solve(poses, views, CAMERA)
     assert np.abs(se3.difference(found, X)).max() < 1e-6
-
-
-def test_motions_satisfy_a_x_x_b() -> None:
-    X, poses, _, targets = session(3)
-    A, B = patent.motions(poses, targets)
-    np.testing.assert_allclose(A @ X, X @ B, atol=1e-12)
 
 
 def test_vanishing_point_is_the_harmonic_conjugate() -> None:
@@ -80,18 +74,6 @@ def test_vanishing_point_is_the_harmonic_conjugate() -> None:
     middle = patent.vanishing_point(a, a + 300 * direction, a + 150 * direction)
     assert abs(middle[2]) < 1e-9
     np.testing.assert_allclose(middle[:2] / np.linalg.norm(middle[:2]), direction)
-
-
-def test_noise_leaves_a_rotation_and_a_small_error() -> None:
-    offs = []
-    for seed in range(10):
-        X, poses, views, _ = session(seed, 12, 0.05)
-        R = patent.target_rotation(views[0].points, CAMERA.matrix)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-        offs.append(np.abs(se3.difference(patent.solve(poses, views, CAMERA), X)))
-    median = np.median(offs, axis=0)
-    assert 1e-6 < median[:3].max() < 2e-3
-    assert 1e-6 < median[3:].max() < np.deg2rad(0.5)
 
 
 def test_rotation_is_the_nearest_to_both_directions() -> None:
@@ -106,19 +88,15 @@ def test_rotation_is_the_nearest_to_both_directions() -> None:
                                atol=1e-9)
 
 
-def test_a_stripe_beside_the_centre_is_refused() -> None:
-    _, _, views, _ = session(1)
-    moved = patent.View(views[0].points, views[0].stripe + 12.0)
-    with pytest.raises(SingularError, match=r'misses the centre by \d+\.\d pixels'):
-        patent.target_centre(moved, CAMERA)
-
-
-def test_a_centre_seen_along_the_light_plane_is_refused() -> None:
-    _, _, views, _ = session(1)
-    ray = np.linalg.solve(CAMERA.matrix, np.append(views[0].points[4], 1.0))
+def test_views_without_the_centre_are_refused() -> None:
+    _, _, (view, *_), _ = session(1)
+    ray = np.linalg.solve(CAMERA.matrix, np.append(view.points[4], 1.0))
     edge_on = patent.Camera(CAMERA.matrix, np.append(np.cross(ray, [0.0, 1.0, 0.0]), 0.1))
-    with pytest.raises(SingularError, match='along the light plane'):
-        patent.target_centre(views[0], edge_on)
+    for seen, camera, words in (
+            (patent.View(view.points, view.stripe + 12.0), CAMERA, 'misses the centre by'),
+            (view, edge_on, 'along the light plane')):
+        with pytest.raises(SingularError, match=words):
+            patent.target_centre(seen, camera)
 
 
 def test_turns_about_one_axis_are_refused() -> None:

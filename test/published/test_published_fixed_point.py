@@ -57,7 +57,7 @@ def measured(seen: Array) -> Array:
     return fixed_point.ball_centres(seen[:, [0, 2]], radii, RADIUS, np.sign(seen[:, 1]))
 
 
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(3))
 def test_the_truth_without_noise(seed: int) -> None:
     rng = np.random.default_rng(seed)
     X, seen = mounting(rng), cuts(rng, 15)
@@ -71,18 +71,9 @@ def test_the_truth_without_noise(seed: int) -> None:
         np.testing.assert_allclose(found.centre, [0.7, -0.2, 0.3], atol=1e-7)
 
 
-def test_least_squares_from_a_given_start() -> None:
-    rng = np.random.default_rng(9)
-    X, seen = mounting(rng), cuts(rng, 6)
-    start = se3.perturb(X, np.array([0.02, -0.02, 0.01, 0.2, -0.1, 0.15]))
-    found = fixed_point.solve_least_squares(six_axes(rng, X, seen), measured(seen), start)
-    assert np.abs(se3.difference(found.T_flange_sensor, X)).max() < 1e-6
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_a_prp_arm_cannot_know_p_along_its_axis(seed: int) -> None:
+def test_a_prp_arm_cannot_know_p_along_its_axis() -> None:
     """Section 4.1: p_y comes out as 0, whatever it is; all the rest is right."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     X = se3.transform(Rotation.from_euler('xyz', [90.0, 1.5, -0.8], True).as_matrix(),
                       np.array([0.057, 0.447, 0.049]))
     ball = se3.apply(X, np.array([[0.0, 0.0, 0.175]]))[0] @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]

