@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import eigen
+from handeye_ros.estimation.least_squares import eigen
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray

@@ -55,9 +55,7 @@ class ParameterBlock:
     transform. Parameters that are not only corrections of the residuals: parameter: index of the
     target's parameter, pose_values: which values of the pose model; value: (k,) at present.
     least, largest: bounds of the variance over the configured one. report: key in the answer, ''
-    for none; origin: added to the reported value of one parameter. functions: (n, r) at the
-    stations; then the parameters are the coefficients of these functions, axis by axis, and
-    columns are (m, axes).
+    for none; origin: added to the reported value of one parameter.
     """
 
     name: str
@@ -72,13 +70,11 @@ class ParameterBlock:
     largest: float = 400.0  # 20 times the sigma
     report: str = ''
     origin: float = 0.0
-    functions: Array | None = None
 
     @property
     def count(self) -> int:
         """Return the number of its parameters."""
-        every = 1 if self.functions is None else self.functions.shape[1]
-        return int(self.columns.shape[1] * every)
+        return int(self.columns.shape[1])
 
 
 Blocks = Iterable[ParameterBlock]
@@ -124,8 +120,9 @@ def robot_smooth(linear: Linear) -> Blocks:
     n, smooth = len(problem.poses), problem.smooth
     axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
-    yield ParameterBlock('robot_smooth', linear.by_pose @ axes * size, size, twists,
-                         _motions_of_smooth, report='robot_position_error', functions=smooth)
+    columns = (linear.by_pose @ axes)[:, :, None] * smooth[problem.observations.station][:, None]
+    yield ParameterBlock('robot_smooth', columns.reshape(len(columns), -1) * size, size, twists,
+                         _motions_of_smooth, report='robot_position_error')
 
 
 def _motions_of_smooth(linear: Linear) -> Array:
@@ -231,6 +228,5 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     return errors
 
 
-SOURCES: tuple[Source, ...] = (
-    stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_model,
-    robot_smooth)  # the only one with functions is the last, see Derivatives
+SOURCES: tuple[Source, ...] = (stated_measures, robot_scale, sensor_scale, sensor_distortion,
+                               line_bend, pose_model, robot_smooth)

@@ -9,7 +9,8 @@ those that the others do not predict are dropped, worst first, by leave-one-out 
 
 Variance components by restricted maximum likelihood (Patterson and Thompson 1971, Biometrika
 58:545), in multiplicative fixed-point steps. A weak prior prevents zero variances from few
-residuals. Quantiles of chi-squared: scipy.stats has them too, but it takes longer to import than
+residuals. In an inverse, a direction that the data do not show keeps a large, finite variance.
+Quantiles of chi-squared: scipy.stats has them too, but it takes longer to import than
 the rest of a command to start.
 """
 from __future__ import annotations
@@ -20,11 +21,12 @@ from functools import cache, wraps
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar
 
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import covariance_of, inverse_roots
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh, lapack
 from scipy.special import chdtrc, chdtri
 
+F = TypeVar('F')
 S = TypeVar('S')
 T = TypeVar('T')
 P = ParamSpec('P')
@@ -34,6 +36,10 @@ BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
 MORE = 30.0  # factor of the damping after a refused step; its square divides it after a good one
 GROSS = 64.0  # squared residual over the believed quantile (8 sigma): dropped at once
 FALSE_ALARM = 1e-3  # probability that good data lose one block
+
+LARGEST_STD = 1e3  # of a direction without information (m or rad)
+FREE = 1e-13  # relative information, or variance, that is rounding
+NOTHING = 1e-280  # smallest information: its inverse is still a number
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
@@ -248,6 +254,29 @@ def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
     return max(1.0, float(np.median(mean_squares / typical)))
 
 
+def agreeing(used: NDArray[np.intp], total: int, minimum: int,
+             fitted: Callable[[F | None, NDArray[np.intp]], F],
+             judged: Callable[[F], tuple[Array, NDArray[np.intp] | int]]
+             ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
+    """
+    Return the fit of the blocks that agree, these blocks, and the squares of those dropped.
+
+    This is the only place in which a block is dropped that the others do not predict. used: the
+    blocks to begin with, of `total`; minimum: fewest that remain; fitted(the fit before or None,
+    used): the fit of some blocks; judged(fit): of each block the mean squared left-out residual,
+    (12), and its degrees of freedom.
+    """
+    fit, dropped = fitted(None, used), dict[int, float]()
+    while True:
+        squares, freedom = judged(fit)
+        worst = outliers(squares, freedom, total, len(used) - minimum)
+        if not len(worst):
+            return fit, used, dropped
+        dropped |= {int(used[k]): float(squares[k]) for k in worst}
+        used = np.delete(used, worst)
+        fit = fitted(fit, used)
+
+
 @dataclass(frozen=True, eq=False)
 class Adjusted(Generic[S]):
     """
@@ -278,25 +307,66 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
         rows = system.rows(state)
         return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
-    state = graduated(start, squares, system.reweighted)
-    current = squares(state)
-    good = current <= GROSS * max(1.0, believed(current))
-    while True:
-        state = system.least_squares(state, good.astype(float))
+    def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
+        good = np.isin(np.arange(n), used)
+        state = system.least_squares(before.state if before else near, good.astype(float))
         at = system.rows(state)
         white = at.white()
-        r, J = white(at.residuals), white(at.jacobian())
-        used, rows, k = np.flatnonzero(good), good[system.block], len(r) // n
+        r, J, rows = white(at.residuals), white(at.jacobian()), good[system.block]
         covariance = covariance_of(J[rows])
         left_out = leave_one_out(r[rows], J[rows], covariance, system.block[rows])
-        statistic = (r[rows] * left_out).reshape(-1, k).mean(axis=1)
-        worst = outliers(statistic / shared_scale(statistic, k), k, n, len(used) - minimum)
-        if not len(worst):
-            variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
-            return Adjusted(state, used, r.reshape(-1, k), left_out.reshape(-1, k),
-                            covariance * max(1.0, variance), variance)
-        good = good.copy()
-        good[used[worst]] = False
+        variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
+        return Adjusted(state, used, r.reshape(n, -1), left_out.reshape(len(used), -1),
+                        covariance * max(1.0, variance), variance)
+
+    def judged(fit: Adjusted[S]) -> tuple[Array, int]:
+        statistic = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
+        freedom = fit.residuals.shape[1]
+        return statistic / shared_scale(statistic, freedom), freedom
+
+    near = graduated(start, squares, system.reweighted)
+    current = squares(near)
+    good = np.flatnonzero(current <= GROSS * max(1.0, believed(current)))
+    return agreeing(good, n, minimum, fitted, judged)[0]
+
+
+def covariance_of(J: Array) -> Array:
+    """Return the covariance (u, u) of the unknowns of a whitened J (m, u), sigmas bounded."""
+    few = len(J) < J.shape[1]  # then only the full SVD of J has the free directions
+    _, s, Vt = np.linalg.svd(J if few else np.linalg.qr(J, mode='r'))
+    values = np.pad(s, (0, len(Vt) - len(s)))
+    root = Vt / np.maximum(values, 1 / LARGEST_STD)[:, None]
+    return np.asarray(root.T @ root)
+
+
+def inverse(information: Array) -> Array:
+    """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), NOTHING))
+    scaled = information * scale * scale[:, None] + FREE * np.eye(len(information))
+    root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
+    if failed:
+        values, vectors = eigen(scaled)
+        full = (vectors / np.maximum(values, FREE)) @ vectors.T
+    else:
+        lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
+        full = lower + np.tril(lower, -1).T
+    return np.asarray(full * scale * scale[:, None])
+
+
+def eigen(A: Array) -> tuple[Array, Array]:
+    """Return the eigenvalues (n,), ascending, and eigenvectors (n, n) of a symmetric matrix."""
+    try:
+        values, vectors = np.linalg.eigh(A)
+    except np.linalg.LinAlgError:  # divide and conquer (n > 25) with some kernels of OpenBLAS
+        values, vectors = eigh(A, driver='ev')
+    return values, vectors
+
+
+def inverse_roots(covariance: Array) -> Array:
+    """Return the whitening factors (n, c, c) of covariances (n, c, c)."""
+    size = 1e-12 * np.einsum('nii->n', covariance)[:, None, None]  # many points: rank 6
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance + size * np.eye(
+        covariance.shape[1]))))
 
 
 def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
-from handeye_ros.estimation.linalg import eigen, inverse_roots
+from handeye_ros.estimation.least_squares import eigen, inverse_roots
 from handeye_ros.estimation.problem import Linear, Stations
 import numpy as np
 from numpy.typing import NDArray

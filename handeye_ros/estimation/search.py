@@ -12,7 +12,7 @@ share lumped into each, and again with all nuisance parameters.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, islice
@@ -21,11 +21,11 @@ from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.covariance import contamination
 from handeye_ros.estimation.least_squares import (
+    agreeing,
     believed,
     graduated,
     GROSS,
     many_least_squares,
-    outliers,
     Rows,
     shared_scale,
     States,
@@ -75,24 +75,6 @@ def first_guesses(problem: Problem) -> Solution | None:
     return None
 
 
-def with_blocks(solution: Solution) -> Solution:
-    """
-    Return the solution with all nuisance blocks, outliers dropped.
-
-    With few stations, each may be wrong without being detected; the reported covariance includes
-    this.
-    """
-    def fitted(before: Solution | None, part: Problem) -> Solution:
-        if before is None or len(part.poses) <= MANY:
-            return map_solution(part, solution.estimate)
-        found = before.conservative or before  # a few of very many hardly move the solution
-        if part.pose_model:
-            part = part.with_pose_values(found.problem.pose_values)
-        return map_solution(part, found.estimate, found.noise)
-    return _without_outliers(solution.whole, solution.problem, solution.used, solution.dropped,
-                             fitted)
-
-
 def without_outliers(solution: Solution) -> Solution:
     """Return the solution after dropping stations that do not fit, one by one."""
     # least squares could move to a fit between the target and another surface
@@ -100,42 +82,54 @@ def without_outliers(solution: Solution) -> Solution:
     squares = station_squares(solution)
     good = squares <= limit * max(1.0, believed(squares))
     good[np.argsort(squares, kind='stable')[:solution.whole.method.minimum]] = True
-    used, gross = np.flatnonzero(good), np.flatnonzero(~good)
+    near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
 
-    def least_squares(before: Solution | None, part: Problem) -> Solution:
-        return evaluate(part, fit(part, (before or solution).estimate))
-    return _without_outliers(solution.whole, solution.problem.subset(used), used,
-                             {int(i): float(squares[i]) for i in gross}, least_squares)
+    def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
+        part = near.problem.subset(used)
+        return evaluate(part, fit(part, (before or near).estimate))
+
+    def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
+        squares, freedom = solution.left_out()
+        return squares / shared_scale(squares, freedom), freedom
+
+    whole = solution.whole
+    solution, used, dropped = agreeing(np.flatnonzero(good), len(whole.poses),
+                                       whole.method.minimum, fitted, judged)
+    return replace(solution, whole=whole, used=used, dropped=gross | dropped)
 
 
-def _without_outliers(whole: Problem, part: Problem, used: NDArray[np.intp],
-                      dropped: Mapping[int, float],
-                      fitted: Callable[[Solution | None, Problem], Solution]) -> Solution:
+def with_blocks(solution: Solution) -> Solution:
     """
-    Return the solution of the stations of a part that agree.
+    Return the solution with all nuisance blocks, outliers dropped.
 
-    used: their indices in the whole; dropped: squares of the others; fitted(solution before, or
-    None, part): the solution of a part.
+    With few stations, each may be wrong without being detected; the reported covariance includes
+    this.
     """
-    solution: Solution | None = None
+    near, whole, used, dropped = solution, solution.whole, solution.used, dict(solution.dropped)
+
+    def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
+        part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
+        if before is None or len(used) <= MANY:
+            return map_solution(part, near.estimate)
+        found = before.conservative or before  # a few of very many hardly move the solution
+        if part.pose_model:
+            part = part.with_pose_values(found.problem.pose_values)
+        return map_solution(part, found.estimate, found.noise)
+
     while True:
-        solution = replace(fitted(solution, part), whole=whole, used=used, dropped=dropped)
-        squares, freedom = (solution.conservative or solution).left_out()
-        scale = shared_scale(squares, freedom) if solution.noise.lumped else 1.0
-        spare = len(used) - whole.method.minimum
-        worst = outliers(squares / scale, freedom, len(whole.poses), spare)
-        if not len(worst) and not solution.noise.lumped:
-            wrong = contamination(solution, len(dropped))
-            if wrong and wrong.worst is not None and spare > 0:
-                worst = np.array([wrong.worst])
-            elif wrong:
-                solution = replace(solution, contamination=wrong.covariance,
-                                   contaminated=wrong.of_any)
-        if not len(worst):
-            return solution
-        dropped = {**dropped, **{int(used[k]): float(squares[k]) for k in worst}}
-        used = np.delete(used, worst)
-        part = part.subset(np.delete(np.arange(len(part.poses)), worst))
+        solution, used, more = agreeing(
+            used, len(whole.poses), whole.method.minimum, fitted,
+            lambda found: (found.conservative or found).left_out())
+        dropped |= more
+        wrong = contamination(solution, len(dropped))
+        if wrong is None or wrong.worst is None or len(used) <= whole.method.minimum:
+            break
+        square = (solution.conservative or solution).left_out()[0][wrong.worst]
+        dropped[int(used[wrong.worst])] = float(square)
+        used = np.delete(used, wrong.worst)
+    if wrong:
+        solution = replace(solution, contamination=wrong.covariance, contaminated=wrong.of_any)
+    return replace(solution, whole=whole, used=used, dropped=dropped)
 
 
 def refined(problem: Problem, estimate: Estimate) -> Solution:

@@ -26,15 +26,7 @@ from handeye_ros.estimation.blocks import (
     ParameterBlock,
     pose_corrections,
 )
-from handeye_ros.estimation.least_squares import leave_own_out
-from handeye_ros.estimation.linalg import (
-    covariance_of,
-    Derivatives,
-    FREE,
-    from_information,
-    from_rows,
-    inverse,
-)
+from handeye_ros.estimation.least_squares import covariance_of, FREE, inverse, leave_own_out
 from handeye_ros.estimation.noise import (
     covariances,
     Noise,
@@ -60,7 +52,7 @@ class Solution:
     linear: the used stations with the labels of their observations, linearised; priors: blocks
     with their configured sigmas; r: (m,) whitened residuals with all parameters of blocks at 0; A:
     (m, u + q) whitened derivatives by u unknowns (first six: X) and by q parameters in configured
-    sigmas.
+    sigmas; N: (u + q, u + q) their information, A' A.
 
     whole: the problem with all stations and observations; used: (n,) indices of those used;
     dropped: squared residual of the others; contaminated: probability that one of few used
@@ -73,7 +65,8 @@ class Solution:
     priors: tuple[ParameterBlock, ...]
     whitening: Whitening
     r: Array
-    A: Derivatives
+    A: Array
+    N: Array
     whole: Problem
     used: NDArray[np.intp]
     dropped: Mapping[int, float] = field(default_factory=dict)
@@ -94,12 +87,9 @@ class Solution:
         white = whitening(linear, noise)
         problem = linear.problem
         own = white(np.column_stack([linear.jacobian[:, problem.columns],
-                                     *(b.columns for b in blocks), residuals]))
-        functions, axes = np.empty((len(problem.poses), 0)), 0
-        if blocks and blocks[-1].functions is not None:
-            functions, axes = blocks[-1].functions, blocks[-1].columns.shape[1]
-        A = Derivatives(own[:, :-1], functions, axes, white.rows, problem.observations.station)
-        return cls(linear, noise, blocks, white, own[:, -1], A, problem,
+                                     *(block.columns for block in blocks), residuals]))
+        A = own[:, :-1]
+        return cls(linear, noise, blocks, white, own[:, -1], A, A.T @ A, problem,
                    np.arange(len(problem.poses)))
 
     @property
@@ -137,11 +127,9 @@ class Solution:
     def _solved(self) -> tuple[Array, Array]:
         """Return the step of all parameters (u + q,), and their covariance C, (5)."""
         if self.noise.lumped:  # the search ends where no step is left
-            return np.zeros(self.unknowns), covariance_of(self.A.dense)
-        priors = len(self.scales) - self.unknowns
-        if len(self.r) < len(self.scales):
-            return from_rows(self.columns, self.r, priors)
-        return from_information(self.A.gram, self.A.gradient(self.r), self.scales, priors)
+            return np.zeros(self.unknowns), covariance_of(self.A)
+        covariance = inverse(self.information)
+        return -covariance @ (self.scales * (self.A.T @ self.r)), covariance
 
     @property
     def covariance(self) -> Array:
@@ -156,12 +144,12 @@ class Solution:
     @cached_property
     def columns(self) -> Array:
         """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
-        return self.A.dense * self.scales
+        return self.A * self.scales
 
     @cached_property
     def white(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        return np.asarray(self.r + self.A.times(self.scales * self._solved[0]))
+        return np.asarray(self.r + self.A @ (self.scales * self._solved[0]))
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -189,7 +177,9 @@ class Solution:
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
-        return self.A.propagated(self.covariance * self.scales * self.scales[:, None], rows)
+        J = self.columns[rows]
+        gain = (J.reshape(-1, J.shape[2]) @ self.covariance).reshape(J.shape)
+        return np.asarray(gain @ np.swapaxes(J, 1, 2))
 
     def factors(self, believed: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at believed, (7)."""
@@ -273,8 +263,8 @@ class Solution:
     @cached_property
     def information(self) -> Array:
         """Return the (u + q, u + q) information of residuals and priors."""
-        prior = np.append(np.zeros(self.unknowns), np.ones(len(self.nuisance)))
-        return np.asarray(self.A.gram * self.scales * self.scales[:, None] + np.diag(prior))
+        prior = np.repeat([0.0, 1.0], [self.unknowns, len(self.scales) - self.unknowns])
+        return np.asarray(self.N * self.scales * self.scales[:, None] + np.diag(prior))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -285,7 +275,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.A.local[:, :self.unknowns]
+        J = self.A[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.stations:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
@@ -441,12 +431,12 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
     """
     noise, every = noise or Noise(lumped=False), len(problem.poses) // MANY
     if every > 1:
-        some = problem.subset(np.arange(0, len(problem.poses), every))
-        part, diverged = _iterated(Solution.at(linearise(some, start), noise))
-        if not diverged:
+        part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
+        if part.conservative is not None:
             if problem.pose_model is not None:
                 problem = problem.with_pose_values(part.problem.pose_values)
-            return _answer(Solution.at(linearise(problem, part.linear.estimate), part.noise))
+            near = Solution.at(linearise(problem, part.linear.estimate), part.noise)
+            return _reported(Solution.at(near.stepped(), near.noise), part.conservative.noise, 0)
     found, diverged = _iterated(Solution.at(linearise(problem, start), noise))
     return found if diverged else _answer(found)
 
@@ -480,9 +470,13 @@ def _answer(found: Solution) -> Solution:
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
         best = best.with_factors(best.factors(MAP_FACTORS))
-    best = Solution.at(best.stepped(), best.noise)
+    return _reported(Solution.at(best.stepped(), best.noise), found.noise, LAST_STEPS)
+
+
+def _reported(best: Solution, noise: Noise, steps: int) -> Solution:
+    """Return a solution together with that at the conservative scales of noise."""
     long = replace(best.problem, long_errors=True)
-    wide = Solution.at(linearise(long, best.linear.estimate), found.noise).rescaled(LAST_STEPS)
+    wide = Solution.at(linearise(long, best.linear.estimate), noise).rescaled(steps)
     return replace(best, conservative=wide)
 
 

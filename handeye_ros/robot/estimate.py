@@ -15,8 +15,13 @@ from handeye_ros import se3
 from handeye_ros.arm import Arm, KINDS
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import process_root
-from handeye_ros.estimation.least_squares import leave_one_out, outliers, Rows, System
-from handeye_ros.estimation.linalg import covariance_of
+from handeye_ros.estimation.least_squares import (
+    covariance_of,
+    leave_one_out,
+    outliers,
+    Rows,
+    System,
+)
 from handeye_ros.estimation.noise import prior_scales
 from handeye_ros.robot.stops import State, Stops
 import numpy as np

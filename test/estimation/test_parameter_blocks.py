@@ -19,7 +19,7 @@ from handeye_ros.estimation.basis import (
     rational_quadratic,
 )
 from handeye_ros.estimation.blocks import blocks_at, ParameterBlock
-from handeye_ros.estimation.linalg import inverse
+from handeye_ros.estimation.least_squares import inverse
 from handeye_ros.estimation.problem import linearise
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples

@@ -10,13 +10,13 @@ from handeye_ros.config import load
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     adjust,
+    covariance_of,
     leave_one_out,
     many_least_squares,
     outliers,
     Rows,
     System,
 )
-from handeye_ros.estimation.linalg import covariance_of
 from handeye_ros.simulate import FILE_SCENES
 from handeye_ros.tabulated import FILE_METHODS
 from handeye_ros.tabulated.method import solve
