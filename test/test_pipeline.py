@@ -10,10 +10,9 @@ from pathlib import Path
 
 from cells import Recorded, recorded
 from handeye_ros import pipeline, se3
-from handeye_ros.config import load, with_values
+from handeye_ros.config import load
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
@@ -56,13 +55,6 @@ def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
     assert np.median(errors) < 4e-5 and max(errors) < 9e-5
 
 
-@pytest.mark.thorough
-def test_five_stations_per_edge_are_nearly_as_good() -> None:
-    errors = [recording('plate_5_5', seed).error(answer('plate_5_5', seed).T_flange_sensor)
-              for seed in range(4)]
-    assert max(errors) < 9e-5
-
-
 @pytest.mark.parametrize('name', [
     'plate_in_air', 'plate_on_table', 'plate_clutter', 'plate_resampled', 'plate_reflections',
     'plate_inf', 'plate_omit', 'plate_z_up', 'plate_x_reversed', 'plate_y_along_line',
@@ -84,7 +76,7 @@ def test_of_a_surface_beside_the_plate_all_stations_take_the_same(what: str) -> 
 
 
 @pytest.mark.parametrize(('height', 'gap', 'width'), [
-    (0.001, 0.008, 0.02), (0.001, 0.012, 0.06), (0.001, 0.008, 0.01), (0.002, 0.008, 0.01)])
+    (0.001, 0.012, 0.06), (0.002, 0.008, 0.01)])
 def test_it_does_not_depend_on_how_much_of_each_is_seen(height: float, gap: float, width: float
                                                         ) -> None:
     target = PlateTarget(clutter=height, clutter_gap=gap, clutter_width=width)
@@ -132,13 +124,6 @@ def test_the_edge_angle_can_be_left_free() -> None:
     assert answer('plate').target['edge_angle'] == pytest.approx(np.pi / 2, abs=2e-3)
 
 
-def test_millimetres_in_the_stream_are_no_matter_of_the_core() -> None:
-    """A profile is in metres here; one a thousand times larger is refused, not answered."""
-    made = recording('plate')
-    with pytest.raises(DataError):
-        calibrated(made, (replace(p, points=p.points * 1e3) for p in made.profiles))
-
-
 # -- the report
 
 
@@ -157,16 +142,6 @@ def test_every_station_is_accounted_for() -> None:
         assert found.quality.residual_rms == pytest.approx(rms, rel=0.3)
         assert found.quality.residual_rms < found.quality.holdout_rms < 3 * (
             found.quality.residual_rms)
-
-
-def test_a_calibration_is_read_back_as_it_was_written(tmp_path: Path) -> None:
-    found = answer('plate')
-    path = tmp_path / 'calibration.yaml'
-    write_calibration(found, path)
-    back = read_calibration(path)
-    assert np.allclose(back.T_flange_sensor, found.T_flange_sensor, rtol=0, atol=1e-15)
-    assert np.array_equal(back.covariance, found.covariance)
-    assert back.quality == found.quality and back.samples == found.samples
 
 
 def test_the_same_recording_gives_the_same_answer_to_the_last_bit() -> None:
@@ -251,14 +226,6 @@ def test_two_sensors_on_one_topic_are_refused() -> None:
     mixed = [replace(p, frame_id='other') if i % 2 else p for i, p in enumerate(made.profiles)]
     with pytest.raises(InputError, match='two frames'):
         calibrated(made, mixed)
-
-
-def test_a_target_of_another_kind_is_refused() -> None:
-    made = recording('plate_5_5')
-    wrong = replace(made, config=with_values(
-        made.config, {'target.type': 'sphere', 'target.radius': 0.04}, 'test'))
-    with pytest.raises(DataError):
-        calibrated(wrong)
 
 
 @pytest.mark.parametrize('scene', ['plate', 'sphere'])

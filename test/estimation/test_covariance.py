@@ -18,8 +18,8 @@ from cells import (
 from handeye_ros import pipeline, se3
 from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.noise import covariances, Noise
-from handeye_ros.estimation.problem import Estimate, linearise
+from handeye_ros.estimation.noise import covariances
+from handeye_ros.estimation.problem import Estimate
 from handeye_ros.estimation.search import evaluate, fit
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.outcome import measured_points
@@ -33,13 +33,6 @@ def test_the_solution_is_the_minimum(name: str) -> None:
     gradient = solution.columns.T @ solution.white
     scale = np.sqrt(np.diag(solution.covariance))
     assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
-
-
-@every_method
-def test_the_covariance_is_symmetric_and_positive(name: str) -> None:
-    C = calibration_of(name).covariance
-    assert C.shape == (6, 6) and np.allclose(C, C.T, rtol=1e-12)
-    assert np.linalg.eigvalsh(C).min() > 0
 
 
 @pytest.mark.parametrize('factors', [
@@ -84,32 +77,6 @@ def test_the_stated_covariance_is_that_of_the_errors_and_good_samples_are_kept(n
     assert sum(lost[:8]) <= 1, 'one station in a thousand recordings'
 
 
-@pytest.mark.thorough
-@every_method
-def test_residuals_are_as_large_as_the_noise(name: str) -> None:
-    factors = []
-    for seed in range(6):
-        made = cell(scenario_for(name), seed, noise__distortion=0.0, method=name)
-        solution = solved(made.problem)
-        factors.append((solution.variance_factor, solution.degrees_of_freedom))
-    mean = np.average([f for f, _ in factors], weights=[d for _, d in factors])
-    assert mean == pytest.approx(1, abs=4 * np.sqrt(2 / sum(d for _, d in factors)))
-
-
-@every_method
-def test_residuals_without_a_station_are_those_of_a_real_refit(name: str) -> None:
-    solution = solution_of(name)
-    n = len(solution.problem.poses)
-    std = np.sqrt(np.diag(solution.covariance)[:6])
-    estimates, _ = solution.predictions(np.arange(n))
-    for station in range(0, n, 3):
-        refit = refit_without(solution, station)
-        effect = se3.difference(refit.X, solution.estimate.X) / std
-        off = se3.difference(estimates[station].X, refit.X) / std
-        assert np.linalg.norm(off) < 0.03 + 0.1 * np.linalg.norm(effect)
-        assert np.linalg.norm(effect) > 1e-3, 'a station that is left out does something'
-
-
 def refit_without(solution: Solution, station: int) -> Estimate:
     others = np.setdiff1d(np.arange(len(solution.problem.poses)), [station])
     return fit(solution.problem.subset(others), solution.estimate)
@@ -151,16 +118,6 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     assert answer.quality.holdout_rms == pytest.approx(left_out, rel=0.03)
     assert answer.quality.residual_rms == pytest.approx(used, rel=1e-9)
     assert left_out > 1.01 * used
-
-
-@every_method
-def test_more_noise_is_more_uncertainty(name: str) -> None:
-    solution = solution_of(name)
-    made = solution.problem
-    linear = linearise(made, solution.estimate)
-    wider = Solution.at(linear, Noise(np.full(5, 4.0)))
-    same = evaluate(made, solution.estimate)
-    assert np.allclose(wider.covariance, 4 * same.covariance, rtol=1e-6)
 
 
 def test_observations_of_a_station_share_the_error_of_its_pose() -> None:

@@ -69,12 +69,3 @@ def test_the_derivatives_by_pose_point_and_feature_are_those_of_differences(name
             expected = by([replace(at_problem, observations=replace(
                 obs, points=obs.points + s * h * direction)) for s in (1, -1)])
             assert np.abs(derivative[:, k] - expected).max() < 2e-7
-
-
-@every_method
-def test_a_step_and_its_opposite_lead_back(name: str) -> None:
-    made, solution = noisy(name).problem, solution_of(name)
-    step = np.random.default_rng(0).normal(size=len(made.columns)) * 1e-5
-    back = made.retracted(made.retracted(solution.estimate, step), -step)
-    assert np.allclose(back.X, solution.estimate.X, atol=1e-9)
-    assert np.allclose(back.target, solution.estimate.target, atol=1e-9)

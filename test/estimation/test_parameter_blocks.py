@@ -10,13 +10,9 @@ from cells import Cell, cell, NO_DOUBTS, solved
 from cells import config as settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Arc, Calibration, EdgePoint, FaceLine, Sample
+from handeye_ros.data import Calibration, EdgePoint
 from handeye_ros.estimation.basis import (
     bending,
-    correlations,
-    pose_features,
-    process_root,
-    rational_quadratic,
 )
 from handeye_ros.estimation.blocks import blocks_at, ParameterBlock
 from handeye_ros.estimation.least_squares import inverse
@@ -39,16 +35,6 @@ def stated(made: Cell, **factors: float) -> Cell:
     return replace(made, config=with_values(made.config, values, 'test'))
 
 
-def misjudged(sample: Sample, factor: float) -> Sample:
-    """Return a sample whose features state their noise times a factor."""
-    def scaled(f: object) -> object:
-        if isinstance(f, EdgePoint):
-            return replace(f, std=f.std * factor, std_across=f.std_across * factor)
-        assert isinstance(f, FaceLine | Arc)
-        return replace(f, std=f.std * factor)
-    return replace(sample, features=tuple(scaled(f) for f in sample.features))
-
-
 def final(made: Cell) -> Solution:
     first = solved(made.problem)
     return map_solution(first.problem, first.estimate)
@@ -66,27 +52,6 @@ def squared(made: Cell) -> float:
 
 
 # -- noise
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize('factor', [1 / 3, 3.0])
-def test_robot_noise_that_was_stated_wrongly_is_found(factor: float) -> None:
-    found = [final(stated(cell(MANY, seed), robot=factor)).noise.factors[3] for seed in range(4)]
-    assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize('factor', [1 / 3, 3.0])
-def test_sensor_noise_that_was_stated_wrongly_is_found(factor: float) -> None:
-    # of a robot that is hardly noisy, so that the sensor's shows
-    quiet = replace(MANY, robot=replace(MANY.robot, repeatability=(2e-6, 4e-6)),
-                    sensor=replace(MANY.sensor, noise=3e-4))
-    found = []
-    for seed in range(4):
-        made = cell(quiet, seed)
-        made = replace(made, samples=tuple(misjudged(s, factor) for s in made.samples))
-        found.append(final(made).noise.factors[0])
-    assert np.sqrt(np.median(found)) == pytest.approx(1 / factor, rel=0.3)
 
 
 @pytest.mark.thorough
@@ -118,14 +83,6 @@ def test_a_nuisance_parameter_without_error_costs_the_estimate_little() -> None:
     assert (np.sqrt(squares[1] / squares[0]) < 1.35).all()
 
 
-def test_settling_changes_no_input() -> None:
-    made = stated(cell(MANY, 1), robot=1 / 3)
-    solution = solved(made.problem)
-    X = solution.estimate.X.copy()
-    other = map_solution(solution.problem, solution.estimate)
-    assert other.noise.factors[3] > 2 and np.array_equal(solution.estimate.X, X)
-
-
 # -- robots
 
 
@@ -154,26 +111,6 @@ def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
     squares = [squared(cell(real_robot(size), seed, **ALL_BLOCKS)) for seed in range(12)]
     assert np.mean(np.array(squares) < 12.59) >= 0.9, 'the 95 % quantile of chi-squared over 6'
     assert 0.1 < np.mean(squares) / 6 < 1.5
-
-
-def test_a_programme_run_again_adds_nothing_to_the_robots_error() -> None:
-    made = cell('plate', 0, **ALL_BLOCKS)
-    poses = made.problem.poses
-    once, twice = process_root(poses), process_root(np.concatenate([poses, poses]))
-    assert twice.shape == (2 * len(once), once.shape[1])
-    assert np.allclose(twice[:len(once)], twice[len(once):])
-    exact = correlations(*[pose_features(poses)] * 2, rational_quadratic)
-    assert np.allclose(once @ once.T, exact, atol=1e-4)
-
-
-def test_many_poses_are_spanned_by_some() -> None:
-    rng = np.random.default_rng(0)
-    T = se3.from_quaternion(rng.uniform(-0.2, 0.2, (400, 3)), np.column_stack(
-        [rng.uniform(-0.2, 0.2, (400, 3)), np.ones(400)]))
-    root = process_root(T)
-    assert root.shape[1] <= 24
-    exact = correlations(pose_features(T), pose_features(T), rational_quadratic)
-    assert np.diag(exact - root @ root.T).mean() < 0.25 < 0.5 < np.diag(root @ root.T).min()
 
 
 # -- sensor, target, scale
@@ -224,13 +161,6 @@ def test_the_inverse_of_a_free_direction_is_large() -> None:
     covariance = inverse(information)
     assert np.diag(covariance)[:2] == pytest.approx([0.25, 1e-10])
     assert covariance[2, 2] > 1e10
-
-
-def test_the_settings_of_a_scenario_tell_its_noise() -> None:
-    config = settings_of(SCENARIOS['plate'])
-    assert config.noise.sensor == SCENARIOS['plate'].sensor.noise
-    assert (config.noise.robot_translation, config.noise.robot_rotation) == (
-        SCENARIOS['plate'].robot.repeatability)
 
 
 @pytest.mark.thorough

@@ -3,8 +3,6 @@
 """What the poses depend on is found with the transform: blocks with priors that move them."""
 from __future__ import annotations
 
-from dataclasses import replace
-
 from cells import cell, solved
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -51,15 +49,3 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     half = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
     assert np.allclose(half.poses, true.poses[::2])
     assert np.allclose(half.with_pose_values(np.zeros(2)).poses, problem.poses[::2])
-
-
-def test_a_model_that_the_data_show_nothing_of_moves_nothing() -> None:
-    made = cell('plate', 2)
-    first = solved(made.problem)
-    problem, start = first.problem, first.estimate
-
-    def evaluate(values: Array) -> tuple[Array, Array]:
-        return problem.poses, np.zeros((len(problem.poses), 6, 1))
-    model = PoseModel(evaluate, ('time_offset',), (1,), (0.05,))
-    found = map_solution(replace(problem, pose_model=model, pose_values=np.zeros(1)), start)
-    assert np.allclose(found.estimate.X, map_solution(problem, start).estimate.X)

@@ -3,10 +3,6 @@
 """The one least squares: what it finds, what blocks say of it, and that nobody has another."""
 from __future__ import annotations
 
-from pathlib import Path
-
-from handeye_ros import se3
-from handeye_ros.config import load
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     adjust,
@@ -17,32 +13,11 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.simulate import FILE_SCENES
-from handeye_ros.tabulated import FILE_METHODS
-from handeye_ros.tabulated.method import solve
 import numpy as np
 from numpy.typing import NDArray
 import pytest
 
-ROOT = Path(__file__).parents[2]
 SEEDS = pytest.mark.parametrize('seed', range(5))
-# As separate adjustments found them before: xyz (m) and rotation vector (rad).
-FROM_FILES = {
-    'points': (0.9676470133237, -0.1773772739031, 0.1053310908319,
-               -0.4580624903995, -1.0894729187249, -0.4382063173862),
-    'hand_eye': (0.0365153360029, 0.0296600147682, 0.0028849758609,
-                 -0.4572868010884, -1.0893599263623, -0.4376551539462)}
-
-
-def answer(name: str, folder: Path) -> Array:
-    """Return xyz and rotation vector (6,) of a target's answer."""
-    (file, text), = FILE_SCENES[name](np.random.default_rng(1)).tables.items()
-    path = folder / file
-    path.write_text(text, encoding='utf-8')
-    config = load(ROOT / 'config' / f'{name}.yaml')
-    method = FILE_METHODS[name]
-    X = solve(method, method.read(path, config).values, config).X
-    return np.concatenate([X[:3, 3], se3.log_rotation(X[:3, :3])])
 
 
 def linear(seed: int, noise: float = 1.0) -> tuple[System[Array], Array, Array, NDArray[np.intp]]:
@@ -105,9 +80,3 @@ def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:
     for spare, dropped in ((0, 0), (1, 1), (3, 3), (100, 4)):
         assert len(outliers(squares, 2, 200, spare)) == dropped
     assert not len(outliers(np.full(200, 1.0), 2, 200, 100))
-
-
-@pytest.mark.parametrize('name', FROM_FILES)
-def test_targets_from_files_give_the_answer_that_they_gave(name: str, tmp_path: Path) -> None:
-    found = answer(name, tmp_path)
-    assert np.abs(found - FROM_FILES[name]).max() < 1e-9
