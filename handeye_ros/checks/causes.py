@@ -4,8 +4,9 @@
 What explains samples that do not fit, in the order in which it is asked.
 
 The sign of the range, a known error in the convention of the poses, a sensor or target that
-moved, the scale of the robot; and, where none of these is certain, another setting or the clocks.
-The first that explains the same stops decisively better is named (hypotheses).
+moved, the scale of the robot; and, where none of these is certain, another setting, stops that
+show another surface, or the clocks. The first that explains the same stops decisively better is
+named (hypotheses).
 """
 from __future__ import annotations
 
@@ -27,6 +28,7 @@ from handeye_ros.checks.refusals import (
     UnexplainedError,
 )
 from handeye_ros.checks.settings import require_settings
+from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
@@ -83,13 +85,14 @@ def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Fit) -> lis
 
 def explained(refusal: DataError, session: Session, config: Config) -> DataError:
     """
-    Return a refusal, or the one of the setting or the clocks that explain the stops better.
+    Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
 
     A refusal whose cause is certain stays; an uncertain answer may come from clocks that differ.
     """
     try:
         if isinstance(refusal, UnexplainedError):
             require_settings(session, config)
+            require_one_surface(session, config)
         if isinstance(refusal, UnexplainedError) or refusal.reason == 'uncertain':
             require_same_clock(session, config)
     except DataError as named:

@@ -35,7 +35,7 @@ def require_settings(session: Session, config: Config) -> None:
         return
     kept = [outcome.stop for outcome in session.outcomes if not outcome.refused
             and not session.excludes(outcome)]
-    stops = [_thinned(stop, config) for stop in kept[:MOST_STOPS]]
+    stops = [thinned(stop, config) for stop in kept[:MOST_STOPS]]
     results = [result_of(stop, config) for stop in stops]
     seen = with_common_shape([r for r in results if isinstance(r, Sample)])
     with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
@@ -46,13 +46,13 @@ def require_settings(session: Session, config: Config) -> None:
                    simpler: Hypothesis | None = None) -> Hypothesis:
         """Return the hypothesis that settings have other values."""
         def refit() -> Fit | None:
-            changed = _changed(config, values)
-            glance = [result_of(replace(stop, profiles=stop.profiles[:1]), changed)
+            as_changed = changed(config, values)
+            glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
                       for stop in stops]
             if 2 * sum(isinstance(result, Sample) for result in glance) < len(stops):
                 return None  # most stops show nothing with this change: read no more of them
-            fit = fit_of([result_of(stop, changed) for stop in stops], changed, all_starts)
-            if fit and changed.target.type == 'plane':  # it explains no edge that is seen now
+            fit = fit_of([result_of(stop, as_changed) for stop in stops], as_changed, all_starts)
+            if fit and as_changed.target.type == 'plane':  # it explains no edge that is seen now
                 fit = replace(fit, beside=edges)
             return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
@@ -97,7 +97,7 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
     yield from (change | sign for change in (*kinds, *axes))
 
 
-def _changed(config: Config, values: dict[str, str]) -> Config:
+def changed(config: Config, values: dict[str, str]) -> Config:
     """Return the configuration with other values; measures of another target are reset."""
     if 'target.type' in values:
         config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
@@ -120,7 +120,7 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     return Fit.of(problem_at_poses(ordered, config), stops, len(results), all_starts)
 
 
-def _thinned(stop: Stop, config: Config) -> Stop:
+def thinned(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
     stop = stop.needed(config)
     return replace(stop, profiles=tuple(evenly(stop.profiles, MOST_PROFILES)))

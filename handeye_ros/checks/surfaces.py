@@ -1,0 +1,62 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whether some stops took the face of a clamp, a second plate or the table for that of the plate.
+
+Such ends agree among themselves, so that no consensus of edges stands out. But the stops show the
+face of the plate too, beside the clamp: read for straight pieces only, they agree on one plane.
+"""
+from __future__ import annotations
+
+from handeye_ros.checks.settings import changed, fit_of, thinned
+from handeye_ros.config import Config
+from handeye_ros.data import Array, FaceLine, Sample
+from handeye_ros.errors import DataError
+from handeye_ros.frames import in_mount
+from handeye_ros.sampling.features import result_of
+from handeye_ros.sampling.session import Session
+from handeye_ros.se3 import inverse
+import numpy as np
+
+BESIDE = 1e-3  # m: a face that is farther from the plane is another surface
+PARALLEL = 0.05  # rad: what is more inclined is no surface of a clamp or plate
+FEWEST = 2  # stops on another surface
+SHARE = 1 / 3  # smallest share of the stops on the plane itself
+
+
+def require_one_surface(session: Session, config: Config) -> None:
+    """Raise DataError (surface) where the faces of some stops lie beside the plane of all."""
+    if config.sampling.moving or config.target.type not in ('plate', 'line'):
+        return
+    taken = [outcome for outcome in session.outcomes
+             if outcome.sample and not session.excludes(outcome)]
+    as_plane = changed(config, {'target.type': 'plane'})
+    fit = fit_of([result_of(thinned(outcome.stop, config), as_plane) for outcome in taken],
+                 as_plane, all_starts=True)
+    if fit is None or not fit.believable:
+        return
+    estimate = fit.solution.estimate
+    T_plane_mount = inverse(estimate.target.reshape(4, 4))
+    heights = np.array([
+        _height(outcome.sample, T_plane_mount @ in_mount(outcome.sample.T_base_flange, config)
+                @ estimate.X) for outcome in taken if outcome.sample])
+    beside = np.abs(heights) > BESIDE
+    if beside.sum() < FEWEST or (np.abs(heights) <= BESIDE).mean() < SHARE:
+        return
+    numbers = ', '.join(str(taken[k].number) for k in np.flatnonzero(beside))
+    raise DataError(
+        f'the stops {numbers} show the edge of another surface, which is '
+        f'{np.median(np.abs(heights[beside])) * 1e3:.1f} mm above or below the plane that all '
+        f'{len(taken)} stops show, such as a clamp, a second plate or the table: take them again '
+        'where the laser crosses the target alone', reason='surface')
+
+
+def _height(sample: Sample, T_plane_sensor: Array) -> float:
+    """Return the height (m) over a plane of the face of a sample; NaN if it is not parallel."""
+    face = next((f for f in sample.features if isinstance(f, FaceLine)), None)
+    if face is None:
+        return np.nan
+    by_x, _, by_z, offset = T_plane_sensor[2]
+    slope = by_x * face.direction[0] + by_z * face.direction[1]
+    height = by_x * face.centre[0] + by_z * face.centre[1] + offset
+    return float(height) if abs(slope) < PARALLEL else np.nan

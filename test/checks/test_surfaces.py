@@ -1,0 +1,50 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Clamps over a third of the edges: the stops that show them are named, and no other cause."""
+from __future__ import annotations
+
+from dataclasses import replace
+import re
+
+from cells import recorded
+from handeye_ros import pipeline, se3
+from handeye_ros.data import FaceLine
+from handeye_ros.errors import DataError
+from handeye_ros.simulate import Scenario, SCENARIOS, scenes
+from handeye_ros.simulate.solids import Box, Solid
+import pytest
+
+HEIGHT = 0.015  # m
+
+
+def clamped(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return a plate with three clamps on each of two edges, 15 mm high and wide."""
+    clamps = []
+    for along, length in enumerate(scenario.target.size):
+        for middle in (length / 6, length / 2, length * 5 / 6):
+            low, high = [-0.01] * 3, [0.015] * 3
+            low[along], high[along] = middle - length / 18, middle + length / 18
+            clamps.append(Box((*low[:2], 0.0), (*high[:2], HEIGHT)))
+    return (*scenes.SCENES['plate'].solids(scenario), *clamps)
+
+
+@pytest.mark.parametrize(('name', 'seed'), [
+    ('line', 0), pytest.param('plate', 1, marks=pytest.mark.thorough)])
+def test_the_stops_that_show_a_clamp_are_named(monkeypatch: pytest.MonkeyPatch, name: str,
+                                               seed: int) -> None:
+    monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
+        scenes.SCENES[SCENARIOS[name].scene], solids=clamped))
+    made = recorded(replace(SCENARIOS[name], scene='clamped'), seed, target__type=name)
+    session = pipeline.gather(made.profiles, made.poses, made.config)
+    T_target_base = se3.inverse(made.truth.T_base_target)
+    on_clamps = []
+    for outcome in session.outcomes:
+        face = next(f for f in outcome.sample.features if isinstance(f, FaceLine))
+        T = T_target_base @ outcome.sample.T_base_flange @ made.truth.T_flange_sensor
+        if T[2, [0, 2]] @ face.centre + T[2, 3] > HEIGHT / 2:
+            on_clamps.append(outcome.number)
+    with pytest.raises(DataError, match='15.0 mm above') as caught:
+        pipeline.calibrate_session(session, made.config)
+    assert caught.value.reason == 'surface'
+    named = re.search(r'the stops ([\d, ]+) show', str(caught.value))
+    assert [int(number) for number in named[1].split(', ')] == on_clamps
