@@ -24,11 +24,11 @@ from handeye_ros.estimation.least_squares import (
     adjust,
     Adjusted,
     first_variances,
+    inverse_roots,
     Rows,
     System,
     variance_components,
 )
-from handeye_ros.estimation.linalg import inverse_roots
 from handeye_ros.frames import in_mount, mount_frame
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.calibration_file import input_values, transform_values

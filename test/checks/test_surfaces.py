@@ -11,7 +11,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.data import FaceLine
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
-from handeye_ros.simulate.solids import Box, Solid
+from handeye_ros.simulate.solids import box, Solid
 import pytest
 
 HEIGHT = 0.015  # m
@@ -24,7 +24,7 @@ def clamped(scenario: Scenario) -> tuple[Solid, ...]:
         for middle in (length / 6, length / 2, length * 5 / 6):
             low, high = [-0.01] * 3, [0.015] * 3
             low[along], high[along] = middle - length / 18, middle + length / 18
-            clamps.append(Box((*low[:2], 0.0), (*high[:2], HEIGHT)))
+            clamps.append(box((*low[:2], 0.0), (*high[:2], HEIGHT)))
     return (*scenes.SCENES['plate'].solids(scenario), *clamps)
 
 
