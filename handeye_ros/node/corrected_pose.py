@@ -16,12 +16,12 @@ import argparse
 from pathlib import Path
 import sys
 
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import Arm, read_arm, read_urdf
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, spin
-from handeye_ros.node.outputs import pose_stamped, time_message
+from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
 from handeye_ros.node.streams import STREAM, TFMessage, THROTTLE
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -50,16 +50,11 @@ class CorrectedPose(Node):
         except UnusableMessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
             return
-        message = pose_stamped(pose.translation, pose.quaternion, pose.parent_frame,
-                               time_message(pose.stamp))
-        self._poses.publish(message)
+        stamp, base = time_message(pose.stamp), pose.parent_frame
+        self._poses.publish(pose_stamped(pose.translation, pose.quaternion, base, stamp))
         if self._tree:
-            transform = TransformStamped(header=message.header, child_frame_id=self._frame)
-            p = message.pose.position
-            transform.transform.translation.x, transform.transform.translation.y = p.x, p.y
-            transform.transform.translation.z = p.z
-            transform.transform.rotation = message.pose.orientation
-            self._tree.publish(TFMessage(transforms=[transform]))
+            self._tree.publish(TFMessage(transforms=[transform_stamped(
+                pose.translation, pose.quaternion, base, self._frame, stamp)]))
 
 
 def run(options: argparse.Namespace) -> None:

@@ -7,6 +7,7 @@ Slow imports are inside the functions, so that Ctrl-C ends an executable cleanly
 """
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 import os
@@ -22,9 +23,8 @@ LONGEST_END = 10.0  # s from a signal to the end, whatever hangs
 LONGEST_WAIT = 1.0  # s until the executor looks whether ROS was shut down
 SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
-USAGE = """\
-usage: calibrate [--help] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]
-
+USAGE = 'calibrate [-h] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]'
+DESCRIPTION = """\
 Runs the node handeye: takes samples of the target as the robot moves, and computes and saves the
 calibration on request. All settings are ROS parameters and follow --ros-args:
 
@@ -34,37 +34,20 @@ calibration on request. All settings are ROS parameters and follow --ros-args:
 """
 
 
-def own_arguments(argv: Sequence[str]) -> list[str]:
-    """Return the arguments outside of --ros-args ... [--]."""
-    remaining, in_ros_arguments = [], False
-    for argument in argv:
-        if in_ros_arguments:
-            in_ros_arguments = argument != '--'
-        elif argument == '--ros-args':
-            in_ros_arguments = True
-        else:
-            remaining.append(argument)
-    return remaining
-
-
 def main() -> int:
     """Run the executable `calibrate`; return the exit code."""
-    arguments = own_arguments(sys.argv[1:])
-    if arguments[:1] in (['-h'], ['--help']):
-        print(USAGE, end='')
-        return 0
-    if arguments:
-        print(f'error: unknown arguments: {" ".join(arguments)} (ROS arguments such as '
-              f'--params-file and -p follow --ros-args)\n{USAGE}', end='', file=sys.stderr)
-        return 2
     sys.setswitchinterval(SWITCH)
     # small matrices: more threads would slow down the streams
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     # an exception in the import of an extension module would be lost
     _on_signals(lambda *_: os._exit(0))
     try:
+        from rclpy.utilities import remove_ros_args
+        argparse.ArgumentParser(
+            usage=USAGE, description=DESCRIPTION,
+            formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(
+                remove_ros_args(sys.argv)[1:])
         from handeye_ros.node.node import HandeyeNode
-        from rclpy.executors import MultiThreadedExecutor
         _on_signals(signal.default_int_handler)
     except KeyboardInterrupt:
         return 0
@@ -78,10 +61,10 @@ def main() -> int:
         node.stop()
         if working:
             os._exit(0)
-    return exit_code(lambda: spin(HandeyeNode, lambda: MultiThreadedExecutor(THREADS), stop))
+    return exit_code(lambda: spin(HandeyeNode, THREADS, stop))
 
 
-def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
+def spin(make: Callable[[], Any], threads: int = 1,
          stop: Callable[[Any], None] = lambda node: None) -> None:
     """
     Run the node that make() returns until Ctrl-C or SIGTERM, then stop(node).
@@ -90,11 +73,15 @@ def spin(make: Callable[[], Any], executor: Callable[[], Any] | None = None,
     """
     import rclpy
     from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import (
+        ExternalShutdownException,
+        MultiThreadedExecutor,
+        SingleThreadedExecutor,
+    )
     with ros():
         try:
             # first: a signal while the node is made must find what it can wake
-            runner = executor() if executor else SingleThreadedExecutor()
+            runner = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
             node = make()
         except (InvalidHandle, RCLError) as error:
             if not rclpy.ok():  # ended by a signal
@@ -144,9 +131,6 @@ def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> It
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
     from rclpy.signals import SignalHandlerOptions
-    if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
-        raise InputError('ROS does not start: it has no place for its logs, as none of '
-                         'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
     options = SignalHandlerOptions.NO if interruptible else SignalHandlerOptions.ALL
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=options)

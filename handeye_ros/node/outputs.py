@@ -133,7 +133,7 @@ class Outputs:
             self._advertise_answer()
             return
         config = self._live.framed
-        transform = transform_stamped(calibration, self._now())
+        transform = transform_of(calibration, self._now())
         self._calibration.publish(transform)
         robot = (config.base_frame, config.robot_effector_frame)
         if self._tf_static and calibration.child_frame not in robot:
@@ -211,13 +211,19 @@ class Outputs:
 # messages
 
 
-def transform_stamped(calibration: Calibration, stamp: Time) -> TransformStamped:
+def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:
     """Return the answer as the pose of the sensor in its parent frame."""
-    msg = TransformStamped(child_frame_id=calibration.child_frame)
-    msg.header = Header(stamp=stamp, frame_id=calibration.parent_frame)
     T = calibration.T_flange_sensor
-    _set(msg.transform.translation, T[:3, 3])
-    _set(msg.transform.rotation, se3.quaternion(T))
+    return transform_stamped(T[:3, 3], se3.quaternion(T), calibration.parent_frame,
+                             calibration.child_frame, stamp)
+
+
+def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
+                      child: str, stamp: Time) -> TransformStamped:
+    """Return a transform (x y z in m, quaternion x y z w) of a child frame in its parent."""
+    msg = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
+    _set(msg.transform.translation, translation)
+    _set(msg.transform.rotation, rotation)
     return msg
 
 

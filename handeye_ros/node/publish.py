@@ -9,9 +9,9 @@ from pathlib import Path
 import sys
 
 from handeye_ros.data import Calibration
-from handeye_ros.errors import HandeyeError, InputError, NoRosError
+from handeye_ros.errors import InputError, NoRosError
 from handeye_ros.node.main import exit_code, spin
-from handeye_ros.node.outputs import LATCHED, transform_stamped
+from handeye_ros.node.outputs import LATCHED, transform_of
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from rclpy.node import Node
@@ -19,33 +19,18 @@ from rclpy.utilities import remove_ros_args
 
 
 def publish(paths: Sequence[Path]) -> None:
-    """
-    Publish the calibrations of files or folders until Ctrl-C.
-
-    An unusable file is reported on stderr at once, and the others are published; raises
-    InputError at the end.
-    """
+    """Publish the calibrations of files or folders until Ctrl-C; raises InputError."""
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
     calibrations: dict[str, Calibration] = {}  # by the frame of the sensor
-    failed = 0
     for path in paths:
-        try:
-            calibration = read_calibration(file_of(path).absolute())
-            if calibration.child_frame in calibrations:
-                raise InputError(
-                    f'{path} is not published: another of the files gives the pose of '
-                    f'{calibration.child_frame}, and a frame has one parent; name each sensor '
-                    'once')
-            calibrations[calibration.child_frame] = calibration
-        except HandeyeError as error:
-            failed += 1
-            print(error, file=sys.stderr, flush=True)
-    if calibrations:
-        spin(lambda: _publisher([*calibrations.values()]))
-    if failed:
-        raise InputError(f'{failed} of {len(paths)} calibrations not published: see above, '
-                         'and name files that handeye solve or ~/save_calibration wrote')
+        calibration = read_calibration(file_of(path).absolute())
+        if calibration.child_frame in calibrations:
+            raise InputError(f'{path} cannot be published: another of the files gives the pose of '
+                             f'{calibration.child_frame}, and a frame has one parent; name each '
+                             'sensor once')
+        calibrations[calibration.child_frame] = calibration
+    spin(lambda: _publisher([*calibrations.values()]))
 
 
 def _publisher(calibrations: Sequence[Calibration]) -> Node:
@@ -53,11 +38,10 @@ def _publisher(calibrations: Sequence[Calibration]) -> Node:
     publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
     stamp = node.get_clock().now().to_msg()
     # in one message: a latched topic keeps only the last
-    publisher.publish(TFMessage(transforms=[transform_stamped(calibration, stamp)
-                                            for calibration in calibrations]))
-    for calibration in calibrations:
-        node.get_logger().info(f'{calibration.child_frame} in {calibration.parent_frame} is '
-                               f'on /tf_static (calibration {calibration.name})')
+    publisher.publish(TFMessage(transforms=[transform_of(one, stamp) for one in calibrations]))
+    for one in calibrations:
+        node.get_logger().info(f'{one.child_frame} in {one.parent_frame} is on /tf_static '
+                               f'(calibration {one.name})')
     return node
 
 

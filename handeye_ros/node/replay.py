@@ -31,14 +31,13 @@ DISCOVERY = 0.5
 LONGEST_END = Duration(seconds=10)
 
 
-def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: float = 5.0,
-           ros_args: list[str] | None = None) -> None:
+def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0,
+           ros_args: Sequence[str] = ()) -> None:
     """
     Publish a bag at rate times its recorded speed, and return when all messages are sent.
 
-    Starts once wait_for of its topics (None: all) have a subscriber, or after timeout seconds.
-    Raises InputError when the bag cannot be read or holds nothing to publish.
-
+    Starts once all its topics have a subscriber, or after timeout seconds. Raises InputError when
+    the bag cannot be read or holds nothing to publish.
     """
     if not (math.isfinite(rate) and rate > 0):
         raise InputError(f'the rate is {rate:g}, expected a number above 0')
@@ -46,7 +45,7 @@ def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: f
     received = list(reader.messages())
     for warning in reader.warnings:
         print(warning, file=sys.stderr)
-    with ros(ros_args or [], interruptible=True):
+    with ros(ros_args, interruptible=True):
         node = Node('handeye_replay')
         clock = node.create_publisher(Clock, '/clock', 10)
         publishers = _publishers(node, reader.types)
@@ -54,7 +53,14 @@ def replay(bag: Path, rate: float = 1.0, wait_for: int | None = None, timeout: f
                           key=lambda message: message.log_time)
         if not messages:
             raise InputError(f'{bag} holds no messages of a type that is installed here')
-        _wait_for_subscribers(publishers, wait_for, timeout)
+        end = time.monotonic() + timeout
+        while missing := [topic for topic, publisher in publishers.items()
+                          if not publisher.get_subscription_count()]:
+            if time.monotonic() > end:
+                print(f'no subscriber on {", ".join(missing)}; starting anyway', file=sys.stderr)
+                break
+            time.sleep(TICK)
+        time.sleep(DISCOVERY)
         _publish_all(messages, publishers, clock, rate)
         for publisher in publishers.values():
             publisher.wait_for_all_acked(LONGEST_END)
@@ -76,21 +82,6 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
         publishers[topic] = node.create_publisher(
             message_type, topic, QoSProfile(depth=1000, durability=durability))
     return publishers
-
-
-def _wait_for_subscribers(publishers: dict[str, Publisher], wait_for: int | None,
-                          timeout: float) -> None:
-    needed = len(publishers) if wait_for is None else min(wait_for, len(publishers))
-    end, missing = time.monotonic() + timeout, list(publishers)
-    while len(missing) > len(publishers) - needed:
-        missing = [topic for topic, one in publishers.items() if not one.get_subscription_count()]
-        if time.monotonic() > end:
-            if missing:
-                print(f'no subscriber on {", ".join(missing)}; starting anyway', file=sys.stderr)
-            break
-        time.sleep(TICK)
-    if len(missing) < len(publishers):
-        time.sleep(DISCOVERY)
 
 
 def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
@@ -119,13 +110,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog='replay', description=__doc__)
     parser.add_argument('bag', type=Path, help='a rosbag2 folder, or an .mcap or .db3 file')
     parser.add_argument('--rate', type=float, default=1.0, help='speed; 1: as recorded')
-    parser.add_argument('--wait-for', type=int, metavar='N',
-                        help='start once N of the topics have a subscriber (default: all)')
     parser.add_argument('--timeout', type=float, default=5.0,
                         help='start after so many seconds in any case (default: 5)')
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    return exit_code(lambda: replay(options.bag, options.rate, options.wait_for,
-                                    options.timeout, sys.argv))
+    return exit_code(lambda: replay(options.bag, options.rate, options.timeout, sys.argv))
 
 
 if __name__ == '__main__':

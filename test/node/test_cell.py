@@ -9,27 +9,21 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import ROOT  # noqa: E402, I100
-from geometry_msgs.msg import TransformStamped  # noqa: E402
-from handeye_ros.node.main import own_arguments  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
     LATCHED,
     pose_message,
-    replay,
-    run_module,
     running_node,
     sphere_profile,
 )
 from std_msgs.msg import Empty, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -99,62 +93,7 @@ def test_a_button_a_kill_and_a_restart(tmp_path: Path, client: Client, home: Pat
                       'a sample is left out')
 
 
-@pytest.mark.thorough
-def test_a_late_joiner_is_not_sent_an_old_answer(tmp_path: Path, client: Client) -> None:
-    from handeye_ros.bags.bag import read
-    from handeye_ros.config import load
-    config = ROOT / 'config' / 'sphere.yaml'
-    recording = read(ROOT / 'bags' / 'sphere', load(config))
-    with running_node(tmp_path, '--params-file', str(config), '-r', '__ns:=/cell'):
-        state = Reports(client, '/cell/handeye/status')
-        assert state.until(lambda report: True, 'a state is there')['state'] == 'none'
-        replay(ROOT / 'bags' / 'sphere')
-        client.until(lambda: client._told and client._told[-1]['profiles'] == str(
-            len(recording.profiles)), 'all is taken')
-
-        def call(service: str) -> Any:
-            caller = client.node.create_client(Trigger, f'/cell/handeye/{service}')
-            client.until(caller.service_is_ready, f'{service} is there')
-            future = caller.call_async(Trigger.Request())
-            client.until(future.done, f'{service} answers')
-            return future.result()
-
-        assert call('compute_calibration').success
-        report = state.until(lambda report: report['state'] == 'current', 'the answer is there')
-        early: list[TransformStamped] = []
-        client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
-                                        early.append, LATCHED)
-        client.until(lambda: early, 'who comes now gets it')
-        assert early[0].transform.translation.x == report['translation'][0]
-        assert call('clear_samples').success
-        report = state.until(lambda report: report['state'] == 'withdrawn', 'it is withdrawn')
-        assert 'the transform that was published before is not the answer' in report['text']
-        late: list[TransformStamped] = []
-        client.node.create_subscription(TransformStamped, '/cell/handeye/calibration',
-                                        late.append, LATCHED)
-        late_state = Reports(client, '/cell/handeye/status')
-        assert late_state.until(lambda report: True, 'a state is there')['state'] == 'withdrawn'
-        client.state()
-        assert not late
-
-
 # -- the executable
-
-
-@pytest.mark.parametrize(('arguments', 'code', 'words'), [
-    (['--help'], 0, 'usage: calibrate'),
-    (['--params-file', 'x.yaml'], 2, 'follow --ros-args'),
-    (['config/plate.yaml'], 2, 'unknown arguments: config/plate.yaml')])
-def test_unknown_arguments_are_refused_with_the_usage(
-        arguments: list[str], code: int, words: str) -> None:
-    run = run_module('__main__', *arguments)
-    assert (run.returncode, words in run.stdout + run.stderr) == (code, True)
-    assert 'usage: calibrate' in run.stdout + run.stderr
-
-
-def test_arguments_of_ros_are_not_ours() -> None:
-    assert own_arguments(['--ros-args', '-p', 'a:=1']) == []
-    assert own_arguments(['x', '--ros-args', '-p', 'a:=1', '--', 'y']) == ['x', 'y']
 
 
 AT_IMPORT = """

@@ -94,15 +94,3 @@ def test_the_node_ends_cleanly_while_it_solves(
         assert process.wait(PATIENCE) == 0
     said = log.read_text().splitlines()
     assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
-
-
-@pytest.mark.parametrize('module', ['main', 'replay'])
-def test_without_a_place_for_logs(module: str) -> None:
-    block = ('import os; [os.environ.pop(name, 0) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")]'
-             f'; import sys; from handeye_ros.node.{module} import main; sys.exit(main())')
-    arguments = ['bags/sphere'] if module == 'replay' else []
-    run = subprocess.run([sys.executable, '-c', block, *arguments], cwd=ROOT, text=True,
-                         capture_output=True, check=False, timeout=PATIENCE)
-    assert run.returncode == 2
-    assert run.stderr.startswith('ROS does not start: it has no place for its logs')
-    assert run.stderr.count('\n') == 1

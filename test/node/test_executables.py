@@ -1,0 +1,185 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The executables beside the node, each in a process of its own, heard over real topics."""
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs rclpy')
+from command import PATIENCE, ROOT, running  # noqa: E402, I100
+from geometry_msgs.msg import PoseStamped  # noqa: E402
+from handeye_ros import se3  # noqa: E402
+from handeye_ros.arm import arm_of  # noqa: E402
+from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
+from handeye_ros.simulate import robot  # noqa: E402
+from moving_scan import calibration, moving, plane_profiles  # noqa: E402
+import numpy as np  # noqa: E402
+from rclpy.serialization import deserialize_message  # noqa: E402
+from recordings import scan  # noqa: E402
+from ros_clouds import cloud  # noqa: E402
+from ros_helpers import (  # noqa: E402
+    BEST_EFFORT,
+    Client,
+    cloud_message,
+    LATCHED,
+    pose_message,
+    RELIABLE,
+    run_module,
+)
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+BAG = ROOT / 'bags' / 'one_orientation'
+Q = [0.1, -0.2, 0.3, 0.4, 0.5, -0.6]
+
+
+def started(module: str, *arguments: object) -> AbstractContextManager[subprocess.Popen[str]]:
+    return running([sys.executable, '-m', f'handeye_ros.node.{module}', *map(str, arguments)],
+                   cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@pytest.mark.parametrize(('module', 'arguments', 'reason'), [
+    ('__main__', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
+    ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
+    *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
+        ('publish', ['no/such/folder'], 'no/such/folder cannot be used'),
+        ('scan', ['none.yaml'], 'none.yaml cannot be used'),
+        ('corrected_pose', ['--kinematics', 'none.yaml'], 'none.yaml cannot be used'),
+        ('replay', [str(BAG), '--rate', 'nan'], 'the rate is nan, expected a number above')))])
+def test_wrong_arguments_are_refused_in_a_sentence(
+        module: str, arguments: list[str], reason: str) -> None:
+    run = run_module(module, *arguments)
+    assert run.returncode == 2 and reason in run.stderr and 'Traceback' not in run.stderr
+
+
+# -- replay
+
+
+def test_every_message_of_a_bag_arrives_as_it_was_recorded(client: Client) -> None:
+    _, recorded = scan(BAG)
+    types = {'/profile': PointCloud2, '/flange_pose': PoseStamped}
+    heard: dict[str, list[object]] = {topic: [] for topic in types}
+    for topic, kind in types.items():
+        client.node.create_subscription(kind, topic, heard[topic].append, RELIABLE)
+    clock: list[Clock] = []
+    client.node.create_subscription(Clock, '/clock', clock.append, RELIABLE)
+    with started('replay', BAG, '--rate', 20) as replay:
+        client.until(lambda: replay.poll() is not None, 'the replay ends')
+        client.until(lambda: sum(map(len, heard.values())) == len(recorded), 'all is heard')
+        assert (replay.returncode, replay.communicate()) == (0, ('', ''))
+    for topic, messages in heard.items():
+        assert messages == [deserialize_message(raw.data, types[topic])
+                            for raw in recorded if raw.topic == topic]
+    times = [msg.clock.sec * 10**9 + msg.clock.nanosec for msg in clock]
+    assert times == sorted(times) and times[-1] == max(raw.log_time for raw in recorded)
+
+
+def test_without_subscribers_it_says_so_and_interrupted_it_ends_cleanly(client: Client) -> None:
+    heard: list[object] = []
+    client.node.create_subscription(PoseStamped, '/flange_pose', heard.append, RELIABLE)
+    with started('replay', BAG, '--timeout', 3) as replay:
+        client.until(lambda: heard, 'the replay has begun')
+        replay.terminate()
+        _, err = replay.communicate(timeout=PATIENCE)
+        assert err.startswith('no subscriber on /profile') and replay.returncode == 0
+
+
+# -- publish
+
+
+def test_saved_calibrations_are_heard_by_who_comes_late(tmp_path: Path, client: Client) -> None:
+    TFMessage = pytest.importorskip('tf2_msgs.msg', reason='needs tf2_msgs').TFMessage
+    laser = replace(calibration(), parent_frame='flange', child_frame='laser')
+    camera = replace(laser, child_frame='camera', parent_frame='base',
+                     T_flange_sensor=se3.inverse(laser.T_flange_sensor))
+    for one in (laser, camera):
+        (tmp_path / one.child_frame).mkdir()
+        write_calibration(one, tmp_path / one.child_frame / 'calibration.yaml')
+    messages: list[TFMessage] = []
+    with started('publish', tmp_path / 'laser', tmp_path / 'camera' / 'calibration.yaml') as node:
+        client.node.create_subscription(TFMessage, '/tf_static', messages.append, LATCHED)
+        client.until(lambda: messages, 'the transforms are published')
+        node.send_signal(signal.SIGINT)
+        assert node.wait(PATIENCE) == 0
+    result = {(t.header.frame_id, t.child_frame_id): t.transform for t in messages[0].transforms}
+    assert result.keys() == {('flange', 'laser'), ('base', 'camera')}
+    for one in (laser, camera):
+        t = result[one.parent_frame, one.child_frame]
+        T = se3.from_quaternion(np.array([getattr(t.translation, k) for k in 'xyz']),
+                                np.array([getattr(t.rotation, k) for k in 'xyzw']))
+        np.testing.assert_allclose(T, one.T_flange_sensor, rtol=0, atol=1e-12)
+    run = run_module('publish', str(tmp_path / 'laser'), str(tmp_path / 'laser'))
+    assert run.returncode == 2 and 'a frame has one parent' in run.stderr
+
+
+# -- scan
+
+
+@pytest.mark.parametrize('rows', [pytest.param(1, marks=pytest.mark.thorough), 5])
+def test_scanned_points_are_published_in_the_base(
+        tmp_path: Path, client: Client, rows: int) -> None:
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    got: list[PointCloud2] = []
+    client.node.create_subscription(PointCloud2, '/handeye_scan/points', got.append, 100)
+
+    def message(profiles):
+        """Return one message of profiles, a row each, with the stamp of the first."""
+        x, z = np.concatenate([profile.points for profile in profiles]).T
+        made = cloud({'x': x, 'z': z}, {'x': (0, 7), 'z': (4, 7)}, 8, height=len(profiles))
+        return cloud_message(made, profiles[0].stamp)
+
+    with started('scan', tmp_path, '--std', '--set', 'profile.period=0.001'):
+        client.until(lambda: client.profiles.get_subscription_count()
+                     and client.poses.get_subscription_count()
+                     and client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        poses, profiles = iter(moving(10_000)), iter(plane_profiles(10_000))
+
+        def most_points_came() -> bool:
+            # who takes best effort hears what is sent after it knows of the sender
+            client.send(client.poses, (pose_message(p.stamp, p.translation, p.quaternion)
+                                       for p in islice(poses, 1)), 200.0)
+            batches = [list(islice(profiles, rows)) for _ in range(5 // rows)]
+            client.send(client.profiles, map(message, batches), 1000.0 / rows)
+            return sum(c.width for c in got) >= 50 * 50
+
+        client.until(most_points_came, 'most points came')
+    assert {c.header.frame_id for c in got} == {'base'}
+    assert [f.name for f in got[0].fields] == ['x', 'y', 'z', 'std']
+    z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 4)[:, 2]
+                        for c in got])
+    np.testing.assert_allclose(z, 0.1, atol=1e-6)
+
+
+# -- corrected_pose
+
+
+def test_a_corrected_pose_follows_every_joint_state(tmp_path: Path, client: Client) -> None:
+    pytest.importorskip('pinocchio', reason='needs pinocchio')
+    urdf = robot.urdf().replace('0 0 0.75', '0.002 0 0.75')
+    (tmp_path / 'arm.urdf').write_text(urdf)
+    got: list[PoseStamped] = []
+    client.node.create_subscription(PoseStamped, '/corrected_pose', got.append, BEST_EFFORT)
+    joints = client.node.create_publisher(JointState, '/joint_states', BEST_EFFORT)
+    state = JointState(name=[f'joint_{k}' for k in range(6, 0, -1)], position=Q[::-1])
+    state.header.stamp.sec = 7
+
+    def heard() -> bool:
+        joints.publish(JointState(name=['gripper'], position=[0.0]))
+        joints.publish(state)
+        return bool(got)
+    with started('corrected_pose', '--urdf', tmp_path / 'arm.urdf'):
+        client.until(heard, 'a pose comes')
+    T = arm_of(urdf).forward(np.array([Q]))[0]
+    p = got[0].pose.position
+    np.testing.assert_allclose([p.x, p.y, p.z], T[:3, 3], atol=1e-12)
+    assert (got[0].header.stamp.sec, got[0].header.frame_id) == (7, 'base')
