@@ -22,7 +22,7 @@ from handeye_ros.arm import (
     POSITION,
     REVOLUTE,
 )
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Calibration
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_values
@@ -59,15 +59,22 @@ class Answer:
         return self.outcome.arm
 
     @property
-    def by_joint(self) -> dict[str, Array]:
-        """Return value, std and known (joints, 5) of all errors, nan of those not estimated."""
-        arm, columns = self.arm, {}
+    def joints(self) -> list[dict[str, Any]]:
+        """Return of each joint what the URDF states, and value, std and known by kind of error."""
+        arm, entries = self.arm, []
         assert arm.covariance is not None
-        for name, values in (('value', arm.values), ('std', np.sqrt(np.diag(arm.covariance))),
-                             ('known', self.outcome.known)):
-            columns[name] = np.full(arm.free.shape, np.nan)
-            columns[name][arm.free] = values
-        return columns
+        columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
+                   'known': self.outcome.known}
+        joint_of, column_of = np.nonzero(arm.free)
+        for j, joint in enumerate(arm.joints):
+            own = {kind: (joint_of == j) & (KINDS[column_of] == kind) for kind in arm.kinds}
+            entries.append({
+                'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
+                'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
+                'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper,
+                **{kind: {name: of[rows].tolist() for name, of in columns.items()}
+                   for kind, rows in own.items() if rows.any()}})
+        return entries
 
     def save(self, urdf: str, folder: Path, formats: Sequence[str]) -> str:
         """
@@ -92,18 +99,9 @@ def _content(answer: Answer) -> dict[str, Any]:
     outcome, arm, calibration = answer.outcome, answer.arm, answer.calibration
     assert arm.covariance is not None
     assert arm.configurations is not None
-    joints = []
-    for j, joint in enumerate(arm.joints):
-        of_kinds = {kind: arm.free[j] & (kind == KINDS) for kind in arm.kinds}
-        joints.append({
-            'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
-            'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
-            'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper,
-            **{kind: {name: of[j, own].tolist() for name, of in answer.by_joint.items()}
-               for kind, own in of_kinds.items() if own.any()}})
     return {
         'format': f'{FORMAT}1', 'name': calibration.name, 'base': arm.base, 'flange': arm.flange,
-        'joints': joints, 'end': transform_values(arm.end),
+        'joints': answer.joints, 'end': transform_values(arm.end),
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
@@ -125,20 +123,17 @@ def table(answer: Answer) -> RenderableType:
     joints, models = (Table(*header, box=box.SIMPLE_HEAD, pad_edge=False) for header in (
         ('joint', 'zero offset', 'axis direction', 'axis position', 'not known'),
         ('model', 'residual RMS', 'left out RMS', 'left out median', '')))
-    columns = answer.by_joint
-    for j, joint in enumerate(answer.arm.joints):
+    for joint in answer.joints:
         cells, unknown = [], []
         for kind in GEOMETRY:
-            own = answer.arm.free[j] & (kind == KINDS)
-            lengths = kind == POSITION or (kind == OFFSET and joint.kind != REVOLUTE)
+            found = joint.get(kind, {'value': [], 'std': [], 'known': [0.0]})
+            lengths = kind == POSITION or (kind == OFFSET and joint['type'] != REVOLUTE)
             factor, digits, unit = (1e3, 3, 'mm') if lengths else (math.degrees(1), 4, 'deg')
-            cells.append(', '.join(
-                f'{value:+.{digits}f} ± {std:.{digits}f}' for value, std in zip(
-                    columns['value'][j, own] * factor, columns['std'][j, own] * factor,
-                    strict=True)) + f' {unit}' if own.any() else '-')
-            if own.any() and (columns['known'][j, own] > UNKNOWN).all():
-                unknown.append(kind)
-        joints.add_row(joint.name, *cells, ', '.join(unknown))
+            values = [f'{value * factor:+.{digits}f} ± {std * factor:.{digits}f}'
+                      for value, std in zip(found['value'], found['std'], strict=True)]
+            cells.append(f'{", ".join(values)} {unit}' if values else '-')
+            unknown += [kind] * (min(found['known']) > UNKNOWN)
+        joints.add_row(joint['name'], *cells, ', '.join(unknown))
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     for model in answer.outcome.models:
         sizes = (model.fit.residual_rms, model.left_out_rms, model.left_out_median)

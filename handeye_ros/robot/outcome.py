@@ -152,15 +152,14 @@ def solve(start: Start) -> Outcome:
 
 
 def _regions(q: Array) -> NDArray[np.intp]:
-    """Return the region (n,) of joint space of stops (n, joints): halves of halves of halves."""
+    """Return the region (n,) of stops (n, joints): halves of halves, across the longest axis."""
     groups = [np.arange(len(q))]
     while len(groups) < REGIONS and min(map(len, groups)) >= 2 * FEWEST_OF_REGION:
         halves = []
         for group in groups:
             centred = q[group] - q[group].mean(axis=0)
-            longest = np.linalg.svd(centred, full_matrices=False)[2][0]
-            ordered = group[np.argsort(centred @ longest, kind='stable')]
-            halves += np.split(ordered, [len(group) // 2])
+            along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+            halves += np.split(group[np.argsort(along, kind='stable')], [len(group) // 2])
         groups = halves
     region = np.empty(len(q), dtype=np.intp)
     for number, group in enumerate(groups):

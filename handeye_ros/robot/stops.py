@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm
@@ -42,30 +42,16 @@ class Residuals:
     white: Callable[[Array], Array] = as_they_are
 
 
-class Measured(Protocol):
-    """
-    Measurements of one target with k unknowns at n stops.
-
-    axes: residuals in one vector, each with a noise of its own; station: (m,) of the residuals.
-    """
-
-    @property
-    def axes(self) -> int: ...
-    @property
-    def unknowns(self) -> int: ...
-    @property
-    def station(self) -> NDArray[np.intp]: ...
-    def __len__(self) -> int: ...
-    def residuals(self, T_base_flange: Array, X: Array, target: Array) -> Residuals: ...
-    def moved(self, target: Array, step: Array) -> Array: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Profiles:
-    """Profiles of a target: a problem, whose poses are replaced by those of the arm."""
+    """
+    Profiles of a target: a problem, whose poses are replaced by those of the arm.
+
+    axes: residuals in one vector, each with a noise of its own.
+    """
 
     problem: Problem
-    axes: int = 1
+    axes: ClassVar[int] = 1
 
     def __len__(self) -> int:
         """Return the number of stops."""
@@ -100,8 +86,8 @@ class Points:
 
     points: Array
     in_hand: bool
-    axes: int = 3
-    unknowns: int = 3
+    axes: ClassVar[int] = 3
+    unknowns: ClassVar[int] = 3
 
     def __len__(self) -> int:
         """Return the number of stops."""
@@ -135,6 +121,9 @@ class Points:
     def moved(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
         return target + step
+
+
+Measured: TypeAlias = Profiles | Points
 
 
 @dataclass(frozen=True, eq=False)

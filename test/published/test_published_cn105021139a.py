@@ -34,8 +34,8 @@ def view_of(T_camera_target: Array, rng: np.random.Generator, noise: float = 0.0
                        line + noise * rng.normal(size=line.shape))
 
 
-def session(seed: int, count: int = 3,
-            noise: float = 0.0) -> tuple[Array, Array, tuple[patent.View, ...], Array]:
+def session(seed: int, count: int = 3, noise: float = 0.0
+            ) -> tuple[Array, Array, tuple[patent.View, ...], Array]:
     """Return T_flange_camera, poses, views and T_camera_target; the laser crosses the centre."""
     rng = np.random.default_rng(seed)
     offset = rng.normal(size=3)

@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The fixed point from different poses: the truth, and what a PRP arm cannot know."""
+"""The fixed point from different poses: what a PRP arm cannot know (the rest: test_compare)."""
 from __future__ import annotations
 
 from handeye_ros import se3
@@ -12,28 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 RADIUS = 0.03
-
-
-def mounting(rng: np.random.Generator) -> Array:
-    """Return a T_flange_sensor, 0.1 to 0.2 m off the flange."""
-    offset = rng.normal(size=3)
-    return se3.transform(Rotation.random(random_state=rng).as_matrix(),
-                         rng.uniform(0.1, 0.2) * offset / np.linalg.norm(offset))
-
-
-def cuts(rng: np.random.Generator, count: int) -> Array:
-    """Return ball centres (n, 3) in the sensor frame, within the ball's radius of its plane."""
-    return rng.uniform([-0.02, -0.8 * RADIUS, 0.16], [0.02, 0.8 * RADIUS, 0.19], (count, 3))
-
-
-def six_axes(rng: np.random.Generator, X: Array, seen: Array) -> Array:
-    """Return poses (n, 4, 4), tilts within 30 degrees, that see the ball at seen (n, 3)."""
-    ball = np.array([0.7, -0.2, 0.3])
-    base = Rotation.from_euler('x', np.pi)
-    R = (Rotation.from_euler('xyz', rng.uniform(-30, 30, (len(seen), 3)), degrees=True)
-         * base).as_matrix()
-    T_base_sensor = se3.transform(R, ball - (R @ seen[:, :, None])[:, :, 0])
-    return np.asarray(T_base_sensor @ se3.inverse(X))
 
 
 def prp_arm(rng: np.random.Generator, X: Array, ball: Array,
@@ -49,26 +27,6 @@ def prp_arm(rng: np.random.Generator, X: Array, ball: Array,
         poses.append(se3.transform(R.as_matrix(), [0, 0, d1] + R.as_matrix()[:, 2] * d3))
     T = np.array(poses)
     return T, se3.apply(se3.inverse(T @ X), np.tile(ball, (count, 1, 1)))[:, 0]
-
-
-def measured(seen: Array) -> Array:
-    """Return the centres as they are found from the circles that the profiles show."""
-    radii = np.sqrt(RADIUS ** 2 - seen[:, 1] ** 2)
-    return fixed_point.ball_centres(seen[:, [0, 2]], radii, RADIUS, np.sign(seen[:, 1]))
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_the_truth_without_noise(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    X, seen = mounting(rng), cuts(rng, 15)
-    poses = six_axes(rng, X, seen)
-    linear = fixed_point.solve_linear(poses, measured(seen))
-    rigid = fixed_point.solve_least_squares(poses, measured(seen))
-    assert (linear.rank, rigid.rank) == (12, 9)
-    for found in (linear, rigid):
-        np.testing.assert_allclose(found.matrix, X, atol=1e-7)
-        assert np.abs(se3.difference(found.T_flange_sensor, X)).max() < 1e-6
-        np.testing.assert_allclose(found.centre, [0.7, -0.2, 0.3], atol=1e-7)
 
 
 def test_a_prp_arm_cannot_know_p_along_its_axis() -> None:
