@@ -48,10 +48,10 @@ from handeye_ros.estimation.search import refined, robust_solution, with_blocks,
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import flat_crossing
 from handeye_ros.frames import mounted
-from handeye_ros.guidance.advice import advise
+from handeye_ros.guidance.advice import advise, turn_and_tilt
 from handeye_ros.guidance.moves import Move
-from handeye_ros.guidance.rules import limits_of
-from handeye_ros.guidance.score import extremes, learn_view, mapping, View
+from handeye_ros.guidance.view import extremes, learn_view, mapped_points, View
+from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import mapped_point_error
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import of_profiles
@@ -213,8 +213,11 @@ def anywhere(cell: World) -> np.ndarray | None:
          @ se3.exp_rotation(tilt * np.array([np.cos(way), np.sin(way), 0.0])))
     place = rng.uniform(cell.view.low, cell.view.high)
     T = cell.looking(R, cell.spot(edge), place)
-    limits = limits_of(cell.samples[0].T_base_flange, cell.config)
-    allowed = limits.allow(T[None], cell.T_flange_sensor)[0]
+    first = cell.samples[0].T_base_flange
+    turns, tilts = turn_and_tilt((first @ cell.T_flange_sensor)[:3, :3],
+                                 (T @ cell.T_flange_sensor)[None, :3, :3])
+    allowed = (np.linalg.norm(T[:3, 3] - first[:3, 3]) <= config.reach
+               and np.linalg.norm(tilts) <= config.tilt and abs(turns[0]) <= config.turn)
     return missed(cell, T, place, 1.0) if allowed else None
 
 
@@ -230,9 +233,14 @@ def missed(cell: World, T: np.ndarray, place: np.ndarray, away: float) -> np.nda
     return T @ cell.T_flange_sensor @ error @ se3.inverse(cell.T_flange_sensor)
 
 
+def answer_of(cell: World, solution: Solution | None) -> Answer:
+    """Return a solution as the answer that the advice reads."""
+    return Answer(cell.samples, solution, solution is not None, None, None)
+
+
 def advised(cell: World, solution: Solution | None) -> Callable[[], np.ndarray | None]:
     """Return what draws poses near the one that the advice asks for, at last from anywhere."""
-    result = advise(cell.samples, cell.config, solution, seen=cell.seen)
+    result = advise(cell.samples, cell.config, answer_of(cell, solution), cell.seen)
     tries = iter(range(10**6))
 
     def near() -> np.ndarray | None:
@@ -265,7 +273,7 @@ def session(cell: World, operator: str, stations: int) -> np.ndarray:
         count = len(cell.samples)
         solution = solved(cell)
         if solution is not None:
-            sigma = mapping(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
+            sigma = mapped_points(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
             found[count - 1] = error_of(solution, cell), sigma
         if count == stations:
             return found
@@ -297,8 +305,8 @@ def followed(cell: World, away: float, stations: int) -> Followed:
     why, enough = list[str](), 0
     for _ in range(stations):
         cell.solution = solved(cell)
-        advice = advise(cell.samples, cell.config, cell.solution, seen=cell.seen,
-                        refused=cell.refused)
+        advice = advise(cell.samples, cell.config, answer_of(cell, cell.solution), cell.seen,
+                        cell.refused)
         if advice.enough:
             enough = len(cell.samples)
             break
@@ -313,7 +321,8 @@ def followed(cell: World, away: float, stations: int) -> Followed:
             cell.refused.append(T)
     known = solved(cell)
     std, off = (math.inf, math.inf) if known is None else (
-        mapping(known.estimate.X, cell.view).std(known.reported[:6, :6]), error_of(known, cell))
+        mapped_points(known.estimate.X, cell.view).std(known.reported[:6, :6]),
+        error_of(known, cell))
     return Followed(len(cell.samples) - 1 + len(why), tuple(why), enough, std, off)
 
 
@@ -367,7 +376,7 @@ def solved(cell: World) -> Solution | None:
         found = with_blocks(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
-    std = mapping(found.estimate.X, cell.view).std(found.reported[:6, :6])
+    std = mapped_points(found.estimate.X, cell.view).std(found.reported[:6, :6])
     cell.last = found if std < KNOWN_WELL else None
     return found
 

@@ -29,15 +29,13 @@ from handeye_ros.checks.refusals import (
     require_tested,
 )
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Calibration, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted
-from handeye_ros.guidance import advice
-from handeye_ros.notes import offset_notes
 from handeye_ros.outcome import calibration_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
@@ -181,24 +179,6 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 10. Without a certain cause, ask whether other settings or clocks explain the stops.
         refusal = explained(error, session, config) if session else error
     return Answer(ordered, solution, fits, calibration, refusal)
-
-
-@single_threaded
-def advise(samples: Sequence[Sample], config: Config, seen: Array | None = None,
-           refused: Sequence[Array] = (), found: Answer | None = None) -> advice.Advice:
-    """
-    Return what to do next after samples, in the order of their stamps.
-
-    seen: points (n, 2) of profiles, from which the field of view is learnt; refused: poses of the
-    flange (4, 4) at which stops gave no sample; found: the answer of the samples, if it is known.
-    """
-    found = found or answer(samples, (), config)
-    samples = single_samples(samples)
-    enough = len(samples) >= targets.method_for(config).minimum
-    solution = found.solution if found.fits else None
-    trouble = str(found.refusal or '') if enough and solution is None else ''
-    notes = offset_notes(solution) if solution else ()
-    return advice.advise(samples, config, solution, trouble, seen, refused, notes)
 
 
 def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:

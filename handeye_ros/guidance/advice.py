@@ -4,40 +4,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.covariance import budget
+from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction
-from handeye_ros.guidance.candidates import Search
-from handeye_ros.guidance.moves import missing, Move, next_move, noun
-from handeye_ros.guidance.rules import limits_of, visited
-from handeye_ros.guidance.score import (
-    Cause,
-    largest_cause,
-    learn_view,
-    Mapping,
-    mapping,
-    with_sample,
-)
+from handeye_ros.guidance.candidates import anchor_of, Proposal, propose
+from handeye_ros.guidance.moves import Move, next_move, noun
+from handeye_ros.guidance.view import learn_view, mapped_points, MappedPoints, View
+from handeye_ros.notes import offset_notes
+from handeye_ros.pipeline import Answer
+from handeye_ros.sampling.sweep import single_samples
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
-MOST_MISSING = 2  # sentences on what is missing
 GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
 LITTLE = 0.02  # of the mapped points' sigma: less is no reason for another sample
-# What helps where more samples do not, by the setting that limits.
-REMEDIES = {'noise.robot_smooth': 'robot, or a better statement of its accuracy,',
-            'noise.robot_scale': 'robot, or a better statement of its scale,',
-            'noise.distortion': 'sensor', 'noise.line_bend': 'sensor', 'noise.flatness': 'target',
-            'target.setback_std': 'target'}
-SWEEP = ('continue to sweep over the {}: to and fro across it, with tilts about all axes, near '
-         'and far, with changes of speed')
-SEED = 0  # the same samples give the same advice
+SMALLEST_CAUSE = 0.5  # of the sigma: a smaller cause is not named
+WANTED_TILT, WANTED_TURN = 0.6, 0.52  # of the largest tilt, to either side; rad, to either side
+WANTED_PLACES = 0.5  # of the view
 
 
 @dataclass(frozen=True)
@@ -50,18 +41,28 @@ class Sigma:
     unit: str = 'm'
 
 
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """
-    The next pose, T_base_flange (4, 4), and the uncertainty expected after it.
+@dataclass(frozen=True)
+class Cause:
+    """What limits: the setting of its prior, in words, and what helps where samples do not."""
 
-    place: (2,) where in the sensor plane the feature will be seen; std: 1 sigma of mapped points
-    with it (m).
-    """
+    key: str
+    text: str
+    remedy: str
 
-    T_base_flange: Array
-    place: Array
-    std: float
+
+SETBACK = Cause('target.setback_std', 'how far faces end before their edges', 'target')
+CAUSES = {  # by the beginning of the names of blocks
+    'robot_': Cause('noise.robot_smooth', "the robot's accuracy as configured",
+                    'robot, or a better statement of its accuracy,'),
+    'scale': Cause('noise.robot_scale', "the scale of the robot's lengths as configured",
+                   'robot, or a better statement of its scale,'),
+    'distortion': Cause('noise.distortion', "the sensor's linearity as configured", 'sensor'),
+    'line_bend': Cause('noise.line_bend', 'how straight the laser line is as configured',
+                       'sensor'),
+    'flatness': Cause('noise.flatness', "the flatness of the target's faces as configured",
+                      'target'),
+    'setback': SETBACK, 'incidence': SETBACK, 'shape': SETBACK,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,126 +88,164 @@ class Advice:
         return '. '.join(s[0].upper() + s[1:] for s in self.sentences) + '.'
 
 
-def advise(samples: Sequence[Sample], config: Config, solution: Solution | None,
-           trouble: str = '', seen: Array | None = None,
-           refused: Sequence[Array] = (), notes: Sequence[str] = ()) -> Advice:
+@single_threaded
+def advise(samples: Sequence[Sample], config: Config, found: Answer | None = None,
+           seen: Array | None = None, refused: Sequence[Array] = ()) -> Advice:
     """
-    Return the advice after some samples; the limits of guidance.* are relative to the first.
+    Return what to do next after samples, in the order of their stamps.
 
-    solution: of those that agree, None before there is one; trouble: why there is none, or why it
-    was refused; seen: points (n, 2) of profiles, to learn the view from; refused: poses of the
-    flange (4, 4) at which stops gave no sample; notes: on the time offset, during a sweep.
+    found: their answer, None where there are no samples; seen: points (n, 2) of profiles, from
+    which the field of view is learnt; refused: poses of the flange (4, 4) at which stops gave no
+    sample. The limits of guidance.* are relative to the first sample.
     """
     method = targets.method_for(config)
-    if not samples:
-        return _unguided(f'take the first sample: hold the sensor square to the target, with the '
-                         f'{noun(method)} in the middle of the view', None, trouble)
+    what, sweeping = noun(method), config.sampling.moving
+    if found is None or not samples:
+        return _before_an_answer(f'take the first sample: hold the sensor square to the target, '
+                                 f'with the {what} in the middle of the view')
+    samples = single_samples(samples)
     view = learn_view(samples, seen)
-    mapped = None if solution is None else mapping(solution.estimate.X, view)
-    if solution is None or mapped is None or mapped.std(_stated(solution)) > ROUGHLY_KNOWN:
-        if config.sampling.moving:
-            return _unguided(SWEEP.format(noun(method)), None, trouble)
+    solution = found.solution if found.fits else None
+    mapped = mapped_points(solution.estimate.X, view) if solution else None
+    if solution is None or mapped is None or (
+            mapped.std(solution.reported[:6, :6]) > ROUGHLY_KNOWN):
+        refusal = found.refusal if solution is None and len(samples) >= method.minimum else None
+        if sweeping:
+            return _before_an_answer(
+                f'continue to sweep over the {what}: to and fro across it, with tilts about all '
+                'axes, near and far, with changes of speed', None, refusal)
         move = next_move(len(samples), method, config, view)
-        return _unguided(move.text, move, trouble)
-    limits = limits_of(mounted(samples, config)[0], config)
-    sigmas = sigma_table(solution, mapped, config)
-    lacking = missing(solution, view, limits)[:MOST_MISSING]
-    if config.sampling.moving:
-        return _of_sweep(solution, sigmas, lacking, trouble, notes)
-    surely = view.shrunk(mapped.std(_stated(solution)))  # seen there, wherever the sensor is
-    search = Search(solution, surely, limits, mapped, visited(samples, refused, config),
-                    samples[-1].T_base_flange)
-    proposal = propose(search, config) or propose(replace(  # where there is no room for a margin
-        search, view=view, visited=visited(samples, refused, config, margin=(0.0, 0.0))), config)
-    enough, why = judged(sigmas, proposal, largest_cause(solution, mapped), len(samples))
-    content = [why, *lacking * (not enough)]
-    if proposal and not enough:
-        content.append(_directions(samples[-1].T_base_flange, proposal, config, noun(method)))
-    if not proposal and not enough:
-        content.append('no pose within guidance.reach, guidance.tilt and guidance.turn keeps the '
-                       f'{noun(method)} in view: widen them')
-    return Advice(tuple(filter(None, [trouble, *content])), proposal, None, sigmas,
-                  enough and not trouble, why)
+        return _before_an_answer(move.text, move, refusal)
+
+    sigmas = sigma_table(solution.reported[:6, :6], mapped, config)
+    proposal = None
+    if not sweeping:
+        surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
+        proposal = propose(solution, samples, config, surely, mapped, refused)
+    enough, why = judged(sigmas, proposal.std if proposal else None, largest_cause(solution),
+                         len(samples))
+    if enough and found.refusal:
+        enough, why = False, str(found.refusal)
+    sentences = [why, *offset_notes(solution)]
+    if not enough:
+        sentences += missing(solution, view, mounted(samples[:1], config)[0], config)
+        if proposal:
+            sentences.append(_directions(samples[-1].T_base_flange, proposal, config, what))
+        elif not sweeping:
+            sentences.append('no pose within guidance.reach, guidance.tilt and guidance.turn '
+                             f'keeps the {what} in view: widen them')
+    return Advice(tuple(sentences), proposal, None, sigmas, enough, why)
 
 
-def _unguided(text: str, move: Move | None, trouble: str) -> Advice:
-    why = trouble or 'there is no answer yet'
-    return Advice(tuple(filter(None, [text, trouble])), None, move, (), False, why)
+def _before_an_answer(text: str, move: Move | None = None, refusal: Exception | None = None
+                      ) -> Advice:
+    trouble = [str(refusal)] if refusal else []
+    return Advice((text, *trouble), None, move, (), False,
+                  *trouble or ['there is no answer yet'])
 
 
-def _of_sweep(solution: Solution, sigmas: tuple[Sigma, ...], lacking: Sequence[str], trouble: str,
-              notes: Sequence[str]) -> Advice:
-    """Return the advice during a sweep: what is missing, without a next pose."""
-    enough, why = judged(sigmas, None, None, len(solution.problem.poses))
-    content = [trouble, why, *notes, *(() if enough else lacking)]
-    return Advice(tuple(filter(None, content)), None, None, sigmas, enough and not trouble, why)
+def sigma_table(covariance: Array, mapped: MappedPoints, config: Config) -> tuple[Sigma, ...]:
+    """
+    Return the uncertainty along each axis, in the worst directions, and of mapped points.
 
-
-def _stated(solution: Solution) -> Array:
-    return solution.reported[:6, :6]
-
-
-def sigma_table(solution: Solution, mapped: Mapping, config: Config) -> tuple[Sigma, ...]:
-    """Return the uncertainty along each axis, in the worst directions, and of mapped points."""
-    covariance, limits, frame = _stated(solution), config.limits, mount_frame(config)
+    covariance: (6, 6) of the transform.
+    """
+    limits, frame, accuracy = config.limits, mount_frame(config), config.guidance.accuracy
     std = np.sqrt(np.diag(covariance))
-    sigmas = [Sigma(f'position {axis}', float(s), limits.translation)
-              for axis, s in zip('xyz', std[:3], strict=True)]
-    sigmas += [Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
-               for axis, s in zip('xyz', std[3:], strict=True)]
     shift, along = worst_translation(covariance)
     turn, about = worst_rotation(covariance)
     far, way = mapped.worst(covariance)
-    return (*sigmas,
+    return (*(Sigma(f'position {axis}', float(s), limits.translation)
+              for axis, s in zip('xyz', std[:3], strict=True)),
+            *(Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
+              for axis, s in zip('xyz', std[3:], strict=True)),
             Sigma(f'position along {name_direction(along, frame)} (worst)', shift,
                   limits.translation),
             Sigma(f'rotation about {name_direction(about, frame)} (worst)', turn,
                   limits.rotation, 'rad'),
-            Sigma(f'points in view, along {name_direction(way, frame)} (worst)', far,
-                  config.guidance.accuracy),
-            Sigma('points in view', mapped.std(covariance), config.guidance.accuracy))
+            Sigma(f'points in view, along {name_direction(way, frame)} (worst)', far, accuracy),
+            Sigma('points in view', mapped.std(covariance), accuracy))
 
 
-def propose(search: Search, config: Config) -> Proposal | None:
-    """Return the pose with the largest gain, None if none keeps the feature in view."""
-    rng = np.random.default_rng(SEED)
-    drawn = search.draw(rng)
-    if not drawn:
-        return None
-    part = search.refined(drawn, rng)
-    best = part.best()
-    T = part.poses[best]
-    in_hand = config.calibration_type == 'eye_in_hand'
-    return Proposal(T if in_hand else se3.inverse(T), part.anchors[best],
-                    with_sample(search.solution, search.mapping,
-                                part.problem.subset(np.array([best]))))
+def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
+    """Return the largest cause and its share of the sigma, None where noise dominates."""
+    found = budget(solution)
+    squares = dict[Cause, float]()
+    for term in found.terms:
+        for name, cause in CAUSES.items():
+            if term.name.startswith(name):
+                squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
+    cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
+    share = square ** 0.5 / found.total.mapped
+    return (cause, share) if share >= SMALLEST_CAUSE else None
 
 
-def judged(sigmas: Sequence[Sigma], proposal: Proposal | None, cause: Cause | None,
-           count: int) -> tuple[bool, str]:
-    """Return whether the samples are sufficient, and the reason."""
+def judged(sigmas: Sequence[Sigma], expected: float | None,
+           largest: tuple[Cause, float] | None, count: int) -> tuple[bool, str]:
+    """
+    Return whether the samples are sufficient, and the reason.
+
+    sigmas: of sigma_table; expected: 1 sigma of mapped points after one more sample (m).
+    """
+    for sigma in reversed(sigmas[:-2]):
+        if sigma.std > sigma.limit:
+            factor, unit, digits = ((1e3, 'mm', 2) if sigma.unit == 'm' else
+                                    (np.degrees(1.0), 'degrees', 3))
+            return False, (f'{sigma.name} is uncertain by {factor * sigma.std:.{digits}f} {unit} '
+                           f'(limit {factor * sigma.limit:.{digits}f})')
     std, accuracy = sigmas[-1].std, sigmas[-1].limit
-    over = [s for s in sigmas[:-2] if s.std > s.limit]
-    if over:
-        return False, f'{over[-1].name} is uncertain by {_figure(over[-1])}'
     content = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
                'wanted)')
-    if cause:
-        content += f', of which {1e3 * cause.std:.3f} mm is {cause.text} ({cause.key})'
-    after = f'one more sample would bring {1e3 * proposal.std:.3f} mm' if proposal else ''
-    if std <= accuracy:
-        return True, '; '.join(filter(None, [f'enough: {content}', after]))
-    if proposal and count >= GOOD_COUNT and proposal.std > (1 - LITTLE) * std:
-        remedy = (f'a better {REMEDIES[cause.key]} would' if cause and cause.key in REMEDIES else
-                  'noise dominates')
+    remedy = 'noise dominates'
+    if largest:
+        cause, share = largest
+        content += f', of which {1e3 * share * std:.3f} mm is {cause.text} ({cause.key})'
+        remedy = f'a better {cause.remedy} would'
+    if std > accuracy and count >= GOOD_COUNT and expected and expected > (1 - LITTLE) * std:
         return True, f'enough: {content}; more samples bring little, {remedy}'
-    return False, '; '.join(filter(None, [content, after]))
+    if expected:
+        content += f'; one more sample would bring {1e3 * expected:.3f} mm'
+    return (True, f'enough: {content}') if std <= accuracy else (False, content)
 
 
-def _figure(sigma: Sigma) -> str:
-    if sigma.unit == 'm':
-        return f'{1e3 * sigma.std:.2f} mm (limit {1e3 * sigma.limit:.2f})'
-    return f'{np.degrees(sigma.std):.3f} degrees (limit {np.degrees(sigma.limit):.3f})'
+def missing(solution: Solution, view: View, first: Array, config: Config) -> list[str]:
+    """
+    Return what the samples of a solution lack most, as one sentence, or none.
+
+    first: (4, 4) pose of the mount at the first sample, from which angles are counted.
+    """
+    problem, keys = solution.problem, config.guidance
+    X = solution.estimate.X[:3, :3]
+    turn, tilt = turn_and_tilt(first[:3, :3] @ X, problem.poses[:, :3, :3] @ X)
+    places = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
+    most_tilt, place = WANTED_TILT * keys.tilt, f'place of the {noun(problem.method)} '
+    wanted = [('tilt about the laser line', tilt[:, 0], most_tilt, 'degrees'),
+              ('tilt about the normal of the light plane', tilt[:, 1], most_tilt, 'degrees'),
+              ('turn about the viewing direction', turn, min(WANTED_TURN, WANTED_TILT * keys.turn),
+               'degrees'),
+              (place + 'in range', places[:, 1], WANTED_PLACES * view.size[1] / 2, 'mm')]
+    if problem.method.essential:  # others fill the view
+        wanted.append((place + 'along the laser line', places[:, 0],
+                       WANTED_PLACES * view.size[0] / 2, 'mm'))
+    found = []
+    for text, values, half, unit in wanted:
+        factor, so_far = np.degrees(1.0) if unit == 'degrees' else 1e3, float(np.ptp(values)) / 2
+        if so_far < half:
+            found.append((so_far / half, f'{text}: {factor * so_far:.0f} {unit} to either side so '
+                          f'far, {factor * half:.0f} wanted'))
+    return [min(found)[1]] if found else []
+
+
+def turn_and_tilt(first: Array, R: Array) -> tuple[Array, Array]:
+    """
+    Return turns (n,) about the viewing direction and tilts (n, 2) after them, rad.
+
+    first: (3, 3) of the sensor; R: (n, 3, 3), first @ Exp(0, 0, turn) @ Exp(*tilt, 0).
+    """
+    q = se3.quaternion(se3.transform(first.T @ R, np.zeros((len(R), 3))))
+    turn = 2 * np.arctan2(q[:, 2], q[:, 3])
+    about_z = se3.exp_rotation(np.column_stack([np.zeros((len(R), 2)), turn]))
+    return turn, se3.log_rotation(np.swapaxes(first @ about_z, 1, 2) @ R)[:, :2]
 
 
 def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: str) -> str:

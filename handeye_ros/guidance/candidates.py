@@ -1,167 +1,275 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Candidates for the next pose, and the uncertainty of mapped points expected after each.
+The next pose: candidates around the stops so far, and what one more sample at each is worth.
 
-A station that was taken is a template: the sensor is turned about its anchor (views.anchor_of) and
-shifted, so that the anchor appears elsewhere in the field of view. Candidates are drawn at random,
-and then around the best of them.
+A station of the solution is a template: the sensor is turned, and shifted so that the same part of
+the target appears elsewhere in its view. The template's points take least steps in the sensor
+plane until the conditions of the target hold, so that nothing else of it needs to be known. Rules
+on what the sensor must see there have margins: a stop that is off by ERROR gives a sample too.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+import math
 
 from handeye_ros import se3
-from handeye_ros.data import Array
-from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.problem import linearise, Problem
-from handeye_ros.estimation.solve import Solution
-from handeye_ros.guidance.rules import Limits, twist_of, Visited
-from handeye_ros.guidance.score import Mapping, View, with_rows
-from handeye_ros.guidance.views import anchor_of, batch_of, predicted
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
+from handeye_ros.estimation.solve import evaluated, Solution
+from handeye_ros.frames import in_mount
+from handeye_ros.guidance.view import MappedPoints, NORMALS, View
+from handeye_ros.targets.common import edges_of
 import numpy as np
+from numpy.typing import NDArray
 
-TEMPLATES, DRAWN = 6, 240  # stations; candidates of each
-ROUNDS, REFINED = 4, 80  # of refinement; candidates of each, around the best
-LARGEST_TWIST = 1.6  # rad: about the viewing direction, from the template's
-LARGEST_SHIFT = 0.2  # largest shift of the anchor across the laser line, in widths of the view
-USEFUL = 0.5  # share of the largest gain: the nearest candidate with as much is taken
+TEMPLATES, DRAWN = 6, 300  # stations; candidates around each
+SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
+FAR = 0.3  # m: what is so far away has to be worth twice as much
 LEVER = 0.3  # m/rad: a rotation counts as a distance of so much
-NEAR = np.array([0.15, 0.1, 0.1, 0.1, 0.1, 0.3])  # 1 sigma of the choices in each round
+ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
+REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
+ON_TARGET = 1e-4  # m: largest residual of a point on the target
+SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
+SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
+SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
+SMALLEST_FACE = 0.2  # smallest visible length of a face beside its edge, over the view's width
+SEED = 0  # the same samples give the same advice
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class Proposal:
     """
-    n poses (n, 4, 4) of the mount, and the uncertainty after a sample at each.
+    The next pose, T_base_flange (4, 4), and the uncertainty expected after it.
 
-    station: of the template; choices: (n, 6) twist, tilt (2), place (2) and shift as drawn;
-    anchors: (n, 2) in the sensor plane; variance: (n,) of mapped points with the
-    sample, the nuisance parameters known; problem: of these stations alone.
+    place: (2,) where in the sensor plane the feature will be seen; std: 1 sigma of mapped points
+    with it (m).
     """
 
-    station: int
-    choices: Array
-    poses: Array
-    anchors: Array
-    variance: Array
-    problem: Problem
-
-    def best(self) -> int:
-        """Return the index of the best candidate."""
-        return int(np.argmin(self.variance))
-
-    def only(self, i: int) -> Candidates:
-        """Return a single candidate."""
-        rows = slice(i, i + 1)
-        return replace(self, choices=self.choices[rows], poses=self.poses[rows],
-                       anchors=self.anchors[rows], variance=self.variance[rows],
-                       problem=self.problem.subset(np.array([i])))
+    T_base_flange: Array
+    place: Array
+    std: float
 
 
-@dataclass(frozen=True, eq=False)
-class Search:
-    """How candidates are drawn and compared; last: T_base_flange of the last sample."""
+def propose(solution: Solution, samples: Sequence[Sample], config: Config, view: View,
+            mapped: MappedPoints, refused: Sequence[Array] = ()) -> Proposal | None:
+    """
+    Return the pose that is worth most for its distance, None if none keeps the target in view.
 
-    solution: Solution
-    view: View
-    limits: Limits
-    mapping: Mapping
-    visited: Visited
-    last: Array
-
-    def draw(self, rng: np.random.Generator) -> list[Candidates]:
-        """Return candidates from some stations, empty if none keeps the feature in view."""
-        candidates = []
-        for station in templates(self.solution.problem):
-            drawn = self.judged(station, _drawn(DRAWN, self.limits, rng))
-            candidates += [drawn] if len(drawn.poses) else []
-        return candidates
-
-    def refined(self, drawn: list[Candidates], rng: np.random.Generator) -> Candidates:
-        """Return candidates around a near and useful one of those drawn (at least one)."""
-        best, start = self._nearest_useful(drawn)
-        for _ in range(ROUNDS):
-            choices = best.choices[start] + NEAR * rng.normal(size=(REFINED, 6))
-            choices[:, 3:] = np.clip(choices[:, 3:], -1.0, 1.0)
-            more = self.judged(best.station, choices)
-            if len(more.poses) and more.variance.min() < best.variance[start]:
-                best, start = more, more.best()
-        return best if start == best.best() else best.only(start)
-
-    def _nearest_useful(self, drawn: list[Candidates]) -> tuple[Candidates, int]:
-        """Return the nearest candidate with at least the share USEFUL of the best gain."""
-        variance = float(self.mapping.variance(self.solution.reported[:6, :6]))
-        gains = [variance - part.variance for part in drawn]
-        least = USEFUL * max(float(gain.max()) for gain in gains)
-        distances = [np.where(gain >= least, self._distance(part.poses), np.inf)
-                     for part, gain in zip(drawn, gains, strict=True)]
-        nearest = min(range(len(drawn)), key=lambda i: float(distances[i].min()))
-        return drawn[nearest], int(np.argmin(distances[nearest]))
-
-    def _distance(self, poses: Array) -> Array:
-        """Return the distances (n,) of poses (n, 4, 4) from the last sample (m), with LEVER."""
-        flange = poses if self.limits.in_hand else se3.inverse(poses)
-        return np.asarray(np.linalg.norm(flange[:, :3, 3] - self.last[:3, 3], axis=1)
-                          + LEVER * se3.angle(self.last[:3, :3].T @ flange[:, :3, :3]))
-
-    def judged(self, station: int, choices: Array) -> Candidates:
-        """Return the feasible candidates of choices (n, 6)."""
-        problem, estimate = self.solution.problem, self.solution.estimate
-        X = estimate.X
-        T_sensor, anchors = self._sensors(problem.poses[station] @ X, anchor_of(problem, station),
-                                          choices)
-        poses = T_sensor @ se3.inverse(X)
-        flange = poses if self.limits.in_hand else se3.inverse(poses)
-        kept = np.flatnonzero(self.limits.allow(poses, X) & self.visited.allow(flange))
-        obs = problem.observations
-        template = replace(problem, observations=obs.select(obs.station == station))
-        batch, stations = predicted(batch_of(template, estimate, poses[kept], anchors[kept]),
-                                    self.view.inner(), self.visited.careful)
-        kept, good = kept[stations], batch.problem
-        return Candidates(station, choices[kept], poses[kept], batch.anchors,
-                          self.mapping.variance(with_rows(self.solution, self._rows(good))),
-                          good)
-
-    def _sensors(self, T_sensor: Array, anchor: Array, choices: Array) -> tuple[Array, Array]:
-        """Return poses (n, 4, 4) of the sensor, and the anchor (n, 2) seen from each."""
-        view, first = self.view.inner(), self.limits.first[:3, :3] @ self.solution.estimate.X[
-            :3, :3]
-        twist = twist_of(first, T_sensor[None, :3, :3])[0] + choices[:, 0]
-        zero = np.zeros(len(choices))
-        R = first @ se3.exp_rotation(np.column_stack([zero, zero, twist])) @ se3.exp_rotation(
-            np.column_stack([choices[:, 1:3], zero]))
-        anchors = (view.low + view.high) / 2 + choices[:, 3:5] * view.size / 2
-        anchor = T_sensor[:3, [0, 2]] @ anchor + T_sensor[:3, 3]  # in what carries the target
-        anchor = anchor + LARGEST_SHIFT * view.size[0] * choices[:, 5:] * T_sensor[:3, 1]
-        in_sensor = np.column_stack([anchors[:, 0], zero, anchors[:, 1]])
-        return se3.transform(R, anchor - np.einsum('nij,nj->ni', R, in_sensor)), anchors
-
-    def _rows(self, batch: Problem) -> Array:
-        """Return the whitened derivatives (n, c, u) by the unknowns."""
-        if not len(batch.poses):
-            return np.zeros((0, 1, len(batch.columns)))
-        linear = linearise(batch, self.solution.estimate)
-        noise = replace(self.solution.noise, lumped=True)  # blocks as errors of the station
-        rows = whitening(linear, noise)(linear.jacobian[:, batch.columns])
-        return rows.reshape(len(batch.poses), -1, rows.shape[1])
-
-
-def _drawn(count: int, limits: Limits, rng: np.random.Generator) -> Array:
-    """Return choices (n, 6), evenly distributed; half of the tilts are the largest."""
-    turn = rng.uniform(0.0, 2 * np.pi, count)
-    tilt = limits.tilt * np.minimum(np.sqrt(rng.uniform(0.0, 2.0, count)), 0.99)
-    return np.column_stack([
-        rng.uniform(-LARGEST_TWIST, LARGEST_TWIST, count), tilt * np.cos(turn),
-        tilt * np.sin(turn), rng.uniform(-1.0, 1.0, (count, 3))])
+    The limits of guidance.* are relative to the first of samples, the distance is from the last;
+    refused: poses of the flange (4, 4) at which stops gave no sample.
+    """
+    rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
+    taken, last = np.array([s.T_base_flange for s in samples]), samples[-1].T_base_flange
+    most, best = 0.0, None
+    for station in templates(problem):
+        template = problem.subset(np.array([station]))
+        sensors, places = _drawn(template.poses[0] @ X, in_mount(taken[0], config) @ X,
+                                 anchor_of(template, 0), view, config, rng)
+        poses = sensors @ se3.inverse(X)
+        allowed = _allowed(in_mount(poses, config), taken, refused, config)
+        seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
+        if not len(seen.poses):
+            continue
+        flange = in_mount(seen.poses, config)
+        gain = mapped.variance(solution.reported[:6, :6]) - mapped.variance(
+            with_one_more(solution, seen))
+        distance = (np.linalg.norm(flange[:, :3, 3] - last[:3, 3], axis=1)
+                    + LEVER * se3.angle(last[:3, :3].T @ flange[:, :3, :3]))
+        worth = gain / (1 + distance / FAR)
+        i = int(np.argmax(worth))
+        if worth[i] > most:
+            most, best = worth[i], (flange[i], places[i], seen.subset(np.array([i])))
+    return best and Proposal(*best[:2], expected(solution, mapped, best[2]))
 
 
 def templates(problem: Problem) -> list[int]:
     """Return some stations, at least one of each combination of conditions."""
-    obs = problem.observations
-    stations = np.unique(obs.station)
-    kinds = [tuple(obs.kind[obs.station == i]) for i in stations]
-    groups = [stations[[k == kind for k in kinds]] for kind in dict.fromkeys(kinds)]
+    obs, groups = problem.observations, dict[bytes, list[int]]()
+    for i in range(len(problem.poses)):
+        groups.setdefault(np.unique(obs.kind[obs.station == i]).tobytes(), []).append(i)
     share = max(1, TEMPLATES // len(groups))
-    return [int(group[i]) for group in groups
+    return [group[i] for group in groups.values()
             for i in np.unique(np.linspace(0, len(group) - 1, share).astype(int))]
+
+
+def anchor_of(problem: Problem, station: int) -> Array:
+    """Return the anchor (2,) of a station: the mean of its edge points, or of all points."""
+    obs = problem.observations.select(problem.observations.station == station)
+    return np.asarray(obs.points[_anchored(problem, obs)].mean(axis=0))
+
+
+def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
+    at_edge = np.isin(obs.kind, problem.method.essential_kinds)
+    return at_edge if at_edge.any() else ~at_edge
+
+
+def _drawn(T: Array, first: Array, anchor: Array, view: View, config: Config,
+           rng: np.random.Generator) -> tuple[Array, Array]:
+    """
+    Return poses (n, 4, 4) of the sensor, and the places (n, 2) where each sees the anchor.
+
+    T, first: (4, 4) poses of the sensor at the template and at the first sample; anchor: (2,)
+    where it is seen in the template. Tilt and turn are within guidance.*; half of the tilts are
+    the largest.
+    """
+    keys, zero = config.guidance, np.zeros(DRAWN)
+    turn, way = keys.turn * rng.uniform(-1, 1, DRAWN), rng.uniform(0, 2 * np.pi, DRAWN)
+    tilt = keys.tilt * np.minimum(np.sqrt(rng.uniform(0, 2, DRAWN)), 0.99)
+    R = (first[:3, :3] @ se3.exp_rotation(np.column_stack([zero, zero, turn]))
+         @ se3.exp_rotation(np.column_stack([tilt * np.cos(way), tilt * np.sin(way), zero])))
+    places = view.middle + rng.uniform(-1, 1, (DRAWN, 2)) * view.size / 2
+    across = SHIFT * view.size[0] * rng.uniform(-1, 1, (DRAWN, 1)) * T[:3, 1]
+    spot = T[:3, [0, 2]] @ anchor + T[:3, 3] + across
+    return se3.transform(R, spot - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
+
+
+def _allowed(flange: Array, taken: Array, refused: Sequence[Array], config: Config
+             ) -> NDArray[np.bool_]:
+    """Return which poses (n, 4, 4) of the flange are within reach and unlike those visited."""
+    sampling = config.sampling
+    allowed = np.asarray(np.linalg.norm(
+        flange[:, :3, 3] - taken[0, :3, 3], axis=1) <= config.guidance.reach)
+    visited = [(T, REFUSED) for T in refused]
+    if sampling.new_translation and sampling.new_rotation:  # if either is 0, every stop is used
+        visited += [(T, (sampling.new_translation + ERROR[0], sampling.new_rotation + ERROR[1]))
+                    for T in taken]
+    for T, (shift, angle) in visited:
+        turned = np.einsum('nij,ij->n', flange[:, :3, :3], T[:3, :3])  # trace of the difference
+        allowed &= ((np.linalg.norm(flange[:, :3, 3] - T[:3, 3], axis=1) >= shift)
+                    | ((turned - 1) / 2 <= math.cos(angle)))
+    return allowed
+
+
+def predicted(template: Problem, solution: Solution, poses: Array, places: Array, view: View
+              ) -> tuple[Problem, Array]:
+    """
+    Return the stations that see the target like a template (of one station), and their places.
+
+    poses: (n, 4, 4) of the mount; places: (n, 2) of the anchor in the sensor plane.
+    """
+    obs, n = template.observations, len(poses)
+    if not n:
+        return replace(template, poses=poses, observations=obs.select(obs.station < 0)), places
+    method, anchored = template.method, _anchored(template, obs)
+    together = (obs.points[:, None] == obs.points).all(axis=2).astype(float)  # one point's
+
+    def linear_at(points: Array, noise: float | Array = 1.0) -> Linear:
+        many = obs.repeated(n, points.reshape(-1, 2))
+        many = replace(many, noise=many.noise * noise)
+        return linearise(replace(template, poses=poses, observations=many), solution.estimate)
+
+    def on_target(points: Array) -> Array:
+        for _ in range(4):
+            linear = linear_at(points)
+            g, A = linear.residuals.reshape(n, -1), linear.by_point.reshape(n, -1, 2)
+            normal = np.einsum('cd,ndi,ndj->ncij', together, A, A) + 1e-6 * np.eye(2)
+            step = np.linalg.solve(normal, (together @ (A * g[..., None]))[..., None])[..., 0]
+            points = points - np.clip(step, -0.05, 0.05)
+        return points
+
+    # move the template's points, and cut what is then outside the view
+    moved = on_target(obs.points - obs.points[anchored].mean(axis=0) + places[:, None])
+    anchors = moved[:, anchored].mean(axis=1, keepdims=True)
+    outward = np.maximum((moved - anchors) @ NORMALS.T, 1e-9)
+    share = np.clip(((view.offsets - anchors @ NORMALS.T) / outward).min(axis=(1, 2)), 0.0, 1.0)
+    points = on_target(anchors + share[:, None, None] * (moved - anchors))
+    fewer = np.repeat(1 / np.sqrt(np.maximum(share, 1e-3)), len(obs))[:, None, None]
+    linear = linear_at(points, fewer)
+
+    sampling = template.config.sampling
+    strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1])
+    A = linear.by_point.reshape(n, -1, 2)
+    good = (share > SMALLEST_SHARE) & (view.room(points).min(axis=1) > -1e-4)
+    good &= np.abs(linear.residuals).reshape(n, -1).max(axis=1) < ON_TARGET
+    # steeply: moves along the laser line show at an edge, moves in the plane at a face
+    of_edges = np.isin(obs.kind, method.essential_kinds) @ together > 0
+    steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ together
+    good &= (steep > np.sin(strict.min_crossing_angle) ** 2).all(axis=1)
+    # from the same side as the template; the conditions of a point depend on the choice of axes
+    before = linearise(template, solution.estimate)
+    seen = before.by_point[:, 1]
+    size = np.sqrt(seen ** 2 @ together)
+    towards = (A[..., 1] * seen) @ together > SMALLEST_COSINE * size
+    good &= (towards | (size <= SMALLEST_COSINE)).all(axis=1)
+    # with as much of the faces as is needed to find what lies between them
+    if not method.essential and len(method.kinds) == 2:
+        good &= _corner_seen(A, points, before, view)
+    elif len(obs) == together[0].sum():  # an edge point alone
+        good &= _face_seen(poses @ solution.estimate.X, points[:, 0], before, view)
+    # and with the same labels
+    labelled = method.relabel(
+        linear.problem.observations, linear.problem.points_in_base(solution.estimate.X),
+        solution.estimate.target, replace(template.config, sampling=strict))
+    good &= (labelled.kind.reshape(n, -1) == obs.kind).all(axis=1)
+    kept = np.flatnonzero(good)
+    return linear.problem.subset(kept), points[kept][:, anchored].mean(axis=1)
+
+
+def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArray[np.bool_]:
+    """
+    Return where the corner of two faces is in view, sharp, and both face the sensor as before.
+
+    A: (n, c, 2) derivatives of the conditions by points (n, c, 2), of both faces.
+    """
+    of_face = np.array([template.problem.observations.kind == k for k in (0, 1)], dtype=float)
+    of_face /= of_face.sum(axis=1, keepdims=True)
+    facing = np.sign(of_face @ template.by_point[:, 1]) * (of_face @ A)[..., 1]
+    normals = of_face @ A
+    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
+    height = (normals * (of_face @ points)).sum(axis=2, keepdims=True)
+    corners = np.linalg.solve(normals + 1e-9 * np.eye(2), height)[..., 0]
+    return np.asarray((facing > SMALLEST_COSINE).all(axis=1) & (view.room(corners) > 0)
+                      & (np.abs(np.linalg.det(normals)) > np.sin(SMALLEST_CORNER)))
+
+
+def _face_seen(T: Array, points: Array, template: Linear, view: View) -> NDArray[np.bool_]:
+    """
+    Return where enough of the face beside an edge point is in view, to find the edge.
+
+    T: (n, 4, 4) poses of the sensor, which sees the edge at points (n, 2).
+    """
+    obs = edges_of(template.problem.observations)
+    seen = (template.problem.poses[0] @ template.estimate.X)[:3, [0, 2]]
+    edge, inward = np.cross(*template.by_base), -seen @ obs.outward[0]
+    along = np.cross(np.cross(edge, inward), T[:, :3, 1])  # in the face and the light plane
+    along *= np.sign(along @ np.cross(np.cross(edge, inward), edge))[:, None]
+    along = np.einsum('nij,ni->nj', T[:, :3, [0, 2]], along)
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    return view.room(points + SMALLEST_FACE * view.size[0] * along) > 0
+
+
+def with_one_more(solution: Solution, seen: Problem) -> Array:
+    """
+    Return the covariances (n, 6, 6) of the transform, each with one of n further stations.
+
+    seen: equally many observations at each. The blocks count as errors of the station.
+    """
+    C, noise = solution.reported, replace(solution.noise, lumped=True)
+    A = Solution.at(linearise(seen, solution.estimate), noise).columns
+    A = A.reshape(len(seen.poses), -1, len(C))
+    # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
+    carried = A @ C
+    inner = carried @ np.swapaxes(A, 1, 2) + np.eye(A.shape[1])
+    X = carried[:, :, :6]
+    return np.asarray(C[:6, :6] - np.swapaxes(X, 1, 2) @ np.linalg.solve(inner, X))
+
+
+def expected(solution: Solution, mapped: MappedPoints, one: Problem) -> float:
+    """
+    Return the reported 1 sigma of mapped points (m) expected with one more station.
+
+    one: the problem of that station alone. Here all blocks are shared with the others.
+    """
+    wide = solution.conservative or solution
+    problem = wide.problem
+    more = replace(one.observations, station=one.observations.station + len(problem.poses))
+    both = replace(problem, poses=np.concatenate([problem.poses, one.poses]),
+                   observations=type(more)(*(
+                       np.concatenate([getattr(problem.observations, f.name),
+                                       getattr(more, f.name)]) for f in fields(more))))
+    before, after = (mapped.variance(evaluated(p, solution.estimate, wide.noise).covariance[
+        :6, :6]) for p in (problem, both))
+    return mapped.std(solution.reported[:6, :6]) * math.sqrt(min(float(after / before), 1.0))

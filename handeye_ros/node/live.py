@@ -56,8 +56,8 @@ from handeye_ros.errors import (
 )
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing, sample_summary
-from handeye_ros.guidance.advice import Advice
-from handeye_ros.guidance.score import extremes
+from handeye_ros.guidance.advice import Advice, advise
+from handeye_ros.guidance.view import extremes
 from handeye_ros.node.pool import answer_of, Pool, PoolEndedError, trim_memory, Worker
 from handeye_ros.node.state import calibration_summary, MessageCount
 from handeye_ros.output import folder_name, write_whole
@@ -128,7 +128,7 @@ def review_of(session: Session, config: Config, seen: Array, refused: Sequence[A
     """
     Return what follows from the samples of a session.
 
-    seen, refused: see pipeline.advise; asked: whether somebody waits for the answer: then the
+    seen, refused: see advise; asked: whether somebody waits for the answer: then the
     cause of a refusal is searched in the stops.
     """
     answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
@@ -136,7 +136,7 @@ def review_of(session: Session, config: Config, seen: Array, refused: Sequence[A
     samples = {one.number: one.sample for one in session.outcomes if one.sample}
     found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
-    return Review(pipeline.advise(in_order, config, seen, refused, answer), answer,
+    return Review(advise(in_order, config, answer, seen, refused), answer,
                   {number: one for number, one in found.items() if one},
                   '' if answer.solution else str(answer.refusal), max(samples, default=0))
 
@@ -203,7 +203,7 @@ class LiveSession:
         self.attempt: Attempt | None = None
         self._refused: dict[int, Array] = {}  # T_base_flange of stops without a sample, by start
         self.seen = np.zeros((0, 2))
-        self.review = Review(pipeline.advise((), config))
+        self.review = Review(advise((), config))
 
         self.calibration: Calibration | None = None
         self.missing, self.withdrawn = '', False
@@ -552,7 +552,7 @@ class LiveSession:
             self.session.clear()
             self.early = self._verifying = None
         self.attempt, self._refused, self._asked_with = None, {}, None
-        self.review = Review(pipeline.advise((), self.config))
+        self.review = Review(advise((), self.config))
         self._withdraw(why)
         return count
 

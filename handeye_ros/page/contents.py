@@ -19,9 +19,9 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import stop_snapshot
 from handeye_ros.frames import in_mount
+from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
-from handeye_ros.guidance.score import extremes
-from handeye_ros.guidance.views import anchor_of
+from handeye_ros.guidance.view import extremes
 from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.scene import profile_picture, shape

@@ -11,6 +11,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.evidence import agreements
+from handeye_ros.guidance.advice import advise
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.sweep import synchronised
@@ -172,7 +173,7 @@ def test_a_slow_sweep_is_advised_to_be_faster_once() -> None:
     config = with_values(config_of(scenario), {'guidance.accuracy': 1e-6}, 'a test')
     session = pipeline.gather(made.profiles, made.poses, config)
     passes = [outcome.sample for outcome in session.outcomes if outcome.sample]  # as at the node
-    advice = pipeline.advise(passes, config)
+    advice = advise(passes, config, pipeline.answer(passes, (), config))
     assert advice.next is None and advice.sigmas
     assert 'sweep faster once: the time offset is known to' in advice.text.lower()
     assert 'turn about the viewing direction' in advice.text.lower()
