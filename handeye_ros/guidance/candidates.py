@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 TEMPLATES, DRAWN = 6, 300  # stations; candidates around each
 SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
-FAR = 0.3  # m: what is so far away has to be worth twice as much
+FAR = 1.0  # m: what is so far away has to be worth twice as much
 LEVER = 0.3  # m/rad: a rotation counts as a distance of so much
 ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
 REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
