@@ -18,7 +18,7 @@ import shutil
 import sqlite3
 import struct
 import tempfile
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 import weakref
 import zlib
 
@@ -26,11 +26,9 @@ from handeye_ros.config import yaml_content
 from handeye_ros.errors import BagError
 import lz4.frame  # type: ignore[import-untyped]
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Schema
 import yaml
 import zstandard
 
@@ -48,7 +46,8 @@ SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
 RECORD = struct.Struct('<BQ')  # opcode and length of an mcap record
 MESSAGE = struct.Struct('<HIQQ')  # channel, number, time of receipt and of publishing
-DEFINITIONS: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+DEFINITIONS: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema,
+                                                  Opcode.CHANNEL: Channel}
 LARGEST = 1 << 28  # bytes of one record or message, compressed or not: no recorder writes more
 CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
@@ -84,21 +83,18 @@ class Reader:
         self.files: list[Path] = []
         self._topics = None if topics is None else {full_name(topic) for topic in topics}
         self._progress = progress
+        self._done = 0.0  # bytes of the files that were read, and of all
+        self._total = 1.0
 
     def messages(self) -> Iterator[Raw]:
         """Yield the messages; raises BagError if there is nothing to read."""
         try:
             self.files = _files(self.path, self.warnings)
             sizes = [file.stat().st_size for file in self.files]
-            for index, file in enumerate(self.files):
-                done, total = sum(sizes[:index]), max(1, sum(sizes))
-                storage = _storage(file)
-                for raw in storage.messages(self):
-                    yield raw
-                    if storage.advanced:
-                        share = (done + min(storage.position, sizes[index])) / total
-                        self._progress(min(1.0, share))
-                        storage.advanced = False
+            self._total = max(1.0, sum(sizes))
+            for file, size in zip(self.files, sizes, strict=True):
+                yield from _storage(file, self).messages()
+                self._done += size
         except OSError as error:
             raise BagError(error.filename or self.path,
                            f'cannot be read: {error.strerror or error}') from error
@@ -112,6 +108,10 @@ class Reader:
         kind = kind if not name or '/' in name else f'{package}/msg/{name}'
         self.types[topic] = kind if encoding == 'cdr' else f'{kind} in {encoding}'
         return self._topics is None or topic in self._topics
+
+    def advanced(self, position: int) -> None:
+        """Tell how many bytes of the file were read; of a compressed file that is a guess."""
+        self._progress(min(1.0, (self._done + position) / self._total))
 
 
 def full_name(topic: str) -> str:
@@ -151,7 +151,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(digits or 0), text) for text, digits in re.findall(r'(\D*)(\d*)', path.name)]
 
 
-def _storage(path: Path) -> _Mcap | _Sqlite:
+def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
     """Return a storage file, decompressed; raises BagError for other files."""
     magic, file, folder = _magic(path), path, None
     if magic[:len(ZSTD)] == ZSTD:
@@ -162,15 +162,14 @@ def _storage(path: Path) -> _Mcap | _Sqlite:
         magic = _magic(file) or ZSTD
     storage: _Mcap | _Sqlite
     if magic == MCAP:
-        storage = _Mcap(file, path.name)
+        storage = _Mcap(file, path.name, reader)
     elif magic == SQLITE[:len(MCAP)]:
-        storage = _Sqlite(file, path.name)
+        storage = _Sqlite(file, path.name, reader)
     else:
-        reason = ('the file is empty: record again' if not magic else
-                  'is a ROS 1 bag: convert it with rosbags-convert'
-                  if magic == ROS1[:len(magic)] else
-                  'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
-        raise BagError(path, reason)
+        raise BagError(path, 'the file is empty: record again' if not magic else
+                       'is a ROS 1 bag: convert it with rosbags-convert'
+                       if magic == ROS1[:len(magic)] else
+                       'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
     if folder:
         _deleted_with(storage, folder)
     return storage
@@ -203,130 +202,114 @@ def _unpacked(data: bytes) -> bytes:
 
 
 class _Mcap:
-    """An .mcap file; its channels may be defined within chunks, and again at its end."""
+    """
+    An .mcap file; its channels may be defined within chunks, and again at its end.
 
-    def __init__(self, path: Path, name: str) -> None:
+    Read by hand: mcap's readers take several times as long, or nothing from a cut or damaged file.
+    """
+
+    def __init__(self, path: Path, name: str, reader: Reader) -> None:
         """name: for the warnings."""
-        self.position, self.advanced = 0, False
-        self._path, self._name = path, name
+        self._path, self._name, self._reader = path, name, reader
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}  # of the requested topics
         # a reference to this file, and to its temporary folder, is kept by each message
         self._records_at = lru_cache(CHUNKS)(self._read_again)
 
-    def messages(self, reader: Reader) -> Iterator[Raw]:
+    def messages(self) -> Iterator[Raw]:
         """Yield the messages of the topics that the reader wants."""
-        count = bad_chunks = 0
-        complete = False
+        count, damaged, complete = 0, 0, False
         with self._path.open('rb') as stream:
             with suppress(Exception):  # damaged bytes cause all kinds of errors in the parser
                 summary = SeekingReader(stream, record_size_limit=LARGEST).get_summary()
                 if summary:
-                    for record in (*summary.schemas.values(), *summary.channels.values()):
-                        self._define(record, reader)
+                    for definition in (*summary.schemas.values(), *summary.channels.values()):
+                        self._define(definition)
             stream.seek(len(MCAP))
-            for start, record, is_whole in _records(stream):
-                self.position, self.advanced = start, True
-                complete |= isinstance(record, DataEnd)
+            for start, opcode, content, whole in _records(stream):
+                self._reader.advanced(start)
+                if opcode == Opcode.DATA_END:
+                    complete = True
+                    break
                 try:
-                    records = (_records_of(record, is_whole) if isinstance(record, Chunk)
-                               else [record])
+                    records = _expanded(opcode, content, whole)
                 except Exception:  # noqa: BLE001 - of decompressors, and of the parser
-                    bad_chunks += 1
+                    damaged += 1
                     continue
-                for index, inner in enumerate(records):
-                    if not isinstance(inner, Message):
-                        self._define(inner, reader)
-                        continue
-                    count += 1
-                    topic = self._channels.get(inner.channel_id)
-                    if topic is not None:
-                        yield Raw(topic, inner.log_time, _message(inner.data),
-                                  partial(self._fetch, start, index))
-        if bad_chunks:
-            reader.warnings.append(
-                f'{self._name} is damaged: {bad_chunks} chunk(s) of it were left out')
+                for index, (kind, record) in enumerate(records):
+                    if kind == Opcode.MESSAGE and len(record) >= MESSAGE.size:
+                        count += 1
+                        channel, _, log_time, _ = MESSAGE.unpack_from(record)
+                        if topic := self._channels.get(channel):
+                            yield Raw(topic, log_time, _message(bytes(record[MESSAGE.size:])),
+                                      partial(self._fetch, start, index))
+                    elif kind in DEFINITIONS:
+                        with suppress(Exception):  # damaged: its messages are unknown
+                            self._define(DEFINITIONS[kind].read(ReadDataStream(
+                                io.BytesIO(record))))
+        if damaged:
+            self._reader.warnings.append(
+                f'{self._name} is damaged: {damaged} chunk(s) of it were left out')
         if not complete:
-            reader.warnings.append(f'{self._name} is cut off or damaged: read {count} messages up '
-                                   'to there')
+            self._reader.warnings.append(f'{self._name} is cut off or damaged: read {count} '
+                                         'messages up to there')
 
-    def _define(self, record: McapRecord, reader: Reader) -> None:
+    def _define(self, record: Schema | Channel) -> None:
         """Take note of a schema or a channel."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            topic = full_name(record.topic)
-            kind = self._schemas.get(record.schema_id, 'of unknown type')
-            if reader.wants(topic, kind, record.message_encoding):
-                self._channels[record.id] = topic
-            else:
-                self._channels.pop(record.id, None)
+            return
+        topic = full_name(record.topic)
+        kind = self._schemas.get(record.schema_id, 'of unknown type')
+        self._channels.pop(record.id, None)
+        if self._reader.wants(topic, kind, record.message_encoding):
+            self._channels[record.id] = topic
 
     def _fetch(self, start: int, index: int) -> bytes:
         try:
-            record = self._records_at(start)[index]
-            return _message(record.data) if isinstance(record, Message) else b''
+            return _message(bytes(self._records_at(start)[index][1][MESSAGE.size:]))
         except Exception:  # noqa: BLE001 - the file has changed
             return b''
 
-    def _read_again(self, start: int) -> list[McapRecord]:
+    def _read_again(self, start: int) -> list[tuple[int, memoryview]]:
         with self._path.open('rb') as stream:
             stream.seek(start)
-            _, record, is_whole = next(_records(stream))
-        return _records_of(record, is_whole) if isinstance(record, Chunk) else [record]
+            _, opcode, content, whole = next(_records(stream))
+        return _expanded(opcode, content, whole)
 
 
-def _records(stream: BinaryIO) -> Iterator[tuple[int, McapRecord, bool]]:
-    """
-    Yield the records of an .mcap file from here on, up to the end of its messages or a damage.
-
-    With the position of each, and whether it is complete: a chunk may be cut off.
-    """
-    records = StreamReader(stream, skip_magic=True, emit_chunks=True,
-                           record_size_limit=LARGEST).records
+def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes, bool]]:
+    """Yield position, opcode, content of each mcap record, and whether it is not cut off."""
     while True:
         start = stream.tell()
-        try:
-            record = next(records)
-        except EndOfFile:
-            break
-        except Exception:  # noqa: BLE001 - damaged bytes cause all kinds of errors in the parser
+        head = stream.read(RECORD.size)
+        if len(head) < RECORD.size:
             return
-        yield start, record, True
-        if isinstance(record, DataEnd):
-            return
-    stream.seek(start)
-    if stream.read(1) == bytes([Opcode.CHUNK]):
-        stream.seek(start + RECORD.size)
-        with suppress(Exception):
-            yield start, Chunk.read(ReadDataStream(stream)), False
+        opcode, length = RECORD.unpack(head)
+        content = stream.read(min(length, LARGEST))
+        yield start, opcode, content, len(content) == length
 
 
-def _records_of(chunk: Chunk, is_whole: bool) -> list[McapRecord]:
-    """Return the records of a chunk; raises any kind of error for a damaged one."""
-    data: bytes
+def _expanded(opcode: int, content: bytes, whole: bool) -> list[tuple[int, memoryview]]:
+    """Return a record, or those in a chunk; raises any kind of error for a damaged one."""
+    if opcode != Opcode.CHUNK:
+        return [(opcode, memoryview(content))] if whole else []
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
+    data: bytes = chunk.data
     if chunk.compression == 'lz4':
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=LARGEST)
-    else:
-        data = _unpacked(chunk.data) if chunk.compression == 'zstd' else chunk.data
-    if is_whole and (len(data) != chunk.uncompressed_size or chunk.uncompressed_crc
-                     and chunk.uncompressed_crc != zlib.crc32(data)):
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST)
+    elif chunk.compression == 'zstd':
+        data = _unpacked(data)
+    if whole and (len(data) != chunk.uncompressed_size or chunk.uncompressed_crc
+                  and chunk.uncompressed_crc != zlib.crc32(data)):
         raise ValueError('the chunk is damaged')
-    records: list[McapRecord] = []
-    begin = RECORD.size
-    while begin <= len(data):  # by hand: StreamReader takes eight times as long for the messages
-        opcode, length = RECORD.unpack_from(data, begin - RECORD.size)
-        end = begin + length
-        if end > len(data):
-            break
-        if opcode == Opcode.MESSAGE:
-            channel, number, log_time, sent = MESSAGE.unpack_from(data, begin)
-            records.append(Message(channel, log_time, data[begin + MESSAGE.size:end], sent,
-                                   number))
-        elif opcode in DEFINITIONS:
-            stream = ReadDataStream(io.BytesIO(data[begin:end]))
-            records.append(DEFINITIONS[opcode].read(stream))
-        begin = end + RECORD.size
+    view, records, begin = memoryview(data), [], RECORD.size
+    while begin <= len(view):
+        kind, length = RECORD.unpack_from(view, begin - RECORD.size)
+        record = view[begin:begin + length]
+        if len(record) == length:
+            records.append((kind, record))
+        begin += length + RECORD.size
     return records
 
 
@@ -338,10 +321,9 @@ class _Sqlite:
     truncated file.
     """
 
-    def __init__(self, path: Path, name: str) -> None:
+    def __init__(self, path: Path, name: str, reader: Reader) -> None:
         """name: for the warnings."""
-        self.position, self.advanced = 0, False
-        self._path, self._name = path, name
+        self._path, self._name, self._reader = path, name, reader
         log = path.with_name(f'{path.name}-wal')
         if log.exists() and log.stat().st_size:  # of a recorder that was killed
             # SQLite would merge it into the file itself, but the recording must not be changed
@@ -353,16 +335,16 @@ class _Sqlite:
             with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(self._path)) as database:
                 database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
 
-    def messages(self, reader: Reader) -> Iterator[Raw]:
+    def messages(self) -> Iterator[Raw]:
         """Yield the messages of the topics that the reader wants."""
-        count = 0
+        count = position = 0
         try:
             with closing(self._connected()) as database:
                 names = {}
                 for key, name, kind, encoding in database.execute(
                         'SELECT id, name, type, serialization_format FROM topics'):
                     topic = full_name(str(name))
-                    if reader.wants(topic, str(kind), str(encoding)):
+                    if self._reader.wants(topic, str(kind), str(encoding)):
                         names[key] = topic
                 marks = ', '.join('?' * len(names))
                 for key, number, time, data in database.execute(
@@ -370,17 +352,17 @@ class _Sqlite:
                         f'WHERE topic_id IN ({marks}) ORDER BY id', list(names)):
                     yield Raw(names[number], int(time), _message(bytes(data)),
                               partial(self._fetch, key))
-                    count += 1
-                    self.position += len(data)
-                    self.advanced = count % 1000 == 0
+                    count, position = count + 1, position + len(data)
+                    if count % 1000 == 0:
+                        self._reader.advanced(position)
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
-            reader.warnings.append(f'{self._name} is cut off or damaged ({error}): read '
-                                   f'{count} messages up to there')
+            self._reader.warnings.append(f'{self._name} is cut off or damaged ({error}): read '
+                                         f'{count} messages up to there')
 
     def _connected(self) -> sqlite3.Connection:
         return sqlite3.connect(f'{self._path.absolute().as_uri()}?immutable=1', uri=True)
 
-    def _fetch(self, key: Any) -> bytes:
+    def _fetch(self, key: int) -> bytes:
         try:
             with closing(self._connected()) as database:
                 (data,), = database.execute('SELECT data FROM messages WHERE id = ?', (key,))
