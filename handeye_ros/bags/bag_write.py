@@ -1,26 +1,37 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Writes rosbag2 folders (mcap): profiles and poses as drivers publish them, and paths."""
+"""
+Writes rosbag2 folders: .mcap files with their metadata.yaml, and the messages in them.
+
+Profiles and poses as drivers publish them, and paths.
+"""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from itertools import chain
+import json
+import os
 from pathlib import Path
 import shutil
 import tempfile
-from typing import Any
+from typing import Any, BinaryIO
 
 from handeye_ros import se3
 from handeye_ros.bags.messages import DATATYPES, UNITS
-from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, STRING
+from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import BagError, UnwritableError
 from handeye_ros.results import truth_file
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 import numpy as np
 
-OURS = ('metadata.yaml', 'truth.yaml')  # a folder with one of these may be replaced
+METADATA = 'metadata.yaml'
+OURS = (METADATA, truth_file.NAME)  # a folder with one of these may be replaced
+CHUNK = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
 PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
 # The points of real drivers: dtypes with the fields x, y and z.
@@ -61,27 +72,124 @@ def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[Tim
                     ) -> None:
     items: list[Profile | TimedPose] = sorted([*profiles, *poses], key=lambda item: item.stamp)
     messages = chain(
-        ((full_name(config.profile_topic if isinstance(item, Profile) else config.pose_topic),
-          item.stamp, serialised(item, dtype, config.profile.unit)) for item in items),
-        ((full_name(config.joint_topic), stamp, joints_cdr(stamp, values))
+        (Raw(full_name(config.profile_topic if isinstance(item, Profile) else config.pose_topic),
+             item.stamp, serialised(item, dtype, config.profile.unit)) for item in items),
+        (Raw(full_name(config.joint_topic), stamp, joints_cdr(stamp, values))
          for stamp, values in joints))
     kinds = {config.profile_topic: CLOUD, config.pose_topic: POSE,
              **({config.joint_topic: JOINTS} if joints else {})}
-    _write_bag(path, {full_name(topic): kind for topic, kind in kinds.items()}, messages, True)
+    _write_bag(path, {full_name(topic): kind for topic, kind in kinds.items()}, messages)
 
 
-def _write_bag(path: Path, kinds: Mapping[str, str], messages: Iterable[tuple[str, int, bytes]],
-               compressed: bool) -> None:
-    """Write messages (topic, stamp, data); kinds: the types of the topics."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    if compressed:
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        connections = {topic: writer.add_connection(topic, kind, typestore=typestore())
-                       for topic, kind in kinds.items()}
-        for topic, stamp, data in messages:
-            writer.write(connections[topic], stamp, data)
+def _write_bag(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
+    """Write messages as a folder with one file; types: by topic."""
+    path.mkdir()
+    file = path / f'{path.name}.mcap'
+    with file.open('wb') as stream:
+        write_mcap(stream, types, messages)
+    write_metadata(path, [file])
+
+
+def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
+    """Write messages as an .mcap file; types: by topic. Raises OSError."""
+    writer = Writer(stream, CHUNK, CompressionType.ZSTD)
+    writer.start('ros2', 'handeye_ros')
+    channels = {}
+    for topic, kind in types.items():
+        text, _ = typestore().generate_msgdef(kind, ros_version=2)
+        schema = writer.register_schema(kind, 'ros2msg', text.encode())
+        channels[topic] = writer.register_channel(topic, 'cdr', schema,
+                                                  {'offered_qos_profiles': ''})
+    for message in messages:
+        writer.add_message(channels[message.topic], message.log_time, message.data,
+                           message.log_time)
+    writer.finish()
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What an .mcap file says of itself: first and last time (ns), type and count by topic."""
+
+    first: int
+    last: int
+    topics: Mapping[str, tuple[str, int]]
+
+    @property
+    def span(self) -> dict[str, Any]:
+        """Return the time and the number of the messages as metadata.yaml states them."""
+        return {'duration': {'nanoseconds': self.last - self.first},
+                'message_count': sum(count for _, count in self.topics.values()),
+                'starting_time': {'nanoseconds_since_epoch': self.first}}
+
+
+def contents_of(file: Path) -> Contents:
+    """Return the contents of a whole .mcap file; raises BagError."""
+    try:
+        return _contents(file, file.stat().st_mtime_ns)
+    except OSError as error:
+        raise BagError(file, f'cannot be read: {error.strerror or error}') from error
+    except Exception as error:  # damaged bytes cause all kinds of errors in parsers
+        raise BagError(file, f'is damaged or cut off: {error}') from error
+
+
+@lru_cache(10_000)
+def _contents(file: Path, written: int) -> Contents:
+    """Return the contents of a file as it was written at a time (ns)."""
+    with file.open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    if summary is None or summary.statistics is None:
+        raise ValueError('it has no end')
+    counts = summary.statistics.channel_message_counts
+    topics = {channel.topic: (summary.schemas[channel.schema_id].name, counts.get(number, 0))
+              for number, channel in summary.channels.items()}
+    return Contents(summary.statistics.message_start_time, summary.statistics.message_end_time,
+                    topics)
+
+
+def write_metadata(folder: Path, files: Sequence[Path]) -> None:
+    """
+    Write metadata.yaml, atomically, and sync the names of files; raises OSError, BagError.
+
+    JSON is YAML, and is written 100 times faster.
+    """
+    parts = [contents_of(file) for file in files]
+    topics: dict[str, tuple[str, int]] = {}
+    for part in parts:
+        for topic, (kind, count) in part.topics.items():
+            topics[topic] = kind, topics.get(topic, ('', 0))[1] + count
+    whole = Contents(min(part.first for part in parts), max(part.last for part in parts), topics)
+    information = {
+        'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy', **whole.span,
+        'topics_with_message_count': [
+            {'message_count': count, 'topic_metadata': {
+                'name': topic, 'type': kind, 'serialization_format': 'cdr',
+                'offered_qos_profiles': [], 'type_description_hash': _hash(kind)}}
+            for topic, (kind, count) in topics.items()],
+        'compression_format': '', 'compression_mode': '',
+        'relative_file_paths': [file.name for file in files],
+        'files': [{'path': file.name, **part.span}
+                  for file, part in zip(files, parts, strict=True)],
+        'custom_data': None}
+    temporary = folder / f'.{METADATA}.tmp'
+    temporary.write_text(json.dumps({'rosbag2_bagfile_information': information}, indent=1),
+                         encoding='utf-8')
+    os.replace(temporary, folder / METADATA)
+    sync(folder)
+
+
+def sync(path: Path) -> None:
+    """Write a file, or the names in a folder, through to the disk; raises OSError."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@cache
+def _hash(kind: str) -> str:
+    """Return the type hash (REP 2011) of a message type."""
+    return str(typestore().hash_rihs01(kind))
 
 
 @cache
@@ -168,7 +276,7 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'sea
                 full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
     write_folder(path, {}, lambda folder: _write_bag(
         folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
-        [(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()], False), force)
+        [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force)
 
 
 def write_folder(path: Path, texts: Mapping[str, str],

@@ -10,13 +10,13 @@ The few types are read here: rosbags takes 0.2 s to import them, and twice as lo
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 import math
 import struct
 import sys
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, MOST_BACK, Profile, RawProfile, TimedPose
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 NS = 1_000_000_000
+SIZES = {code: struct.calcsize(code) for code in 'BiId'}
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 INTENSITY = 'intensity'  # its field, if the driver publishes it
@@ -52,16 +53,22 @@ PROBE = 1_000_000_000  # ns between two profiles whose points are checked
 MOST_SHAPES = 1000  # of messages, that are known to be valid
 OVERHEAD = 600  # bytes of memory for a message, without its data
 
+T = TypeVar('T')
+
 
 class _Cdr:
     """Reads the values of a serialised message one after the other, each aligned to its size."""
 
     def __init__(self, data: bytes) -> None:
-        self.data, self.at, self.order = data, 4, _order(data)
+        """Raise ValueError for data that are not in CDR."""
+        self.data, self.at = data, 4
+        self.order = {b'\0\0': '>', b'\0\1': '<'}.get(bytes(data[:2]), '')
+        if not self.order:
+            raise ValueError('it is not in CDR')
 
     def numbers(self, code: str, count: int = 1) -> tuple[Any, ...]:
         """Return some numbers of one type of struct."""
-        size = struct.calcsize(code)
+        size = SIZES[code]
         self.at += (4 - self.at) % size  # aligned behind the four bytes of the encapsulation
         values = struct.unpack_from(f'{self.order}{count}{code}', self.data, self.at)
         self.at += size * count
@@ -78,7 +85,7 @@ class _Cdr:
         """Return a string."""
         size = self.count(1)
         self.at += size
-        return _text(self.data[self.at - size:self.at])
+        return str(self.data[self.at - size:self.at], 'utf-8').removesuffix('\0')
 
     def header(self) -> tuple[int, str]:
         """Return stamp and frame of a std_msgs/Header."""
@@ -87,18 +94,7 @@ class _Cdr:
         return seconds * NS + nanoseconds, frame_name(self.text())
 
 
-def _order(data: bytes) -> str:
-    """Return the byte order of a serialised message, as struct writes it."""
-    if bytes(data[:2]) not in (b'\0\0', b'\0\1'):
-        raise ValueError('it is not in CDR')
-    return '<' if data[1] else '>'
-
-
-def _text(data: bytes) -> str:
-    return str(data, 'utf-8').removesuffix('\0')
-
-
-def _read(kind: str, data: bytes, parse: Callable[[_Cdr], Any]) -> Any:
+def _read(kind: str, data: bytes, parse: Callable[[_Cdr], T]) -> T:
     """Return what parse makes of a message; damaged bytes cause several kinds of errors in it."""
     try:
         return parse(_Cdr(data))
@@ -113,30 +109,17 @@ def frame_name(frame_id: str) -> str:
 
 def text_from_cdr(data: bytes) -> str:
     """Return the text of a std_msgs/String; raises UnusableMessageError."""
-    return str(_read('String', data, _Cdr.text))
+    return _read('String', data, _Cdr.text)
 
 
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises UnusableMessageError."""
-    try:
-        order = _order(data)
-        length, = struct.unpack_from(f'{order}I', data, 12)
-        seconds, nanoseconds, _, frame, *values = _pose_struct(order, length).unpack_from(data)
-        return _pose('PoseStamped', seconds * NS + nanoseconds, frame_name(_text(frame)), values)
-    except (struct.error, ValueError) as error:
-        raise UnusableMessageError(f'PoseStamped message not used: damaged message: {error}'
-                                   ) from error
+    stamp, frame, values = _read('PoseStamped', data, lambda cdr: (
+        *cdr.header(), cdr.numbers('d', 7)))
+    return _pose('PoseStamped', stamp, frame, values)
 
 
-@cache
-def _pose_struct(order: str, length: int) -> struct.Struct:
-    """Return the layout of a PoseStamped with a frame_id of so many bytes."""
-    if length > 1000:
-        raise struct.error('a frame of more than 1000 bytes')
-    return struct.Struct(f'{order}4xiII{length}s{-(12 + length) % 8}x7d')
-
-
-def _pose(kind: str, stamp: int, frame: str, values: list[float]) -> TimedPose:
+def _pose(kind: str, stamp: int, frame: str, values: Sequence[float]) -> TimedPose:
     """Return a pose with a quaternion of unit length and qw >= 0; raises UnusableMessageError."""
     norm, farthest = math.hypot(*values[3:]), max(map(abs, values[:3]))
     if not math.isfinite(norm + sum(values[:3])):
@@ -159,8 +142,8 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     Raises UnusableMessageError if all are invalid: an unused invalid frame must not affect the
     others.
     """
-    def parse(cdr: _Cdr) -> list[tuple[int, str, str, list[float]]]:
-        return [(*cdr.header(), frame_name(cdr.text()), list(cdr.numbers('d', 7)))
+    def parse(cdr: _Cdr) -> list[tuple[int, str, str, tuple[float, ...]]]:
+        return [(*cdr.header(), frame_name(cdr.text()), cdr.numbers('d', 7))
                 for _ in range(cdr.count(72))]
 
     good, malformed = [], None
@@ -226,37 +209,21 @@ class Cloud:
             raise _unusable(f'{len(named) or "no"} fields are named "{name}" (fields: {names}); '
                             'profile.axes says which axes are read')
         field, = named
-        kind = DATATYPES.get(field.datatype)
-        if kind is None:
-            raise _unusable(f'field "{name}" has datatype {field.datatype}, which does not exist '
-                            '(they go from 1 to 8)')
-        if field.values > 1:
-            raise _unusable(f'field "{name}" holds {field.values} values for each point, '
-                            'expected 1')
-        dtype = np.dtype(('>' if self.is_bigendian else '<') + kind)
-        row_step = self._required_row_step()
-        end = field.offset + dtype.itemsize
-        if end > self.point_step:
-            raise _unusable(f'field "{name}" ends at byte {end} of points that are '
-                            f'{self.point_step} bytes long')
-        return np.ndarray((self.height, self.width), dtype, self.data, field.offset,
-                          (row_step, self.point_step))
-
-    def _required_row_step(self) -> int:
-        """Return the bytes of a row; raises UnusableMessageError if the data are too short."""
+        if field.datatype not in DATATYPES or field.values > 1:
+            raise _unusable(f'field "{name}" has datatype {field.datatype} and {field.values} '
+                            'values for each point, expected 1 to 8 and 1 value')
+        dtype = np.dtype(('>' if self.is_bigendian else '<') + DATATYPES[field.datatype])
         height, width, point_step = self.height, self.width, self.point_step
+        least = width * point_step
         # drivers often leave it unset
-        row_step = width * point_step if height == 1 or self.row_step == 0 else self.row_step
-        if point_step == 0:
-            raise _unusable('point_step is 0')
-        if row_step < width * point_step:
-            raise _unusable(f'row_step is {row_step}, but a row of {width} points of '
-                            f'{point_step} bytes takes {width * point_step}')
-        needed = (height - 1) * row_step + width * point_step
-        if len(self.data) < needed:
-            raise _unusable(f'{height} x {width} points of {point_step} bytes take {needed} '
-                            f'bytes, but data holds {len(self.data)}')
-        return row_step
+        row_step = least if height == 1 or self.row_step == 0 else self.row_step
+        if (field.offset + dtype.itemsize > point_step or row_step < least
+                or (height - 1) * row_step + least > len(self.data)):
+            raise _unusable(f'{height} x {width} points of {point_step} bytes, in rows of '
+                            f'{row_step} bytes, with the field "{name}" at byte {field.offset}, '
+                            f'do not fit into {len(self.data)} bytes of data')
+        return np.ndarray((height, width), dtype, self.data, field.offset,
+                          (row_step, point_step))
 
     def row(self, index: int) -> Cloud:
         """Return a row as a cloud; raises UnusableMessageError."""
@@ -286,8 +253,7 @@ def cloud_from_cdr(data: bytes) -> Cloud:
         return Cloud(stamp, frame, height, width, tuple(fields), bool(is_bigendian), point_step,
                      row_step, memoryview(data)[cdr.at:cdr.at + size], cdr.at)
 
-    cloud: Cloud = _read('PointCloud2', data, parse)
-    return cloud
+    return _read('PointCloud2', data, parse)
 
 
 def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
@@ -315,13 +281,14 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
                    beside=beside)
 
 
-def returns_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
+def returns_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
     """
-    Return only the returns of a cloud, in message order.
+    Return only the returns of a serialised cloud, in message order.
 
     With the intensity if there is a field of that name. The order along the line, which takes most
     of the time, is not determined. Raises UnusableMessageError.
     """
+    cloud = cloud_from_cdr(data)
     if cloud.width * cloud.height == 0:
         return _empty(cloud, config)
     points, good = _points(cloud, config)
@@ -546,13 +513,12 @@ def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
     """Return one row of a message as a message with its own stamp; UnusableMessageError."""
     data = fetch()
     cloud = cloud_from_cdr(data)
-    row, order, head = cloud.row(index), _order(data), bytearray(data[:cloud.start])
-    before_height = _Cdr(data)
-    before_height.header()
-    struct.pack_into(f'{order}iI', head, 4, *divmod(stamp, NS))
-    struct.pack_into(f'{order}I', head, before_height.at + -before_height.at % 4, 1)
+    row, head, cdr = cloud.row(index), bytearray(data[:cloud.start]), _Cdr(data)
+    cdr.header()
+    struct.pack_into(f'{cdr.order}iI', head, 4, *divmod(stamp, NS))
+    struct.pack_into(f'{cdr.order}I', head, cdr.at + -cdr.at % 4, 1)  # the height
     # row_step, and the length of the data, are the last two numbers before the data
-    struct.pack_into(f'{order}2I', head, cloud.start - 8, row.row_step, row.row_step)
+    struct.pack_into(f'{cdr.order}2I', head, cloud.start - 8, row.row_step, row.row_step)
     return bytes(head) + bytes(row.data) + b'\1'
 
 
@@ -565,11 +531,11 @@ def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
     cloud = cloud_from_cdr(data)
     rows = rows_of(cloud, config)
     if rows == 1:
-        yield returns_from_cloud(cloud, config)
+        yield returns_from_cdr(data, config)
         return
     if not config.period:
         raise _unusable(f'it holds {rows} profiles, and does not say when each was taken: set '
                         'profile.period')
     raw = RawProfile(cloud.stamp, '', partial(bytes, data), profile_from_cdr, config, rows=rows)
-    for index, row in enumerate(split(raw, None, config)):
-        yield replace(returns_from_cloud(cloud.row(index), config), stamp=row.stamp)
+    for row in split(raw, None, config):
+        yield returns_from_cdr(row.fetch(), config)

@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import fcntl
-from functools import cache, partial
+from functools import partial
 from itertools import islice
 import json
 import os
@@ -27,11 +27,20 @@ import re
 import time
 from typing import Any
 
-from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr, string_cdr, typestore
+from handeye_ros.bags.bag_write import (
+    cloud_cdr,
+    contents_of,
+    METADATA,
+    pose_cdr,
+    string_cdr,
+    sync,
+    write_mcap,
+    write_metadata,
+)
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config, flatten, with_values
-from handeye_ros.data import AnyProfile, RawProfile, Reject
+from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import (
     BagError,
     InputError,
@@ -43,7 +52,6 @@ from handeye_ros.output import folder_name
 from handeye_ros.sampling.session import judged, Outcome, Session
 from handeye_ros.sampling.stops import Stop
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 
 LAST = 'last'
 FORMAT, NEWEST = 'handeye_ros/session/', 1
@@ -51,9 +59,8 @@ CONFIGURATION = '/handeye_ros/session/configuration'
 OUTCOME = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 
-SUFFIX, METADATA, LOCK = '.mcap', 'metadata.yaml', '.lock'
+SUFFIX, LOCK = '.mcap', '.lock'
 STAMP = '%Y-%m-%dT%H%M%SZ'  # names of folders
-CHUNK = 1 << 22  # bytes of a chunk: a reader decompresses one to read a message
 NOTHING = Stop(0)
 SOURCE = "the node's parameters"
 
@@ -118,31 +125,19 @@ class Event:
     refused: str = ''
 
 
-@dataclass(frozen=True)
-class BagFile:
-    """The entry of a file in metadata.yaml: first and last time in ns, counts by topic."""
-
-    name: str
-    first: int
-    last: int
-    counts: dict[str, int]
-
-
 @dataclass(frozen=True, eq=False)
 class Stored:
     """
     A session on the disk.
 
     config: the last settings; stops: by number, without removed ones; numbers: the largest number
-    so far; types: by topic.
+    so far.
     """
 
     path: Path
     config: Config
     stops: dict[int, tuple[Event, Stop]]
     numbers: int
-    files: tuple[BagFile, ...]
-    types: dict[str, str]
 
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
@@ -171,13 +166,11 @@ class SessionFiles:
         """
         self._parent = parent
         self.path = stored.path if stored else None
-        self._files: list[BagFile] = list(stored.files) if stored else []
-        self._types: dict[str, str] = dict(stored.types) if stored else {}
         self._lock: int | None = None
         if stored:
             try:
                 self._lock = _claimed(stored.path)
-                _write_metadata(stored.path, self._files, self._types)
+                write_metadata(stored.path, files_of(stored.path))
             except BlockingIOError as error:
                 raise SessionError(stored.path, 'is in use by another node: end that node first, '
                                                 'or begin a new session') from error
@@ -217,20 +210,17 @@ class SessionFiles:
             if not folder.is_dir():
                 raise FileNotFoundError('its folder is gone (unmounted or removed?); bring it '
                                         'back, or call ~/clear_samples for a new session')
-            messages, types = _messages(event, seen, outcome, joints)
-            number = 1 + max((_number_of(file.name) for file in self._files), default=-1)
+            number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
-            written = _write_file(file, messages, types)
+            _write_file(file, *_messages(event, seen, outcome, joints))
             try:
-                _write_metadata(folder, [*self._files, written], self._types | types)
+                write_metadata(folder, files_of(folder))
             except OSError:
                 with suppress(OSError):
                     file.unlink()  # the event is refused, so it must not be read back
                 raise
         except OSError as error:
             raise UnwritableError(path, error.strerror or str(error)) from error
-        self._files.append(written)
-        self._types |= types
         return file
 
     def restarted(self, config: Config) -> SessionFiles:
@@ -244,7 +234,7 @@ class SessionFiles:
         """Sync metadata.yaml; no service waits for it, as the files hold the same data."""
         if self.path:
             with suppress(OSError):
-                _sync(self.path / METADATA)
+                sync(self.path / METADATA)
 
     def _begun(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
@@ -254,7 +244,7 @@ class SessionFiles:
             folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
             with suppress(FileExistsError):
                 folder.mkdir()
-                _sync(parent)
+                sync(parent)
                 return folder, _claimed(folder)
         raise FileExistsError(f'{parent / stamp} is there already')
 
@@ -271,8 +261,8 @@ def _claimed(folder: Path) -> int:
 
 
 def _messages(event: Event, seen: Stop, outcome: Outcome | None,
-              joints: Sequence[tuple[int, bytes]]) -> tuple[list[Raw], dict[str, str]]:
-    """Return the messages of an event, and their types by topic."""
+              joints: Sequence[tuple[int, bytes]]) -> tuple[dict[str, str], list[Raw]]:
+    """Return the types of the topics of an event, and its messages."""
     config = event.config
     profile_topic = full_name(config.profile_topic)
     pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
@@ -282,7 +272,8 @@ def _messages(event: Event, seen: Stop, outcome: Outcome | None,
         types[joint_topic] = JOINTS
     offset = round(config.time_offset * 1e9)  # a driver may publish no stamp: log_time holds it
     messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in seen.poses]
-    messages += [Raw(profile_topic, profile.stamp - offset, _cloud(profile, config))
+    messages += [Raw(profile_topic, profile.stamp - offset, bytes(profile.fetch())
+                     if isinstance(profile, RawProfile) else cloud_cdr(profile, config))
                  for profile in seen.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     values = {'event': event.kind, 'number': event.number, 'began': event.began,
@@ -295,38 +286,19 @@ def _messages(event: Event, seen: Stop, outcome: Outcome | None,
                            (OUTCOME, values)):
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
         messages.append(Raw(topic, end, string_cdr(text)))
-    return messages, types
+    return types, messages
 
 
-def _cloud(profile: AnyProfile, config: Config) -> bytes:
-    """Return the message of a profile as received, or in the layout of a driver."""
-    if isinstance(profile, RawProfile):
-        return bytes(profile.fetch())
-    return cloud_cdr(profile, config)
-
-
-def _write_file(path: Path, messages: Sequence[Raw], types: Mapping[str, str]) -> BagFile:
+def _write_file(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
     """
     Write messages as an .mcap file, completely or not at all; types: by topic. Raises OSError.
 
-    Its name is on the disk after the folder is synced by _write_metadata.
+    Its name is on the disk after the folder is synced by write_metadata.
     """
     temporary = path.with_name(f'.{path.name}.tmp')
-    messages = sorted(messages, key=lambda message: message.log_time)
     try:
         with temporary.open('wb') as stream:  # may replace the rest of a killed process
-            writer = Writer(stream, CHUNK, CompressionType.ZSTD)
-            writer.start('ros2', 'handeye_ros')
-            channels = {}
-            for topic, kind in types.items():
-                text, _ = typestore().generate_msgdef(kind, ros_version=2)
-                schema = writer.register_schema(kind, 'ros2msg', text.encode())
-                channels[topic] = writer.register_channel(topic, 'cdr', schema,
-                                                          {'offered_qos_profiles': ''})
-            for message in messages:
-                writer.add_message(channels[message.topic], message.log_time, message.data,
-                                   message.log_time)
-            writer.finish()
+            write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
@@ -334,76 +306,24 @@ def _write_file(path: Path, messages: Sequence[Raw], types: Mapping[str, str]) -
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
-    counts = dict.fromkeys(types, 0)
-    for message in messages:
-        counts[message.topic] += 1
-    return BagFile(path.name, messages[0].log_time, messages[-1].log_time, counts)
 
 
-def _write_metadata(folder: Path, files: Sequence[BagFile], types: Mapping[str, str]) -> None:
-    """
-    Write metadata.yaml, atomically, and sync the names of files; raises OSError.
-
-    JSON is YAML, and is written 100 times faster.
-    """
-    def span(first: int, last: int, count: int) -> dict[str, Any]:
-        return {'duration': {'nanoseconds': last - first}, 'message_count': count,
-                'starting_time': {'nanoseconds_since_epoch': first}}
-
-    counts = {topic: sum(file.counts.get(topic, 0) for file in files) for topic in types}
-    information = {
-        'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy',
-        **span(min(file.first for file in files), max(file.last for file in files),
-               sum(counts.values())),
-        'topics_with_message_count': [
-            {'message_count': counts[topic], 'topic_metadata': {
-                'name': topic, 'type': kind, 'serialization_format': 'cdr',
-                'offered_qos_profiles': [], 'type_description_hash': _hash(kind)}}
-            for topic, kind in types.items()],
-        'compression_format': '', 'compression_mode': '',
-        'relative_file_paths': [file.name for file in files],
-        'files': [{'path': file.name, **span(file.first, file.last, sum(file.counts.values()))}
-                  for file in files],
-        'custom_data': None}
-    temporary = folder / f'.{METADATA}.tmp'
-    temporary.write_text(json.dumps({'rosbag2_bagfile_information': information}, indent=1),
-                         encoding='utf-8')
-    os.replace(temporary, folder / METADATA)
-    _sync(folder)
-
-
-@cache
-def _hash(kind: str) -> str:
-    """Return the type hash (REP 2011) of a message type."""
-    return str(typestore().hash_rihs01(kind))
-
-
-def _sync(path: Path) -> None:
-    """Write a file, or the names in a folder, through to the disk; raises OSError."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _number_of(name: str) -> int:
-    """Return the number of a file in its session, -1 for the name of another file."""
-    match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', name)
-    return int(match[1]) if match and not name.startswith('.') else -1
+def _number_of(file: Path) -> int:
+    """Return the number of a file in its session, -1 for another file."""
+    match = re.search(rf'_(\d+){re.escape(SUFFIX)}$', file.name)
+    return int(match[1]) if match and not file.name.startswith('.') else -1
 
 
 def files_of(folder: Path) -> list[Path]:
     """Return the files of a session in the order of their numbers; raises OSError."""
-    files = [path for path in folder.iterdir() if _number_of(path.name) >= 0]
-    return sorted(files, key=lambda path: _number_of(path.name))
+    return sorted((path for path in folder.iterdir() if _number_of(path) >= 0), key=_number_of)
 
 
 def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
     try:
         files = files_of(path) if path.is_dir() else []
-        return bool(files) and OUTCOME in _read_file(files[0], (OUTCOME,))[1]
+        return bool(files) and OUTCOME in contents_of(files[0]).topics
     except (OSError, BagError):
         return False
 
@@ -423,59 +343,43 @@ def read_session(path: Path) -> Stored:
     if not is_session(path):
         raise SessionError(path, 'is no session: expected a folder that the node made')
     stops: dict[int, tuple[Event, Stop]] = {}
-    files, types, numbers, config = [], dict[str, str](), 0, Config()
+    numbers, config = 0, Config()
     for file in files_of(path):
-        entry, its_types, messages = _read_file(file, (CONFIGURATION, OUTCOME))
-        event, types = _event_of(messages, file), types | its_types
-        files.append(entry)
+        event = _event_of(_read_file(file, (CONFIGURATION, OUTCOME)), file)
         config, numbers = event.config, max(numbers, event.number)
         if event.kind == STOP:
             stops[event.number] = event, Stop(event.began, source=partial(load, file, event.began))
         elif event.kind == REMOVED:
             stops.pop(event.number, None)
-    return Stored(path, config, stops, numbers, tuple(files), types)
+    return Stored(path, config, stops, numbers)
 
 
 def load(file: Path, began: int, config: Config) -> Stop:
     """Return a stop with its poses and profiles from its file; raises BagError."""
-    _, types, messages = _read_file(file)
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
-    for message in messages:
-        if types[message.topic] == POSE:
+    for message in _read_file(file, kinds := contents_of(file).topics):
+        if kinds[message.topic][0] == POSE:
             poses.append(pose_from_cdr(message.data))
-        elif types[message.topic] == CLOUD:
+        elif kinds[message.topic][0] == CLOUD:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
     return Stop(began, tuple(poses), tuple(profiles))
 
 
-def _read_file(path: Path, topics: Sequence[str] = ()
-               ) -> tuple[BagFile, dict[str, str], list[Raw]]:
-    """Return entry, types by topic, and messages (of these topics or all); raises BagError."""
+def _read_file(file: Path, topics: Iterable[str]) -> list[Raw]:
+    """Return the messages of some topics; raises BagError."""
+    contents_of(file)  # whole files only
     try:
-        with path.open('rb') as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            summary = reader.get_summary()
-            if summary is None or summary.statistics is None:
-                raise BagError(path, 'is cut off')
-            statistics, channels = summary.statistics, summary.channels
-            counts = {channels[number].topic: count
-                      for number, count in statistics.channel_message_counts.items()}
-            types = {channel.topic: summary.schemas[channel.schema_id].name
-                     for channel in channels.values()}
-            messages = [Raw(channel.topic, message.log_time, message.data)
-                        for _, channel, message in reader.iter_messages(topics or None)]
+        with file.open('rb') as stream:
+            return [Raw(channel.topic, message.log_time, message.data) for _, channel, message in
+                    make_reader(stream, validate_crcs=True).iter_messages(list(topics))]
     except OSError as error:
-        raise BagError(path, f'cannot be read: {error.strerror or error}') from error
-    except BagError:
-        raise
+        raise BagError(file, f'cannot be read: {error.strerror or error}') from error
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise BagError(path, f'is damaged: {error}') from error
-    return BagFile(path.name, statistics.message_start_time, statistics.message_end_time,
-                   counts), types, messages
+        raise BagError(file, f'is damaged: {error}') from error
 
 
 def _event_of(messages: Iterable[Raw], file: Path) -> Event:

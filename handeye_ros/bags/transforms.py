@@ -55,6 +55,12 @@ class FlangeTracker:
         self._links: dict[str, _Link] = {}
         self._sent_until = -1
 
+    @property
+    def warnings(self) -> list[str]:
+        """Return one sentence for each frame and reason for which transforms were dropped."""
+        return [f'/tf (frame {child}): {warning}' for child, link in self._links.items()
+                for warning in link.stream.warnings]
+
     def add(self, transforms: Sequence[tuple[str, TimedPose]], static: bool) -> list[TimedPose]:
         """
         Add the transforms of one message; return the poses that are now known.
@@ -106,13 +112,13 @@ class FlangeTracker:
     def _chains(self) -> tuple[list[_Link], list[_Link]] | None:
         """Return the links from flange and base up to their common ancestor."""
         from_flange, from_base = self._ancestors(self._flange), self._ancestors(self._base)
-        ancestor = next((frame for frame in from_flange if frame in from_base), None)
-        if ancestor is None:
-            return None
-        flange_chain, base_chain = (
-            [self._links[frame] for frame in frames[:frames.index(ancestor)]]
-            for frames in (from_flange, from_base))
-        return flange_chain, base_chain
+        for ancestor in from_flange:
+            if ancestor in from_base:
+                flange_chain, base_chain = (
+                    [self._links[frame] for frame in frames[:frames.index(ancestor)]]
+                    for frames in (from_flange, from_base))
+                return flange_chain, base_chain
+        return None
 
     def _ancestors(self, frame: str) -> list[str]:
         """Return a frame and its ancestors; stops at a loop."""

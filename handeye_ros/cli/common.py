@@ -9,6 +9,7 @@ does not evaluate such annotations.
 """
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
@@ -19,7 +20,7 @@ import typer
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
-    from handeye_ros.bags.bag import Flow, Recording
+    from handeye_ros.bags.bag import Recording
     from handeye_ros.bags.session import Stored
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
@@ -115,14 +116,15 @@ def gathered(bag: Path, settings: 'Config') -> 'Session':
 
 @contextmanager
 def flowing(bag: Path, settings: 'Config', task: str
-            ) -> 'Iterator[tuple[Flow, Trajectory, Callable[[str], None]]]':
+            ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
     """Give a recording profile by profile, its poses, and a function that changes the task."""
-    from handeye_ros.bags.bag import flow
+    from handeye_ros.bags.bag import read
     from handeye_ros.sampling.trajectory import track_of
     with doing(task) as update:
-        source = flow(bag, settings)
-        yield source, track_of(source.poses, settings.sampling.max_pose_gap), update
-    for warning in source.warnings:
+        # what uses the profiles adds the offset itself
+        recording = read(bag, replace(settings, time_offset=0.0))
+        yield recording, track_of(recording.poses, settings.sampling.max_pose_gap), update
+    for warning in recording.warnings:
         warn(warning)
 
 

@@ -97,7 +97,7 @@ def _stations(routine: 'Routine', bag: Path, calibration: 'Calibration', config:
     from handeye_ros.verification.stations import stations_of, stations_of_pass
     if routine.target == TEETH:
         with flowing(bag, config, 'reading the recording') as (source, track, _):
-            return stations_of_pass(list(source.profiles()), track, config), ''
+            return stations_of_pass(list(source.returns()), track, config), ''
     session = gathered(bag, config)
     used = {report.stamp for report in calibration.samples if report.used}
     if any(sample.stamp in used for sample in session.samples):

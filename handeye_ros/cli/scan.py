@@ -57,7 +57,7 @@ def scan(
     count = scanner.count
     with (flowing(bag, settings, 'reading the poses') as (source, track, update),
           cloud_writer(out, f'frame {scanner.frame}, metres') as writer):
-        for points in scanner.scan(source.profiles(), track):
+        for points in scanner.scan(source.returns(), track):
             writer.write(points)
             update(f'{count.profiles} profiles, {writer.count} points')
         scanner.require_points()
@@ -146,6 +146,6 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     answer, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(answer, settings, ScanOptions(voxel=THINNED))
     with flowing(path, settings, 'scanning') as (source, track, _):
-        rows = np.concatenate(list(scanner.scan(source.profiles(), track)))
+        rows = np.concatenate(list(scanner.scan(source.returns(), track)))
     scanner.require_points()
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

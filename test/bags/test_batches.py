@@ -151,10 +151,10 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
-    scanned = list(bag.flow(file, config).profiles())
+    scanned = list(recording.returns())
     assert [p.stamp for p in scanned] == [p.stamp for p in recording.profiles]
-    with pytest.raises(InputError, match='it holds 5 profiles, .*: set profile.period'):
-        list(bag.flow(file, Config()).profiles())
+    with pytest.raises(InputError, match='hold several profiles, .*: set profile.period'):
+        list(bag.read(file, Config()).returns())
 
 
 def test_wrong_settings_are_refused() -> None:

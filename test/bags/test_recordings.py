@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 import sqlite3
 
+from handeye_ros import pipeline
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.bags.reader import Raw, TF
 from handeye_ros.config import Config, ProfileConfig
@@ -36,6 +37,7 @@ from recordings import (
 )
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
+STILL = [replace(pose, translation=POSES[0].translation) for pose in POSES]
 SQLITE3, NONE = StoragePlugin.SQLITE3, CompressionMode.NONE
 
 
@@ -352,12 +354,17 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
 
 
 def test_strays_of_another_frame_and_two_sensors(tmp_path):
+    """What a recording holds is judged as the messages of a running node are."""
+    def gathered(name, items):
+        recording = bag.read(written(tmp_path, items, STILL, name=name), CONFIG)
+        return pipeline.gather(recording.profiles, recording.poses, CONFIG)
+
     stray = replace(PROFILES[3], frame_id='other')
-    found = bag.read(written(tmp_path, [*PROFILES[:3], stray, *PROFILES[4:]]), CONFIG)
-    assert {p.frame_id for p in found.profiles} == {'laser'}
-    assert found.warnings == ('left out 1 profiles of other frames than "laser"',)
-    two = PROFILES[:5] + profiles(9, frame_id='other')[5:]
-    refused('"laser" and "other"', written(tmp_path, two, name='two'))
+    session = gathered('stray', [*PROFILES[:3], stray, *PROFILES[4:]])
+    assert session.frame_id == 'laser'
+    assert 'dropped a profile of frame "other" (1 times)' in session.warnings
+    with pytest.raises(InputError, match='"laser" and "other"'):
+        gathered('two', PROFILES[:5] + profiles(9, frame_id='other')[5:])
 
 
 # -- transforms
@@ -404,7 +411,7 @@ def test_a_wild_stamp_in_the_transforms_is_dropped(good_bag, tmp_path):
               for i, stamp in enumerate(stamps)]
     recording = bag.read(tf_bag(good_bag, tmp_path, moving), Config(pose_source='tf'))
     assert len(recording.poses) == 99
-    assert '1 of 100 messages on /tf (frame flange) were left out' in recording.warnings[0]
+    assert '/tf (frame flange): dropped a transform' in recording.warnings[0]
 
 
 @pytest.mark.parametrize(('config', 'words'), [
