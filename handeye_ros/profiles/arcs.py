@@ -3,35 +3,36 @@
 """
 The arc of a sphere in a profile, found among clutter.
 
-A profile is (n, 2): along the laser line, range; NaN where there was no return.
+A profile is (n, 2): along the laser line, range; NaN where there was no return. A circle is (3,):
+x, z and radius.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError, mm
-from handeye_ros.profiles.circles import (
-    arc_points,
-    FEWEST_FITTED,
-    fit_circle,
-    off_circle,
-    REFIT_WIDTHS,
-)
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.search import circles_among
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgesv
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown radius (m)
 SMALLEST_SHARE = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
 LARGEST_SHARE = 1.05  # the largest, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
+WIDTHS, REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)  # of successive fits, in tolerances
+FEWEST_FITTED = 5  # fewest points for another fit of a circle
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
 NOISIER, RESCALED = 2.0, 4  # noise over assumed noise that starts a new search; searches at most
+STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
+RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
+RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 NORMAL_POINTS = 12
 BLOCKS = 4  # per bin of an arc: their scatter gives the variance of its normal point
 MOST_SCATTER = 2.5  # largest RMS distance of an arc's points from their circle, in sigmas
@@ -43,81 +44,137 @@ SMALLEST_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad
 ROUNDER = 2.0  # smallest ratio of the squares of two lines to those of the circle
 LINE_POINTS = 4  # fewest points of each line
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
-TINY = 1e-30  # (m^2)
+CONVERGED = 1e-6  # step of a converged fit, as a share of the radius
+TINY = 1e-30
 
 
 def arc_features(points: Array, config: Config) -> tuple[Arc]:
     """
     Return the arc of the sphere in a profile.
 
-    points: (n, 2) in the sensor plane, NaN where there was no return.
-    Raises FeatureError when there is none.
+    points: (n, 2) in the sensor plane, NaN where there was no return. Raises FeatureError with the
+    reason for the best circle.
     """
-    return (_searched(points, config),)
-
-
-def _searched(points: Array, config: Config) -> Arc:
-    """Return the arc of a profile; raises FeatureError with the reason for the best circle."""
     valid = points.take(without_clutter(returned(points), points, config.noise.sensor), axis=0)
     if len(valid) < config.sampling.min_points:
         raise FeatureError(f'fewer than {config.sampling.min_points} returns in the profile')
     # speckle that is correlated over some columns does not show in the noise level
-    noise = noise_level(valid[:, 1], config.noise.sensor)
-    noise = max(noise, config.noise.sensor / 2)
+    noise = max(noise_level(valid[:, 1], config.noise.sensor), config.noise.sensor / 2)
     radius, reason = config.target.radius, ''
     limits = (SMALLEST_RADIUS, LARGEST_RADIUS)
     if radius > 0:
         limits = SMALLEST_SHARE * radius, (LARGEST_SHARE + 0.1) * radius
     for circle in circles_among(valid, *limits, TOLERANCE_SIGMAS * noise):
-        used = arc_points(valid, circle, TOLERANCE_SIGMAS * noise)
         try:
-            return _rescaled(valid, used, noise, config)
+            return (_arc(valid, *_on_arc(valid, circle, noise, config), config),)
         except FeatureError as error:
             reason = reason or str(error)
-    if radius > 0 and not reason and _shows_another(points, config):
-        reason = (f'the profile shows an arc, but not of a sphere of target.radius {mm(radius)}: '
-                  'correct it, or set it to 0, and it is estimated')
+    if radius > 0 and not reason:
+        try:
+            arc_features(points, replace(config, target=replace(config.target, radius=0.0)))
+            reason = ('the profile shows an arc, but not of a sphere of target.radius '
+                      f'{mm(radius)}: correct it, or set it to 0, and it is estimated')
+        except FeatureError:
+            pass
     raise FeatureError(reason or 'no arc of the sphere in the profile')
 
 
-def _shows_another(points: Array, config: Config) -> bool:
-    """Return whether a profile shows the arc of a sphere of any radius."""
-    try:
-        _searched(points, replace(config, target=replace(config.target, radius=0.0)))
-    except FeatureError:
-        return False
-    return True
-
-
-def _rescaled(points: Array, used: NDArray[np.bool_], noise: float, config: Config) -> Arc:
+def fit_circle(points: Array, steps: int = 4) -> Array:
     """
-    Return the arc of some points, for the noise of all points between its ends.
+    Return the circle (x, z, r) with the least squared radial distances to (n, 2) points.
+
+    steps: of Gauss-Newton from the algebraic fit (Kasa 1976), which is biased for short arcs.
+    """
+    middle = points.sum(axis=0) / len(points)
+    x, z = (points - middle).T
+    q, J = x * x + z * z, np.ones((3, len(x)))
+    J[0], J[1] = x, z
+    x_c, z_c = _solved(2 * J[:2] @ J[:2].T, J[:2] @ q)
+    r = math.sqrt(float(q.sum()) / len(q) + x_c * x_c + z_c * z_c)
+    for _ in range(steps):
+        J[0], J[1] = x - x_c, z - z_c
+        distance = np.sqrt(J[0] * J[0] + J[1] * J[1])
+        J[:2] /= np.maximum(distance, TINY)  # a point may equal the centre
+        step = _solved(J @ J.T, J @ (distance - r))
+        x_c, z_c, r = x_c + step[0], z_c + step[1], r + step[2]
+        if max(map(abs, step)) < CONVERGED * r:
+            break
+    return np.array([x_c + middle[0], z_c + middle[1], r])
+
+
+def _solved(A: Array, b: Array) -> list[float]:
+    """Return the solution of normal equations, near the minimum norm if they are singular."""
+    diagonal = A.ravel()[::len(b) + 1]
+    diagonal += 1e-12 * diagonal.sum() + TINY
+    solution: list[float] = dgesv(A, b)[2].tolist()  # a third of the time of numpy's solve
+    return solution
+
+
+def off_circle(points: Array, circle: Array) -> Array:
+    """Return the distances (n,) of points (n, 2) outside of a circle, negative inside."""
+    x, z = (points - circle[:2]).T
+    return np.asarray(np.sqrt(x * x + z * z) - circle[2])
+
+
+def _on_arc(points: Array, circle: Array, noise: float, config: Config
+            ) -> tuple[NDArray[np.intp], float]:
+    """
+    Return the rows of the points (n, 2) on an arc near a circle, and their noise.
 
     noise_level does not see noise that is correlated over some columns and larger than configured.
-    Then only the part of an arc that happens to lie near the circle would be found.
+    Then only the part of an arc that happens to lie near the circle would be found. So the noise
+    is that of all points between its ends.
     """
-    most = MOST_NOISE * config.noise.sensor
+    rows = _refitted(points, circle, TOLERANCE_SIGMAS * noise, WIDTHS)
     for _ in range(RESCALED):
-        rows = used.nonzero()[0]
         if len(rows) < FEWEST_FITTED:
             break
         circle = fit_circle(points.take(rows, axis=0), steps=1)
         off = np.abs(off_circle(points[rows[0]:rows[-1] + 1], circle))
         middle = len(off) // 2
         scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
-        if not NOISIER * noise < scale < most:
+        if not NOISIER * noise < scale < MOST_NOISE * config.noise.sensor:
             break
         noise = scale
-        used = arc_points(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
-    return _arc(points, used, noise, config)
+        rows = _refitted(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
+    return rows, noise
 
 
-def _arc(points: Array, inliers: NDArray[np.bool_], noise: float, config: Config) -> Arc:
-    """Return the arc of some points; raises FeatureError when it is none."""
+def _refitted(points: Array, circle: Array, tolerance: float, widths: Sequence[float]
+              ) -> NDArray[np.intp]:
+    """
+    Return the rows of the points (n, 2) on a circle refitted to them, without its rims.
+
+    widths: of successive fits, in tolerances: nearer points are used for the next circle. Few
+    returns come from near a rim, and then none. The angle at which they end depends on the tilt
+    across the profile, which is unknown; so the end of the arc is used instead.
+    """
+    rows, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
+    for width in widths:
+        if len(rows) >= FEWEST_FITTED:
+            circle = fit_circle(points.take(rows, axis=0), steps=1)
+        along, away = x - circle[0], z - circle[1]
+        distance = np.sqrt(along * along + away * away)
+        on = np.abs(distance - circle[2]) < width * tolerance
+        # the light falls on one side of a ball only
+        towards = away if away @ on > 0 else -away
+        on &= towards > 0
+        rows = np.flatnonzero(on & (towards > RIM_COSINE * distance))
+        if len(rows) < FEWEST_FITTED:
+            return rows
+    turn = np.arctan2(along, towards)
+    ends, turn = np.sort(turn[on]), turn[rows]
+    stray = len(ends) // 200
+    first, last = ends[stray], ends[-1 - stray]
+    rim = (turn < first + RIM_WIDTH) & (first < -STEEP)
+    return np.asarray(rows[~(rim | ((turn > last - RIM_WIDTH) & (last > STEEP)))])
+
+
+def _arc(points: Array, rows: NDArray[np.intp], noise: float, config: Config) -> Arc:
+    """Return the arc of some rows of points; raises FeatureError when it is none."""
     min_points, radius = config.sampling.min_points, config.target.radius
-    if inliers.sum() < min_points:
+    if len(rows) < min_points:
         raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
-    rows = inliers.nonzero()[0]
     if len(rows) < SMALLEST_DENSITY * (rows[-1] - rows[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
     arc = normal_points(points.take(rows, axis=0))
@@ -148,7 +205,7 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
     scatter, slow = float(off @ off) / len(off), float(of_bins @ of_bins) / len(of_bins)
     white = min(BELIEVED_SCATTER * config.noise.sensor,
                 MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
-    believed = np.hypot(white, BELIEVED_SCATTER * config.noise.distortion)
+    believed = math.hypot(white, BELIEVED_SCATTER * config.noise.distortion)
     return scatter > believed ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
                                         or slow > SLOWEST * scatter)
 
@@ -162,11 +219,10 @@ def _is_corner(arc: Arc) -> bool:
     """
     some = arc.raw[::-(-len(arc.raw) // JUDGED_POINTS)]
     off, (x, z) = off_circle(some, arc.circle), (some - arc.centre).T
-    to_x, to_z = float(np.add.reduce(x)), float(np.add.reduce(z))
-    length = max(math.hypot(to_x, to_z), TINY)
-    u, v = (to_x * z - to_z * x) / length, (to_x * x + to_z * z) / length
+    to_x, to_z = np.array([x.sum(), z.sum()]) / max(math.hypot(x.sum(), z.sum()), TINY)
+    u, v = to_x * z - to_z * x, to_x * x + to_z * z
     order = u.argsort()
-    u, v = u[order], v[order] - np.add.reduce(v) / len(v)
+    u, v = u[order], v[order] - v.mean()
     sums = np.array([np.ones(len(u)), u, v, u * u, u * v, v * v]).cumsum(axis=1)
     first = sums[:, LINE_POINTS - 1:-LINE_POINTS]
     squares = _squares_of_lines(first) + _squares_of_lines(sums[:, -1:] - first)
@@ -190,13 +246,14 @@ def normal_points(raw: Array) -> Arc:
     """
     circle = fit_circle(raw)
     x, z = (raw - circle[:2]).T
-    middle = np.array([x.mean(), z.mean()])
-    angle = np.arctan2(middle[0] * z - middle[1] * x, middle[0] * x + middle[1] * z)
-    order = np.argsort(angle)
-    angle, residual = angle[order], off_circle(raw[order], circle)
+    middle = math.atan2(z.mean(), x.mean())
+    turn = np.arctan2(z * math.cos(middle) - x * math.sin(middle),
+                      x * math.cos(middle) + z * math.sin(middle))
+    order = turn.argsort()
+    residual = off_circle(raw, circle)[order]
     bins = min(NORMAL_POINTS, len(raw) // 3)
     radius, count = bin_means(residual, bins)
-    turn = bin_means(angle, bins)[0] + np.arctan2(middle[1], middle[0])
+    turn = bin_means(turn[order], bins)[0] + middle
     points = circle[:2] + (circle[2] + radius)[:, None] * np.column_stack(
         [np.cos(turn), np.sin(turn)])
     std = np.sqrt(_variance(residual, radius, len(raw) / bins) * len(raw) / bins / count)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 from handeye_ros.data import Array
 import numpy as np
-from numpy.typing import NDArray
 
 SMALLEST, LARGEST = 5e-5, 4e-3  # radius of a rounding (m)
 RADII = np.geomspace(SMALLEST, LARGEST, 40)[:, None]  # of roundings that are tried
@@ -51,21 +50,6 @@ class EndRounding:
     middle_std: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Fits:
-    """
-    Roundings of RADII, then bevels of SLOPES, each fitted to an end of a face.
-
-    begin: (k, 1) where each shape leaves the face line; slope, weights: (k, n) of each shape at
-    the points, and weights of the points; misfit: (k,) -2 log likelihood of each shape.
-    """
-
-    begin: Array
-    slope: Array
-    weights: Array
-    misfit: Array
-
-
 def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> EndRounding:
     """
     Return the rounding at an end of a face.
@@ -73,52 +57,50 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     u (n,): outwards along the face; v (n,): below it; end: u of its end; pitch: of the points
     along it; noise: 1 sigma of v (m). Roundings and bevels are weighted by their likelihoods.
     """
-    fits, k = _fitted(u, v, pitch, noise), len(RADII)
-    out = np.maximum(end - fits.begin, 0.0)
+    begin, slope, weights, misfit = _fitted(u, v, pitch, noise)
+    k, out = len(RADII), np.maximum(end - begin, 0.0)
     depths = np.concatenate([RADII - np.sqrt(np.maximum(RADII ** 2 - out[:k] ** 2, 0.0)),
                              SLOPES * out[k:]])[:, 0]
-    likely = np.maximum((fits.misfit.min() - fits.misfit) / 2, LEAST)
+    likely = np.maximum((misfit.min() - misfit) / 2, LEAST)
     shapes = np.append(likely[:k], np.log(np.exp(likely[k:]).mean()))
-    weights = np.exp(likely) * np.repeat([1 / k, 1 / len(SLOPES)], [k, len(SLOPES)])
+    share = np.exp(likely) * np.repeat([1 / k, 1 / len(SLOPES)], [k, len(SLOPES)])
     best = int(likely[:k].argmax())
-    steep, radius = (fits.weights * fits.slope ** 2)[best], float(RADII[best, 0])
-    sine = fits.slope[best] / np.sqrt(1 + fits.slope[best] ** 2)
-    middle = float(steep @ sine) / max(float(steep.sum()), TINY)
-    return EndRounding(float(weights @ depths / weights.sum()), shapes - shapes.max(),
-                       (float(fits.begin[best, 0]) + radius * middle,
-                        radius * (1 - (1 - middle ** 2) ** 0.5)),
-                       max(float(steep.sum()), TINY) ** -0.5)
+    radius, slope = float(RADII[best, 0]), slope[best]
+    steep = weights[best] * slope ** 2
+    information = max(float(steep.sum()), TINY)
+    sine = float(steep @ (slope / np.sqrt(1 + slope ** 2))) / information
+    middle = float(begin[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5)
+    return EndRounding(float(share @ depths / share.sum()), shapes - shapes.max(), middle,
+                       information ** -0.5)
 
 
-def _fitted(u: Array, v: Array, pitch: float, noise: float) -> _Fits:
+def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Array, Array, Array]:
     """
-    Return all roundings and bevels fitted together with the face line.
+    Return roundings of RADII, then bevels of SLOPES, fitted to an end of a face.
 
     By reweighted least squares with Cauchy's weights: where hardly any light comes back, ranges
-    are wrong by many sigmas.
+    are wrong by many sigmas. Returned: where each leaves the face line (k, 1), its slope at the
+    points (k, n), their weights (k, n), and -2 log likelihood of each (k,).
     """
-    begin = _first_guess(u, v, v >= min(LOW * noise, v.max()))
+    # at first each shape passes through the centre of the low points
+    low = v >= min(LOW * noise, v.max())
+    depth = max(float(v[low].mean()), 0.0)
+    within = np.minimum(depth, STEEPEST * RADII)
+    begin = u[low].mean() - np.concatenate([np.sqrt(within * (2 * RADII - within)),
+                                            depth / SLOPES])
     longest = np.maximum(u[-1] - begin, pitch) / 3
     for _ in range(STEPS):
-        depth, slope = _shapes(u - begin)
-        off = v - depth
+        below, slope = _shapes(u - begin)
+        off = v - below
         variance = noise ** 2 + (ALONG_STD * pitch * slope) ** 2
         strays = off ** 2 / (variance * STRAY ** 2)
         weights = 1 / (variance * (1 + strays))
         steep = weights * slope
         information = np.maximum((steep * slope).sum(axis=1, keepdims=True), TINY)
-        begin = begin - np.clip((steep * off).sum(axis=1, keepdims=True) / information,
-                                -longest, longest)
+        step = (steep * off).sum(axis=1, keepdims=True) / information
+        begin = begin - np.clip(step, -longest, longest)
     misfit = (STRAY ** 2 * np.log1p(strays) + np.log(variance / noise ** 2)).sum(axis=1)
-    return _Fits(begin, slope, weights, misfit)
-
-
-def _first_guess(u: Array, v: Array, low: NDArray[np.bool_]) -> Array:
-    """Return the start (k, 1) of shapes that pass through the centre of the low points."""
-    depth = max(float(v[low].mean()), 0.0)
-    within = np.minimum(depth, STEEPEST * RADII)
-    out = np.concatenate([np.sqrt(within * (2 * RADII - within)), depth / SLOPES])
-    return np.asarray(u[low].mean() - out)
+    return begin, slope, weights, misfit
 
 
 def _shapes(away: Array) -> tuple[Array, Array]:

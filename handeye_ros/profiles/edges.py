@@ -14,9 +14,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 import math
-from typing import Any
 
+from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.profiles.edge_rounding import rounding_of
 from handeye_ros.profiles.segment import returned, Segment, STEEPEST
@@ -57,38 +58,26 @@ RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 @dataclass(frozen=True, eq=False)
 class End:
     """
-    One end of a straight piece of a profile, with the frame of the face there.
+    The end of a straight piece with the last of its rows, and the frame of the face there.
 
-    points: (n, 2) of the profile; returns: (k,) rows with a return; near: sign for which near *
-    range is larger for nearer points; outward: direction of the rows behind the end, +1 or -1.
+    The other end is the last one in the reversed profile, which ends_of gives. points: (n, 2) of
+    the profile; returns: (k,) rows with a return; behind: the pieces behind the end, the nearest
+    first; near: sign for which near * range is larger for nearer points.
     """
 
     segment: Segment
     points: Array
     returns: NDArray[np.intp]
+    behind: Sequence[Segment]
     near: int
-    outward: int
 
     @property
     def row(self) -> int:
         """Return the last row of the segment."""
-        return self.segment.last if self.outward > 0 else self.segment.first
-
-    def start_of(self, other: Segment) -> int:
-        """Return the first row of another segment as seen from this end."""
-        return other.first if self.outward > 0 else other.last
-
-    def end_of(self, other: Segment) -> int:
-        """Return the last row of another segment as seen from this end."""
-        return other.last if self.outward > 0 else other.first
-
-    def following(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Return the segments behind the end, the nearest first."""
-        return [s for s in segments[::self.outward] if s is not self.segment
-                and (s.first - self.row) * self.outward > 0]
+        return self.segment.last
 
     def lost(self, first: int, last: int) -> int:
-        """Return the number of rows without a return, after the first and up to the last."""
+        """Return the number of rows without a return, from the first to before the last."""
         found = self.returns.searchsorted([first, last])
         return last - first - int(found[1] - found[0])
 
@@ -96,8 +85,7 @@ class End:
     def column(self) -> float:
         """Return the mean distance along x between neighbouring columns of the segment."""
         first, last = self.segment.first, self.segment.last
-        x = self.points[:, 0]
-        return abs(float(x[last] - x[first])) / (last - first)
+        return abs(float(self.points[last, 0] - self.points[first, 0])) / (last - first)
 
     @property
     def pitch(self) -> float:
@@ -137,33 +125,39 @@ class End:
         return float(self.near * (z - self.segment.height(x)))
 
 
-def edge_at(end: End, segments: Sequence[Segment]) -> EdgePoint | str:
+def ends_of(segment: Segment, segments: Sequence[Segment], points: Array, config: Config
+            ) -> list[End]:
+    """Return the first and the last end of one of the segments of a profile (n, 2)."""
+    n, returns, near = len(points), returned(points), -config.profile.range_sign
+    # pieces that meet in a corner may overlap by a few points
+    before = [s.reversed(n) for s in reversed(segments) if s.first < segment.first]
+    after = [s for s in segments if s.last > segment.last]
+    return [End(segment.reversed(n), points[::-1], n - 1 - returns[::-1], before, near),
+            End(segment, points, returns, after, near)]
+
+
+def edge_at(end: End) -> EdgePoint | str:
     """
     Return the edge at the end of a face, or in words why it is none.
 
-    segments: all of the profile, in the order of their first rows. The face ends in an edge where
-    a wall is seen (roof), where the next surface is lower (step, or shadow if its foot is hidden),
-    or where nothing is seen behind it (gap, or open if the driver does not say).
+    The face ends in an edge where a wall is seen (roof), where the next surface is lower (step, or
+    shadow if its foot is hidden), or where nothing is seen behind it (gap, or open if the driver
+    does not say).
     """
-    rows = continuation(end)
-    following = end.following(segments)
-    if following and _is_bevel(end, following[0], rows):
-        following = following[1:]
-    other = following[0] if following else None
+    rows, size = _continuation(end), len(end.points)
+    other = next((s for s in end.behind if s is not end.behind[0] or not _is_bevel(end, s, rows)),
+                 None)
+    # a driver that leaves lost points out does not say where the field of view ends
+    marks_lost = len(end.returns) < size
     if other is None:
-        size = len(end.points)
-        if end.lost(*((end.row + 1, size) if end.outward > 0 else (0, end.row))) >= GAP_COLUMNS:
-            kind = 'gap'
-        elif end.lost(0, size):
+        if marks_lost and end.lost(end.row + 1, size) < GAP_COLUMNS:
             return BORDER
-        else:  # a driver that leaves lost points out does not say where the field of view ends
-            kind = 'open'
+        kind = 'gap' if marks_lost else 'open'
     else:
-        start, least = end.start_of(other), smallest_step(end, other)
-        rows = rows[:np.count_nonzero(np.abs(rows - end.row) < abs(start - end.row))]
+        rows, start, least = rows[rows < other.first], other.first, smallest_step(end, other)
         corner = _meet_in_a_corner(end, other, rows)
         # a surface that turns away from the sensor leaves the line over its whole length
-        rise = end.rise_of(end.end_of(other) if corner else start)
+        rise = end.rise_of(other.last if corner else start)
         if corner:
             kind = 'roof'
             if rise > 0:
@@ -173,11 +167,12 @@ def edge_at(end: End, segments: Sequence[Segment]) -> EdgePoint | str:
             if abs(end.points[start, 0] - end.points[end.row, 0]) <= SHADOW_SLOPE * rise:
                 return NEARER
         elif rise < -least:
-            kind = 'shadow' if _foot_hidden(end, rows, start) else 'step'
+            foot_hidden = end.lost(int(rows[-1]) if len(rows) else end.row, start) >= GAP_COLUMNS
+            kind = 'shadow' if foot_hidden else 'step'
         else:
             return BENT
-    room = min(end.row, len(end.points) - 1 - end.row) * end.pitch
-    if room < NEAREST and end.lost(0, len(end.points)):
+    room = min(end.row, size - 1 - end.row) * end.pitch
+    if marks_lost and room < NEAREST:
         return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
                 f'(move it {NEAREST * 1e3:.0f} mm or more into the view)')
     if kind == 'roof' and other is not None:
@@ -195,17 +190,11 @@ def smallest_step(end: End, other: Segment) -> float:
 
 def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
-    if not np.count_nonzero(rows == end.start_of(other)):
+    if other.first not in rows:
         return False
-    u, v = end.outwards_and_below(np.array([end.start_of(other), end.end_of(other)]))
+    u, v = end.outwards_and_below(other.rows[[0, -1]])
     size, down = math.hypot(u[1] - u[0], v[1] - v[0]), float(v[1] - v[0])
     return size <= LARGEST_BEVEL and down > 0 and abs(u[1] - u[0]) > WALL_SLOPE * down
-
-
-def _foot_hidden(end: End, rows: NDArray[np.intp], start: int) -> bool:
-    """Return whether there are no returns between the end of a plate and the ground's start."""
-    last = int(rows[-1]) if len(rows) else end.row
-    return end.lost(*sorted((last, start))) >= GAP_COLUMNS
 
 
 def _meet_in_a_corner(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
@@ -214,9 +203,9 @@ def _meet_in_a_corner(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
         return False
     x = (b.offset - a.offset) / (a.slope - b.slope)
-    x_end, x_start = end.points[end.row, 0], end.points[end.start_of(other), 0]
+    x_end, x_start = end.points[end.row, 0], end.points[other.first, 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
-    bent = len(rows) > 0 and abs(end.start_of(other) - rows[-1]) <= MOST_LOST
+    bent = len(rows) > 0 and other.first - rows[-1] <= MOST_LOST
     reach = max(ROOF_REACH * end.column, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
@@ -230,10 +219,9 @@ def _corner(end: End, other: Segment) -> EdgePoint:
     # than the face has an additional error of that size
     steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5 * STEEP_ERROR
     offset_std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
-    length = math.hypot(1.0, a.slope)
     origin, along, _ = end.frame
-    place = (x - origin[0]) * np.sign(along[0]) * length
-    return end.edge(float(place), offset_std / abs(a.slope - b.slope) * length, 'roof')
+    place, length = float((x - origin[0]) / along[0]), math.hypot(1.0, a.slope)
+    return end.edge(place, offset_std / abs(a.slope - b.slope) * length, 'roof')
 
 
 def _std_at(segment: Segment, x: float, points: Array) -> float:
@@ -242,7 +230,7 @@ def _std_at(segment: Segment, x: float, points: Array) -> float:
     return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
 
 
-def continuation(end: End) -> NDArray[np.intp]:
+def _continuation(end: End) -> NDArray[np.intp]:
     """
     Return the rows behind the last point of a segment that continue its surface, outwards.
 
@@ -250,38 +238,34 @@ def continuation(end: End) -> NDArray[np.intp]:
     point does not end it.
     """
     at = int(end.returns.searchsorted(end.row))
-    if end.outward > 0:
-        rows = end.returns[at:at + CONTINUATION_ROWS + 1]
-        rows = rows[:rows.searchsorted(end.row + CONTINUATION_ROWS + 1)]
-    else:
-        rows = end.returns[max(at - CONTINUATION_ROWS, 0):at + 1]
-        rows = rows[rows.searchsorted(end.row - CONTINUATION_ROWS):][::-1]
-    # mostly there is nothing, or only the drop
-    if len(rows) == 1 or not (_follows(end, rows[0], rows[1])
-                              or (len(rows) > 2 and _follows(end, rows[0], rows[2]))):
-        return rows[1:1]
-    follows = _follows(end, rows[:-1], rows[1:])
-    found = _leading(follows) + 1
-    if found < len(rows) - 1 and _follows(end, rows[found - 1], rows[found + 1]):
-        more = found + 2 + _leading(follows[found + 1:])
-        return np.concatenate([rows[1:found], rows[found + 1:more]])
-    return rows[1:found]
+    ahead = end.returns[at:at + CONTINUATION_ROWS + 2].tolist()
+    found, skipped = [end.row], False
+    for row, after in pairwise([*ahead[1:], end.row]):
+        if row - end.row > CONTINUATION_ROWS:
+            break
+        if _follows(end, found[-1], row):
+            found.append(row)
+        elif skipped or not _follows(end, found[-1], after):
+            break
+        else:
+            skipped = True
+    return np.array(found[1:], dtype=np.intp)
+
+
+def _follows(end: End, row: int, after: int) -> bool:
+    """Return whether a row continues the surface of another one, and may curve away."""
+    (x, z), (x_after, z_after) = end.points[row].tolist(), end.points[after].tolist()
+    aside, drop = abs(x_after - x), end.near * (z - z_after)
+    slack = SLACK_SIGMAS * end.segment.noise
+    # a driver may leave lost points out: then the next row need not be near
+    return (0 < after - row <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column
+            and -slack < drop < STEEPEST * aside + slack)
 
 
 def _leading(values: NDArray[np.bool_]) -> int:
     """Return the number of true values before the first false one."""
     first = int(values.argmin()) if len(values) else 0
     return len(values) if not len(values) or values[first] else first
-
-
-def _follows(end: End, rows: Any, after: Any) -> Any:
-    """Return whether a row (or which rows) continues a surface that curves away."""
-    points, slack = end.points, SLACK_SIGMAS * end.segment.noise
-    step = (points[after] - points[rows]).T
-    aside, drop = abs(step[0]), -end.near * step[1]
-    # a driver may leave lost points out: then the next row need not be near
-    return ((drop < STEEPEST * aside + slack) & (drop > -slack)
-            & (abs(after - rows) <= MOST_LOST) & (aside < (MOST_LOST + 0.5) * end.column))
 
 
 def _wall(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
@@ -294,10 +278,8 @@ def _wall(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
         return None
     all_u, all_v = u, v = end.outwards_and_below(rows)
     lowest = float(v.max())
-    if lowest < SMALLEST_WALL:
-        return None
     low = (v > 0.5 * lowest) & (v < 0.97 * lowest)
-    if np.count_nonzero(low) < WALL_POINTS:
+    if lowest < SMALLEST_WALL or np.count_nonzero(low) < WALL_POINTS:
         return None
     u, v = u[low], v[low]
     mean, spread = float(v.mean()), float(v.std())
@@ -324,41 +306,30 @@ def _last_point(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: 
     ground: the surface seen below, or None. The distance of a bent end from its edge is determined
     later from all stations (see sampling/edge_shapes.py).
     """
-    segment = end.segment
-    plate = segment.rows[::end.outward][-LAST_POINTS:]
-    plate = np.concatenate([plate, rows]) if len(rows) else plate
+    plate = np.concatenate([end.segment.rows[-LAST_POINTS:], rows])
     u, v = end.outwards_and_below(plate)
-    pitch = end.pitch
+    pitch, noise = end.pitch, end.segment.noise
     step = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1)
     step = min(max(step, 0.0), pitch) if len(rows) else pitch
-    flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:]) if len(rows) else 0.0
+    flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
     mixed, width = _transition(end, int(plate[-1]), ground)
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
     std = math.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_STD ** 2)
                     + (RAMP_STD * pitch * 2 * width) ** 2)
     edge = end.edge(place, std, kind)
-    lowest = sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS
-    if lowest < ROUNDED_SIGMAS * segment.noise / LAST_POINTS ** 0.5:
+    if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < ROUNDED_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
-    return _rounded(end, edge, rows, place, last - flat)
-
-
-def _rounded(end: End, edge: EdgePoint, rows: NDArray[np.intp], place: float, beyond: float
-             ) -> EdgePoint:
-    """Return an edge with its rounding; beyond: the extent of the end outwards."""
-    segment, before = end.segment, max(2 * len(rows), SHORTEST_ROUNDING)
+    # the end is bent: its last points are the worst
+    before = end.segment.rows[-max(2 * len(rows), SHORTEST_ROUNDING):]
     believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
-    rows = np.concatenate([segment.rows[::end.outward][-before:], believed])
-    rounding = rounding_of(*end.outwards_and_below(rows), place,
-                           end.pitch, segment.noise)
+    bend = rounding_of(*end.outwards_and_below(np.concatenate([before, believed])), place, pitch,
+                       noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
-    depth = min(rounding.depth, STEEPEST_ROUNDING * beyond + FLAT_SIGMAS * segment.noise)
-    out, below = rounding.middle
-    _, along_axis, below_axis = end.frame
-    arc = (out - place) * along_axis + below * below_axis
-    return replace(edge, drop=depth * below_axis, shapes=rounding.shapes, arc=arc,
-                   arc_std=rounding.middle_std)
+    depth = min(bend.depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)
+    (out, below), (_, outwards, downwards) = bend.middle, end.frame
+    return replace(edge, drop=depth * downwards, shapes=bend.shapes,
+                   arc=(out - place) * outwards + below * downwards, arc_std=bend.middle_std)
 
 
 def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float]:
@@ -370,19 +341,16 @@ def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float
     second value is the number of columns from the last point of the plate to half height, 0
     without a ramp.
     """
-    between = abs(end.start_of(ground) - last) - 1 if ground else 0
-    if ground is None or not 0 < between <= MOST_MIXED:
+    if ground is None or not 0 < ground.first - last - 1 <= MOST_MIXED:
         return 0, 0.0
-    columns = np.arange(between + 2)
-    points = end.points.take(last + end.outward * columns, axis=0)
-    seen = returned(points)
-    columns = columns.take(seen)
-    x, z = points.take(seen, axis=0).T
+    points = end.points[last:ground.first + 1]
+    columns = returned(points)
+    x, z = points.take(columns, axis=0).T
     height = np.abs(z - end.segment.height(x))
     share = (height - height[0]) / (np.abs(ground.height(x) - end.segment.height(x)) - height[0])
     mixed = int((share[1:-1] < 0.8).sum())
     if mixed <= MOST_STRAY:
-        return (mixed if len(seen) == len(points) else 0), 0.0
+        return (mixed if len(columns) == len(points) else 0), 0.0
     after = max(int(np.argmax(share > 0.5)), 1)
     part = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
     return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))

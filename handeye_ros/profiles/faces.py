@@ -1,27 +1,35 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The face line and the edge points of one profile across a plate.
+Which straight pieces of a profile are the target, and their edges.
 
-The face is the surface nearer to the sensor. It ends at a step down, at a gap (nothing behind
-it) or at a roof edge (it turns away). Where the field of view ends, or a few returns are
-missing inside the face, there is no edge.
+The face of a plate is the surface nearer to the sensor. It ends at a step down, at a gap (nothing
+behind it) or at a roof edge (it turns away). Points between the ends of two faces of a corner
+(bevel, rounding, weld) belong to neither.
 """
 from __future__ import annotations
 
+from itertools import combinations
 import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edges import edge_at, End, smallest_step
-from handeye_ros.profiles.lines import face_line, on_line, white_std
-from handeye_ros.profiles.segment import returned, Segment, segments_among, straight_segments
+from handeye_ros.profiles.edges import edge_at, End, ends_of, smallest_step
+from handeye_ros.profiles.lines import face_line, on_line
+from handeye_ros.profiles.segment import Segment, straight_segments
+import numpy as np
 
 SURE_EDGE = 1.5  # weight of a face with a sure edge
 BEHIND = 0.02  # weight of a surface beside a nearer one: all stations should choose the same
 WIDEST_GAP, SPLINTER = 0.02, 0.002  # largest gap between adjacent surfaces; largest splinter (m)
 MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
+MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
+SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
+FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
+REACH = 0.5  # largest distance of a face's end from the crossing, over its length: a
+# groove can hide its own bottom from the camera
+SMALLEST_REACH = 2e-3  # m: its lower bound, for short faces
 
 
 def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
@@ -32,22 +40,21 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     is the one with the most points, weighted by how sure its edges are.
     Raises FeatureError when there is no face with an edge in the profile.
     """
-    returns, min_points = returned(points), config.sampling.min_points
-    segments = segments_among(returns, points, config.noise.sensor, min_points)
+    segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
     if not segments:
-        raise FeatureError(f'no straight face of {min_points} points or more in the profile')
+        raise FeatureError(f'no straight face of {config.sampling.min_points} points or more in '
+                           'the profile')
     best, face, edges, reasons = 0.0, segments[0], list[EdgePoint](), list[str]()
     # the longest first: most of the others then cannot be preferred, whatever their edges are
     for segment in sorted(segments, key=lambda s: -len(s.rows)):
         if len(segment.rows) * SURE_EDGE < best:
             break
-        ends = [End(segment, points, returns, -config.profile.range_sign, outward)
-                for outward in (-1, 1)]
-        found = [edge_at(end, segments) for end in ends]
+        ends = ends_of(segment, segments, points, config)
+        found = [edge_at(end) for end in ends]
         reasons += [reason for reason in found if isinstance(reason, str)]
         of_segment = [edge for edge in found if isinstance(edge, EdgePoint)]
         sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in of_segment)
-        behind = any(_is_above(end, other) for end in ends for other in end.following(segments))
+        behind = any(_is_above(end, other) for end in ends for other in end.behind)
         likely = len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
         if of_segment and (likely > best or (likely == best and segment.first < face.first)):
             best, face, edges = likely, segment, of_segment
@@ -55,7 +62,8 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         raise FeatureError('no edge of a face in the profile: the face ends only '
                            + ' or '.join(dict.fromkeys(reasons)))
     line = face_line(face, points)
-    return (line, *(on_line(edge, line, line.std / white_std(face)) for edge in edges))
+    white = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
+    return (line, *(on_line(edge, line, line.std / white) for edge in edges))
 
 
 def _is_above(end: End, other: Segment) -> bool:
@@ -81,3 +89,42 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     longest = sorted(segments, key=lambda s: -len(s.rows))[:MOST_SURFACES]
     return tuple(face_line(segment, points) for segment in longest
                  if len(segment.rows) >= SMALLEST_SURFACE * len(longest[0].rows))
+
+
+def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
+    """
+    Return the lines of adjacent faces that meet, in pairs ordered by x.
+
+    points: (n, 2) in the sensor plane, NaN where there was no return. Any two adjacent faces may
+    form the edge: a block on a table also makes a groove. Pairs whose shorter face is longest come
+    first. Raises FeatureError where no two faces meet.
+    """
+    min_points = config.sampling.min_points
+    segments = straight_segments(points, config.noise.sensor, min_points)
+    if len(segments) < 2:
+        raise FeatureError(f'{len(segments)} straight faces of {min_points} points or more in the '
+                           'profile: both faces of the edge must be in view')
+    pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]
+    if not pairs:
+        raise FeatureError(f'no two of the {len(segments)} straight pieces in the profile meet in '
+                           f'an edge of more than {np.degrees(SMALLEST_ANGLE):.0f} degrees')
+    shorter = [min(len(segment.rows) for segment in pair) for pair in pairs]
+    order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
+    best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
+    lines = {segment: face_line(segment, points) for pair in best for segment in pair}
+    return tuple(line for pair in best for line in sorted(
+        (lines[segment] for segment in pair), key=lambda line: float(line.centre[0])))
+
+
+def _meet(a: Segment, b: Segment, points: Array) -> bool:
+    """Return whether two pieces form an angle and end near the crossing of their lines."""
+    if abs(math.atan(a.slope) - math.atan(b.slope)) < SMALLEST_ANGLE:
+        return False
+    x = (b.offset - a.offset) / (a.slope - b.slope)
+    for segment in (a, b):
+        ends = points[[segment.first, segment.last]]
+        near, far = np.sort(np.linalg.norm(ends - [x, a.height(x)], axis=1))
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        if near >= max(REACH * length, SMALLEST_REACH) or far <= FAR_END * length:
+            return False
+    return True

@@ -1,26 +1,22 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The line of a face with its normal points, and corners of two such lines.
+The line of a face with its normal points, of one profile or of all of a stop.
 
 Normal points are means of equal bins of points. Speckle is correlated over some columns and
 constant while the robot stands, so the scatter of single points over the root of their number is
 too small an uncertainty. The scatter of the means is used instead: second differences remove the
-smooth shape. Points between the ends of the two faces of a corner (bevel, rounding, weld) belong
-to neither.
+smooth shape.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import combinations
 import math
 
-from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine
-from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.segment import Segment, straight_segments
+from handeye_ros.profiles.segment import Segment
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,12 +25,6 @@ BLOCKS = 24  # blocks whose scatter gives the variance of the normal points
 FEWEST_POINTS = 4  # of a block
 FEWEST_BLOCKS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
-MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
-FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
-SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
-REACH = 0.5  # largest distance of a face's end from the crossing, over its length: a
-# groove can hide its own bottom from the camera
-SMALLEST_REACH = 2e-3  # m: its lower bound, for short faces
 
 
 def face_line(segment: Segment, points: Array) -> FaceLine:
@@ -62,11 +52,6 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     return replace(edge, std=float(std), std_across=float(across))
 
 
-def white_std(segment: Segment) -> float:
-    """Return 1 sigma of the offset of a segment's line for white noise."""
-    return segment.noise / math.hypot(1.0, segment.slope) / math.sqrt(len(segment.straight))
-
-
 def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatter: float
                   ) -> FaceLine:
     """
@@ -77,25 +62,20 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
     """
     size = min(len(line.blocks) for line in lines)
     same = [line for line in lines if len(line.blocks) == size]
+    each, n = np.array([line.blocks for line in same]), len(same)
+    across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
+    white = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
+             float(np.mean([line.std ** 2 for line in same])) * size)
     spread = float(np.median([line.spread for line in lines]))
-    n, normal = len(same), np.array([-slope, 1.0]) / np.hypot(1.0, slope)
-    if not size:
-        std = max(scatter, float(np.mean([line.std for line in lines]))) / len(lines) ** 0.5
-        return FaceLine(centre, np.array([normal[1], -normal[0]]), spread, std)
-    each = np.array([line.blocks for line in same])
-    across = (each - centre) @ normal
-    expected = float(np.mean([line.std ** 2 for line in same])) * size
-    white = float(across.var(axis=0, ddof=1).mean()) if n > 1 else expected
     line = _line(centre, slope, spread, each.mean(axis=0), white / n)
     shared = max(scatter ** 2 / n - line.std ** 2, 0.0)  # a robot that shakes moves all alike
-    return FaceLine(centre, line.direction, spread, float(np.sqrt(line.std ** 2 + shared)),
-                    line.points, np.sqrt(line.points_std ** 2 + shared), line.blocks)
+    return replace(line, std=float(np.sqrt(line.std ** 2 + shared)),
+                   points_std=np.sqrt(line.points_std ** 2 + shared))
 
 
 def _line(centre: Array, slope: float, spread: float, blocks: Array, white: float) -> FaceLine:
     """Return the line with blocks (m, 2); white: the variance of each for independent noise."""
-    length = math.hypot(1.0, slope)
-    direction = np.array([1.0 / length, slope / length])
+    direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     across = (blocks - centre) @ np.array([-direction[1], direction[0]])
     variance = variance_of_bins(across, white)
     normal_points, size = bin_means(blocks, min(NORMAL_POINTS, len(blocks)))
@@ -114,7 +94,7 @@ def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
 def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the first rows of equal bins, and their sizes."""
     first = np.linspace(0, size, bins, endpoint=False).astype(int)
-    return first, np.diff(np.append(first, size))
+    return first, np.diff(first, append=size)
 
 
 def variance_of_bins(blocks: Array, white: float) -> float:
@@ -137,47 +117,3 @@ def variance_of_bins(blocks: Array, white: float) -> float:
 def _variance(blocks: Array) -> float:
     second = blocks[:-2] - 2 * blocks[1:-1] + blocks[2:]
     return float(second @ second) / (6 * len(second))
-
-
-def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
-    """
-    Return the lines of adjacent faces that meet, in pairs ordered by x.
-
-    points: (n, 2) in the sensor plane, NaN where there was no return. Any two adjacent faces may
-    form the edge: a block on a table also makes a groove. Pairs whose shorter face is longest come
-    first. Raises FeatureError where no two faces meet.
-    """
-    segments = straight_segments(points, config.noise.sensor, config.sampling.min_points)
-    pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]
-    if not pairs:
-        raise FeatureError(_reason(segments, config.sampling.min_points))
-    shorter = [min(len(segment.rows) for segment in pair) for pair in pairs]
-    order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
-    best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
-    lines = {segment: face_line(segment, points) for pair in best for segment in pair}
-    return tuple(line for pair in best for line in sorted(
-        (lines[segment] for segment in pair), key=lambda line: float(line.centre[0])))
-
-
-def _reason(segments: list[Segment], min_points: int) -> str:
-    if len(segments) < 2:
-        return (f'{len(segments)} straight faces of {min_points} points or more in the profile: '
-                'both faces of the edge must be in view')
-    return (f'no two of the {len(segments)} straight pieces in the profile meet in an edge of '
-            f'more than {np.degrees(SMALLEST_ANGLE):.0f} degrees')
-
-
-def _meet(a: Segment, b: Segment, points: Array) -> bool:
-    """Return whether two pieces form an angle and end near the crossing of their lines."""
-    if abs(np.arctan(a.slope) - np.arctan(b.slope)) < SMALLEST_ANGLE:
-        return False
-    x = (b.offset - a.offset) / (a.slope - b.slope)
-    crossing = np.array([x, a.height(x)])
-    return _near_end(a, crossing, points) and _near_end(b, crossing, points)
-
-
-def _near_end(segment: Segment, crossing: Array, points: Array) -> bool:
-    ends = points[[segment.first, segment.last]]
-    away = np.linalg.norm(ends - crossing, axis=1)
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    return bool(away.min() < max(REACH * length, SMALLEST_REACH) and away.max() > FAR_END * length)

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Straight pieces and circular arcs in a laser profile, robust to gross outliers.
+Straight pieces in a laser profile, robust to gross outliers.
 
 Profiles are (n, 2): along the laser line, range; NaN where there was no return. Lines are
 z = offset + slope * x, because a profiler's noise is in its range.
@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 import math
 from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.profiles.search import dominant_line, line_terms, NARROWEST
+from handeye_ros.profiles.search import dominant_line, NARROWEST
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,22 +38,34 @@ class Segment:
     """
     A straight piece of a profile: z = offset + slope * x.
 
-    first, last: its first and last point, as rows of the profile; rows: (k,) all its points;
-    noise: the standard deviation of its points in range; straight: rows without the ends
-    that are bent.
+    rows: (k,) all its points, as rows of the profile; noise: the standard deviation of its points
+    in range; straight: rows without the ends that are bent.
     """
 
-    first: int
-    last: int
     rows: NDArray[np.intp]
     offset: float
     slope: float
     noise: float
     straight: NDArray[np.intp]
 
+    @cached_property
+    def first(self) -> int:
+        """Return its first row."""
+        return self.rows.item(0)
+
+    @cached_property
+    def last(self) -> int:
+        """Return its last row."""
+        return self.rows.item(-1)
+
     def height(self, x: Any) -> Any:
         """Return the range of the line at x, a number or an array."""
         return self.offset + self.slope * x
+
+    def reversed(self, size: int) -> Segment:
+        """Return the segment in the reversed profile of so many rows."""
+        return Segment(size - 1 - self.rows[::-1], self.offset, self.slope, self.noise,
+                       size - 1 - self.straight[::-1])
 
 
 def noise_level(z: Array, configured: float) -> float:
@@ -63,13 +76,16 @@ def noise_level(z: Array, configured: float) -> float:
     """
     if len(z) < 8:
         return configured
-    first = z[1:] - z[:-1]
-    second = first[1:] - first[:-1]
-    np.abs(second, out=second)
+    second = np.abs(z[2:] - 2 * z[1:-1] + z[:-2])
     rank = len(second) // 5
-    second.partition(rank)
-    level = float(second[rank]) / 0.2533 / 6 ** 0.5
+    level = float(np.partition(second, rank)[rank]) / 0.2533 / 6 ** 0.5
     return min(max(level, configured / 3), MOST_NOISE * configured)
+
+
+def returned(points: Array) -> NDArray[np.intp]:
+    """Return the rows of points (n, 2) that are finite."""
+    finite = np.isfinite(points)
+    return (finite[:, 0] & finite[:, 1]).nonzero()[0]
 
 
 def without_clutter(rows: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
@@ -97,49 +113,24 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
     points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece.
     """
-    return segments_among(returned(points), points, noise, min_points)
-
-
-def segments_among(rows: NDArray[np.intp], points: Array, noise: float, min_points: int
-                   ) -> list[Segment]:
-    """Return the same as straight_segments from the rows (k,) with returns."""
-    if len(rows) < min_points:
-        return []
-    rows = without_clutter(rows, points, noise)
-    if len(rows) < min_points:
-        return []
+    rows = without_clutter(returned(points), points, noise)
     x, z = points.take(rows, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
-    segments, free, terms = [], np.arange(len(rows)), line_terms(x, z)
+    segments, free = [], np.arange(len(rows))
     for _ in range(MAX_LINES):
-        inliers = dominant_line(terms, tolerance, min_points)
-        if inliers is None:
+        near = dominant_line(x.take(free), z.take(free), tolerance, min_points)
+        if near is None:
             break
-        for piece in _pieces(free[inliers]):
-            if len(piece) < min_points:
-                continue
-            segment = _segment(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
-            along = points[:, 0].take(segment.straight)
-            margin = len(along) // 10  # single points at the ends do not make a line
-            if _is_wide(along[margin:len(along) - margin]):
-                segments.append(segment)
-        left = (~inliers).nonzero()[0]
-        if len(left) < min_points:
-            break
-        free, terms = free.take(left), terms.take(left, axis=1)
+        for piece in _pieces(free[near]):
+            if len(piece) >= min_points:
+                segment = _segment(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
+                along = points[:, 0].take(segment.straight)
+                margin = len(along) // 10  # single points at the ends do not make a line
+                along = along[margin:len(along) - margin]
+                if along.max() - along.min() > NARROWEST:
+                    segments.append(segment)
+        free = free[~near]
     return sorted(segments, key=lambda s: s.first)
-
-
-def _is_wide(x: Array) -> bool:
-    """Return whether points cover a sufficient length of the laser line."""
-    # mostly the ends alone suffice
-    return bool(abs(x[-1] - x[0]) > NARROWEST or x.max() - x.min() > NARROWEST)
-
-
-def returned(points: Array) -> NDArray[np.intp]:
-    """Return the rows of points (n, 2) that are finite."""
-    finite = np.isfinite(points)
-    return (finite[:, 0] & finite[:, 1]).nonzero()[0]
 
 
 def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
@@ -162,37 +153,33 @@ def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> 
     """
     # the last points at an end are the worst: the line is fitted without them
     margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
-    inner = slice(margin, len(rows) - margin)
-    offset, slope, residual, noise = _fit_with_noise(x, z, inner)
+    offset, slope, residual, noise = _fitted(x, z, slice(margin, len(rows) - margin))
     noise = max(noise, least_noise)
-    first, last = _rounded_end(residual, noise), _rounded_end(residual[::-1], noise)
+    first, last = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
     if max(first, last) > margin:
         inner = slice(max(margin, first), len(rows) - max(margin, last))
-        offset, slope, _, noise = _fit_with_noise(x, z, inner)
-    return Segment(int(rows[0]), int(rows[-1]), rows, offset, slope, max(noise, least_noise),
-                   rows[first:len(rows) - last])
+        offset, slope, _, noise = _fitted(x, z, inner)
+    return Segment(rows, offset, slope, max(noise, least_noise), rows[first:len(rows) - last])
 
 
-def _fit_with_noise(x: Array, z: Array, inner: slice) -> tuple[float, float, Array, float]:
+def _fitted(x: Array, z: Array, inner: slice) -> tuple[float, float, Array, float]:
     """Return offset and slope from the inner points, residuals of all, and their std."""
     count = inner.stop - inner.start
-    mean_x = float(np.add.reduce(x[inner])) / count
-    mean_z = float(np.add.reduce(z[inner])) / count
-    dx, dz = x - mean_x, z - mean_z
-    inner_x = dx[inner]
-    spread = float(inner_x @ inner_x)
-    slope = float(inner_x @ dz[inner]) / spread if spread > 0 else 0.0
-    dx *= slope
-    dz -= dx
-    own = dz[inner]
-    return mean_z - slope * mean_x, slope, dz, math.sqrt(own @ own / max(count - 2, 1))
+    middle_x, middle_z = float(x[inner].sum()) / count, float(z[inner].sum()) / count
+    x, z = x - middle_x, z - middle_z
+    own = x[inner]
+    spread = float(own @ own)
+    slope = float(own @ z[inner]) / spread if spread > 0 else 0.0
+    residual = z - slope * x
+    own = residual[inner]
+    std = math.sqrt(own @ own / max(count - 2, 1))
+    return middle_z - slope * middle_x, slope, residual, std
 
 
-def _rounded_end(residual: Array, noise: float) -> int:
-    """Return the number of leading residuals (n,) that indicate a rounded end."""
-    most, least = len(residual) // LARGEST_END // END_POINTS, ROUNDED_SIGMAS * noise
-    if abs(sum(residual[:END_POINTS].tolist())) / END_POINTS <= least / END_POINTS ** 0.5:
-        return 0  # the usual case
-    sums = np.add.reduce(residual[:most * END_POINTS].reshape(most, END_POINTS), axis=1)
-    off = np.abs(sums / END_POINTS) > least / END_POINTS ** 0.5
-    return END_POINTS * (int(off.argmin()) if not off.all() else most)
+def _bent_end(residual: Array, noise: float) -> int:
+    """Return the number of leading residuals (n,) that indicate a bent end."""
+    bent, most = 0, len(residual) // LARGEST_END // END_POINTS * END_POINTS
+    least = ROUNDED_SIGMAS * noise * END_POINTS ** 0.5
+    while bent < most and abs(sum(residual[bent:bent + END_POINTS].tolist())) > least:
+        bent += END_POINTS
+    return bent

@@ -17,8 +17,7 @@ from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
-from handeye_ros.profiles.arcs import normal_points
-from handeye_ros.profiles.circles import off_circle
+from handeye_ros.profiles.arcs import normal_points, off_circle
 from handeye_ros.profiles.lines import combined_line, on_line
 from handeye_ros.sampling.stops import decoded, evenly, NS, Stop
 from handeye_ros.sampling.stream import interpolate

@@ -23,8 +23,7 @@ from handeye_ros.estimation.problem import (
     Problem,
 )
 from handeye_ros.estimation.search import best_of
-from handeye_ros.profiles.arcs import arc_features
-from handeye_ros.profiles.circles import fit_circle
+from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.common import ObservationRows, some_of
 from handeye_ros.targets.target import ProfileTarget
 import numpy as np

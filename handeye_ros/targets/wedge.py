@@ -25,7 +25,7 @@ from handeye_ros.estimation.problem import (
     UNUSED,
 )
 from handeye_ros.estimation.search import best_of
-from handeye_ros.profiles.lines import corner_features
+from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
 from handeye_ros.targets.common import (

@@ -9,8 +9,7 @@ import warnings
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.arcs import arc_features, NORMAL_POINTS, normal_points
-from handeye_ros.profiles.circles import fit_circle
+from handeye_ros.profiles.arcs import arc_features, fit_circle, NORMAL_POINTS, normal_points
 from handeye_ros.sampling.features import combine
 from hypothesis import given
 import numpy as np

@@ -11,7 +11,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import DataError, FeatureError
-from handeye_ros.profiles.lines import corner_features
+from handeye_ros.profiles.faces import corner_features
 from handeye_ros.sampling.features import combine
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
