@@ -36,10 +36,11 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
     n = len(x)
     if n < fewest:
         return None
-    x, z = x - x.sum() / n, z - z.sum() / n  # avoids loss of digits in the sums
-    terms = np.ones((5, n))
-    terms[1], terms[2], terms[3], terms[4] = x, z, x * x, x * z
-    (x, x_after), (z, z_after) = (v.take(_subsets(n, 2, PAIRS, PAIR_SPANS)) for v in (x, z))
+    terms = np.empty((5, n))  # their sums over points give the line of these
+    terms[0] = 1.0
+    terms[1:3] = x - x.sum() / n, z - z.sum() / n  # the centroid avoids loss of digits
+    np.multiply(terms[1], terms[1:3], out=terms[3:])
+    (x, x_after), (z, z_after) = (v.take(_subsets(n, 2, PAIRS, PAIR_SPANS)) for v in terms[1:3])
     apart = np.abs(x_after - x) > NARROWEST
     lines = np.full((len(x), 3), -1.0)  # offset, slope, -1
     lines[:, 1] = (z_after - z) / np.where(apart, x_after - x, np.inf)
