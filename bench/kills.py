@@ -3,30 +3,38 @@
 """
 Kills a running session at random moments, and counts what is lost of what was acknowledged.
 
-    .venv/bin/python bench/kills.py
+usage: python bench/kills.py [--node] [--count 200] [--seed 0]
 
-The process runs the session of the node, fed directly instead of over ROS;
-test/node/test_cell.py kills the node itself. After each SIGKILL the session has to be
-readable, by handeye and by stock readers of rosbag2 and mcap, hold every sample that was
-acknowledged and not removed, and go on.
+The process runs the session of the node, fed directly instead of over ROS. With --node the node
+itself is killed: it runs as `ros2 run handeye_ros calibrate` runs it, is fed over DDS, and
+acknowledges by the answers of ~/take_sample and ~/remove_last_sample; told is also how long it
+took from the start of the process until the samples of the session were on ~/samples, by the
+clock. Killed while they start, take, store or remove, both go on with session:=last; ten kills of
+a session, then another begins. After each SIGKILL the session has to be readable, by handeye and
+by stock readers of rosbag2 and mcap, hold every sample that was acknowledged and not removed, and
+go on.
 """
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+import faulthandler
+import gc
 import os
 from pathlib import Path
 import random
 import signal
+import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from typing import Any
 
-from handeye_ros.bags.bag_write import cloud_cdr
+from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr
 from handeye_ros.bags.session import files_of, OutputFolders, read_session, resumed, SessionFiles
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, TimedPose
@@ -41,11 +49,12 @@ from rosbags.highlevel import AnyReader
 NS = 1_000_000_000
 KILLS_OF_A_SESSION = 10  # then another begins, as reading hundreds of samples takes its time
 LONGEST = 0.5  # s until a kill
+LONGEST_OF_NODE = 2.0
 WORKING = 0.8  # share of kills of which this time begins with the first acknowledgement
-REMOVING, REMOVED, TAKEN = 'removing', 'removed', 'taken'
+STARTING = 12.0  # s of the others, from the start of a node
+PATIENCE = 120.0
 SETTINGS = {'target.type': 'sphere', 'target.radius': 0.04, 'sampling.mode': 'manual',
-            'sampling.new_translation': 0.0,
-            'session': 'last'}
+            'sampling.new_translation': 0.0, 'session': 'last'}
 
 
 @dataclass
@@ -64,6 +73,10 @@ class Tally:
                 getattr(self, what).add(int(number))
 
 
+Kill = Callable[[Path, random.Random, Tally], float]
+"""Lets a process work for a while and kills it; hears it, and returns s to restore, 0: unknown."""
+
+
 def profile(stamp: int) -> Profile:
     """Return a profile across the middle of a sphere of 40 mm radius."""
     x = np.linspace(-0.03, 0.03, 300)
@@ -75,6 +88,9 @@ def stop(start: int, place: float) -> Iterator[TimedPose | Profile]:
     for stamp in range(start, start + NS, NS // 20):
         yield TimedPose(stamp, np.array([place, 0.2, 0.3]), np.array([0.0, 0.0, 0.0, 1.0]))
         yield profile(stamp + 1)
+
+
+# -- the session, fed directly
 
 
 class Inline(Pool):
@@ -105,15 +121,15 @@ def work(output_dir: Path, acknowledge: int) -> None:
             else:
                 live.add_profile(item)
         number = int(live.take_sample().split()[1])
-        os.write(acknowledge, f'{TAKEN} {number}\n'.encode())
+        os.write(acknowledge, f'taken {number}\n'.encode())
         if rng.random() < 0.2:
-            os.write(acknowledge, f'{REMOVING} {number}\n'.encode())
+            os.write(acknowledge, f'removing {number}\n'.encode())
             number = int(live.remove_last_sample().split()[2].rstrip(','))
-            os.write(acknowledge, f'{REMOVED} {number}\n'.encode())
+            os.write(acknowledge, f'removed {number}\n'.encode())
 
 
-def killed(output_dir: Path, rng: random.Random) -> str:
-    """Let a process work for a while and kill it; return what it acknowledged."""
+def kill_session(output_dir: Path, rng: random.Random, tally: Tally) -> float:
+    """Let a process that runs a session work for a while and kill it."""
     ours, its = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -134,10 +150,131 @@ def killed(output_dir: Path, rng: random.Random) -> str:
         said += stream.read()
     if os.WTERMSIG(status) != signal.SIGKILL:
         raise SystemExit('the session ended by itself')
-    return said.decode()
+    tally.hear(said.decode())
+    return 0.0
 
 
-def check(folder: Path, tally: Tally, config: Config, fewest: int = 6) -> None:
+# -- the node, fed over DDS
+
+
+class Operator:
+    """Feeds a node and asks it, until it is dead."""
+
+    def __init__(self, process: subprocess.Popen[bytes], rng: random.Random, tally: Tally) -> None:
+        """Join."""
+        from geometry_msgs.msg import PoseStamped
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from sensor_msgs.msg import PointCloud2
+        from std_msgs.msg import String
+        from std_srvs.srv import Trigger
+        self.started, self.restored, self.tally = time.monotonic(), 0.0, tally
+        self.acknowledged = threading.Event()
+        self._process, self._rng = process, rng
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = Node('operator', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        deep = QoSProfile(depth=2000)
+        self._profiles = self._node.create_publisher(PointCloud2, '/profile', deep)
+        self._poses = self._node.create_publisher(PoseStamped, '/flange_pose', deep)
+        self._clients = {name: self._node.create_client(Trigger, f'/handeye/{name}')
+                         for name in ('take_sample', 'remove_last_sample')}
+        self._node.create_subscription(
+            String, '/handeye/samples', self._on_samples,
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+    def close(self) -> None:
+        """Leave."""
+        import rclpy
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _on_samples(self, _: Any) -> None:
+        self.restored = self.restored or time.monotonic() - self.started
+
+    def _until(self, condition: Callable[[], Any]) -> bool:
+        """Spin until a condition holds; tell whether it does: a dead node fulfils none."""
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            if self._process.poll() is not None or time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.005)
+        return True
+
+    def work(self) -> None:
+        """Take samples, and sometimes remove one, as long as the node lives."""
+        there = self._until(lambda: self._profiles.get_subscription_count()
+                            and self._poses.get_subscription_count() and self.restored
+                            and all(c.service_is_ready() for c in self._clients.values()))
+        start = time.time_ns()
+        while there and self._process.poll() is None:
+            start += 2 * NS
+            self._feed(start)
+            taken = self._asked('take_sample')
+            if taken is None or not taken.success:
+                continue
+            number = int(taken.message.split()[1])
+            self.tally.taken.add(number)
+            self.acknowledged.set()
+            if self._rng.random() < 0.2:
+                self.tally.removing.add(number)
+                removed = self._asked('remove_last_sample')
+                if removed and removed.success:
+                    self.tally.removed.add(int(removed.message.split()[2].rstrip(',')))
+        self.acknowledged.set()
+
+    def _feed(self, start: int) -> None:
+        for item in stop(start, self._rng.uniform(0, 10)):
+            if isinstance(item, TimedPose):
+                self._poses.publish(pose_cdr(item))
+            else:
+                self._profiles.publish(cloud_cdr(item, Config()))
+
+    def _asked(self, name: str) -> Any:
+        """Return the answer of a service, None of a dead node."""
+        from std_srvs.srv import Trigger
+        future = self._clients[name].call_async(Trigger.Request())
+        return future.result() if self._until(future.done) else None
+
+
+def kill_node(parent: Path, rng: random.Random, tally: Tally) -> float:
+    """Let a node work for a while and kill it; return s to restore."""
+    given = SETTINGS | {'output_dir': str(parent)}
+    words = [word for key, value in given.items() for word in ('-p', f'{key}:={value}')]
+    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.node', '--ros-args', *words,
+                                '--log-level', 'fatal'])
+    operator = Operator(process, rng, tally)
+    worker = threading.Thread(target=operator.work)
+    worker.start()
+    try:
+        if rng.random() < WORKING:
+            operator.acknowledged.wait(PATIENCE)
+            time.sleep(rng.uniform(0, LONGEST_OF_NODE))
+        else:
+            time.sleep(rng.uniform(0, STARTING))
+        if process.poll() is not None:
+            raise SystemExit('the node ended by itself')
+    finally:
+        process.kill()
+        process.wait()
+        worker.join()
+        operator.close()
+        restored = operator.restored
+        del operator, worker
+        gc.collect()  # what is left of it here, not while the next one spins in another thread
+    return restored
+
+
+# -- both
+
+
+def check(folder: Path, tally: Tally, config: Config, fewest: int) -> None:
     """
     Raise AssertionError where something acknowledged is lost, or cannot be read.
 
@@ -159,33 +296,42 @@ def check(folder: Path, tally: Tally, config: Config, fewest: int = 6) -> None:
             assert sum(1 for _ in reader.messages()) == reader.message_count
 
 
-def run(count: int, seed: int, output_dir: Path, report: bool = True) -> tuple[int, int]:
-    """Kill so many times; return how many samples were acknowledged, and how many removed."""
-    rng, taken, removed = random.Random(seed), 0, 0
-    cloud_cdr(profile(0), Config())  # what is loaded once, the killed processes inherit
+def run(kill: Kill, count: int, seed: int, output_dir: Path) -> None:
+    """Kill so many times, and print what is left."""
+    rng, taken, removed, starts = random.Random(seed), 0, 0, list[float]()
     config = with_values(Config(), {k: v for k, v in SETTINGS.items() if k != 'session'}, 'kills')
+    cloud_cdr(profile(0), config)  # what is loaded once, the killed processes inherit
+    of_node = kill is kill_node
     for begun in range(0, count, KILLS_OF_A_SESSION):
         tally, parent = Tally(), output_dir / f'{begun:04d}'
         for _ in range(min(KILLS_OF_A_SESSION, count - begun)):
-            tally.hear(killed(parent, rng))
+            restored = kill(parent, rng, tally)
+            starts += [restored] * bool(restored)
             for folder in (parent / 'sphere').glob('*') if tally.taken else ():
-                check(folder, tally, config)
+                # the service of a node may be asked before all profiles came
+                check(folder, tally, config, 1 if of_node else 6)
         taken, removed = taken + len(tally.taken), removed + len(tally.removed)
-        if report:
-            print(f'{min(begun + KILLS_OF_A_SESSION, count)} kills: {taken} samples '
-                  f'acknowledged, {removed} of them removed, none lost', flush=True)
-    return taken, removed
+        line = (f'{min(begun + KILLS_OF_A_SESSION, count)} kills{" of the node" * of_node}: '
+                f'{taken} samples acknowledged, {removed} of them removed, none lost')
+        if of_node:
+            low, median, high = np.percentile(starts or [0.0], (5, 50, 95))
+            line += (f'; samples told again {median:.1f} s after the start '
+                     f'(5 to 95 %: {low:.1f} to {high:.1f} s)')
+        print(line, flush=True)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--node', action='store_true', help='kill the node itself; needs ROS')
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=0)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
+    faulthandler.enable()
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with tempfile.TemporaryDirectory() as folder:
-        run(options.count, options.seed, Path(folder))
+        run(kill_node if options.node else kill_session, options.count, options.seed, Path(folder))
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    main()

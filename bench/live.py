@@ -4,15 +4,14 @@
 """
 How many profiles a second the node takes without loss, and at what cost, beside an empty one.
 
-usage: python bench/live.py [--rates 1000 2000 3000 4000] [--seconds 10] [--stops | --sweep]
+usage: python bench/live.py [--rates 1000 2000 3000 4000] [--seconds 10] [--stops]
 
 Publishes profiles of 1280 points (15 kB, best effort) and poses at 125 Hz from a process of its
 own, to an empty rclpy subscriber of both topics and to the node, one after the other. Prints for
 each rate what was lost, the processor time per profile and the resident memory, and their ratios.
 The robot moves all the time; with --stops it stands for 1 s of each 1.5 s, the stops are
-extracted, and the calibration is computed again and again meanwhile. With --sweep it sweeps over a
-ball, the node samples in mode moving, and calibrates at the end. Needs ROS; on a domain of its own
-(ROS_DOMAIN_ID).
+extracted, and the calibration is computed again and again meanwhile. Needs ROS; on a domain of its
+own (ROS_DOMAIN_ID).
 """
 from __future__ import annotations
 
@@ -33,7 +32,6 @@ from handeye_ros import se3
 from handeye_ros.bags.bag_write import LAYOUTS, serialised
 from handeye_ros.data import Array, Profile, TimedPose
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 POSES = 125.0  # a second
@@ -71,7 +69,7 @@ except BaseException:
 """
 
 
-def publish(rate: float, seconds: float, scene: Scene | Sweep) -> None:
+def publish(rate: float, seconds: float, scene: Scene) -> None:
     """Publish as a driver and a robot do; print how many profiles were sent."""
     from geometry_msgs.msg import PoseStamped
     import rclpy
@@ -110,34 +108,11 @@ def stamped(message: bytes, stamp: int) -> bytes:
     return message[:4] + struct.pack('<iI', *divmod(stamp, 1_000_000_000)) + message[12:]
 
 
-def places(rng: np.random.Generator, turn: float) -> Array:
-    """Return where the sphere is in the sensor's frame, and how this is turned (PLACES, 6)."""
-    return np.column_stack([rng.uniform(-0.01, 0.01, (PLACES, 2)), rng.uniform(0.22, 0.26, PLACES),
-                            rng.uniform(-1, 1, (PLACES, 3)) * [turn, 0.4, 0.4]])
-
-
 def flange_of(place: Array) -> tuple[Array, Array]:
     """Return translation and quaternion of the flange from which the sphere is at a place (6,)."""
     turn = DOWN @ Rotation.from_euler('ZXY', place[3:]).as_matrix()
     T = se3.transform(turn, BALL - turn @ place[:3]) @ se3.inverse(T_FLANGE_SENSOR)
     return T[:3, 3], se3.quaternion(T)
-
-
-class Sweep:
-    """A sphere, and a robot that sweeps over it, a place every 1.5 s, without stops."""
-
-    def __init__(self) -> None:
-        """Draw the places."""
-        self._rng = np.random.default_rng(0)
-        self._curve = CubicSpline(1.5 * np.arange(PLACES), places(self._rng, 0.7))
-
-    def cloud(self, t: float) -> bytes:
-        """Return the message of the profile at a time t (s)."""
-        return cloud_of(self._curve(t)[:3], self._rng)
-
-    def pose(self, stamp: int, t: float) -> TimedPose:
-        """Return where the robot is."""
-        return TimedPose(stamp, *flange_of(self._curve(t)))
 
 
 class Scene:
@@ -147,7 +122,10 @@ class Scene:
         """Draw the places, and what is seen at each."""
         rng = np.random.default_rng(0)
         self._cycle = cycle
-        drawn = places(rng, 1.5)
+        # where the sphere is in the sensor's frame, and how this is turned
+        drawn = np.column_stack([
+            rng.uniform(-0.01, 0.01, (PLACES, 2)), rng.uniform(0.22, 0.26, PLACES),
+            rng.uniform(-1, 1, (PLACES, 3)) * [1.5, 0.4, 0.4]])
         self._poses = [flange_of(place) for place in drawn]
         self._clouds = [cloud_of(place[:3], rng) for place in drawn]
 
@@ -175,13 +153,11 @@ def cloud_of(centre: Array, rng: np.random.Generator) -> bytes:
 
 
 @contextmanager
-def listener(kind: str, folder: str, *settings: str
-             ) -> Iterator[tuple[subprocess.Popen[str], Path]]:
-    """Run the empty subscriber, or the node with settings; what it prints goes to a file."""
+def listener(kind: str, folder: str) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """Run the empty subscriber, or the node; what it prints goes to a file."""
     log = Path(folder) / f'{kind}.log'
     node = ['-m', 'handeye_ros.node', '--ros-args', '-p', 'target.type:=sphere', '-p',
-            'target.radius:=0.04', '-p', f'output_dir:={folder}',
-            *(word for setting in settings for word in ('-p', setting))]
+            'target.radius:=0.04', '-p', f'output_dir:={folder}']
     with log.open('w') as stream:
         process = subprocess.Popen(
             [sys.executable, *(['-c', EMPTY] if kind == 'empty' else node)],
@@ -219,7 +195,6 @@ class Watcher:
         self._solve = self._node.create_client(Trigger, '/handeye/compute_calibration')
         self._asked: Any = None
         self.solves = self.refused = 0
-        self.answer = ''
 
     def _on_state(self, msg: Any) -> None:
         self._state = {pair.key: pair.value for status in msg.status for pair in status.values}
@@ -227,11 +202,6 @@ class Watcher:
     def count(self) -> int:
         """Return the profiles that have come so far."""
         return int(self._state.get('profiles', -1)) + int(self._state.get('malformed messages', 0))
-
-    @property
-    def notes(self) -> str:
-        """Return what the node says that it dropped or left out."""
-        return self._state.get('dropped', '')
 
     def forget(self) -> None:
         """Expect no answer any more, and no count."""
@@ -248,8 +218,7 @@ class Watcher:
             if solving and self._solve.service_is_ready() and (
                     self._asked is None or self._asked.done()):
                 if self._asked is not None:
-                    result = self._asked.result()
-                    self.answer, solved = result.message, result.success
+                    solved = self._asked.result().success
                     self.solves, self.refused = self.solves + solved, self.refused + (not solved)
                 self._asked = self._solve.call_async(Trigger.Request())
 
@@ -257,21 +226,18 @@ class Watcher:
 def run(kind: str, rate: float, options: argparse.Namespace, watcher: Watcher
         ) -> tuple[float, float, float, float]:
     """Return rate sent, share lost, processor ms per profile and memory (MB) of a listener."""
-    mode = ['sampling.mode:=moving'] if options.sweep else []
-    with (tempfile.TemporaryDirectory() as folder,
-          listener(kind, folder, *mode) as (process, log)):
+    with tempfile.TemporaryDirectory() as folder, listener(kind, folder) as (process, log):
         watcher.forget()  # what a node that has ended was asked
         watcher.wait(3.0, False)
         arguments = ['--publish', str(rate), '--seconds', str(options.seconds)]
         before, _ = usage(process.pid)
-        arguments += ['--stops', '--cycle', str(options.cycle)] if options.stops else []
-        arguments += ['--sweep'] if options.sweep else []
+        arguments += ['--stops'] if options.stops else []
         with subprocess.Popen([sys.executable, HERE, *arguments], stdout=subprocess.PIPE,
                               text=True) as driver:
             while driver.poll() is None and process.poll() is None:
                 watcher.wait(0.2, options.stops and kind == 'node')
             sent = int(driver.stdout.read())
-        watcher.wait(4.0, options.sweep and kind == 'node')
+        watcher.wait(4.0, False)
         after, memory = usage(process.pid)
         got = watcher.count() if kind == 'node' else int(log.read_text().split()[-1])
     return sent / options.seconds, 1 - got / sent, 1e3 * (after - before) / max(1, got), memory
@@ -283,13 +249,10 @@ def main() -> None:
     parser.add_argument('--rates', type=float, nargs='+', default=[1000, 2000, 3000, 4000])
     parser.add_argument('--seconds', type=float, default=10.0)
     parser.add_argument('--stops', action='store_true')
-    parser.add_argument('--sweep', action='store_true')
-    parser.add_argument('--cycle', type=float, default=1.5, help='s from stop to stop')
     parser.add_argument('--publish', type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.publish:
-        publish(options.publish, options.seconds,
-                Sweep() if options.sweep else Scene(options.cycle if options.stops else 0.0))
+        publish(options.publish, options.seconds, Scene(1.5 if options.stops else 0.0))
         return
     watcher = Watcher()
     for rate in options.rates:
@@ -303,8 +266,6 @@ def main() -> None:
               'processor time of the empty one', flush=True)
         if options.stops:
             print(f'meanwhile {watcher.solves} solves, {watcher.refused} refused', flush=True)
-        if options.sweep:
-            print(watcher.answer, flush=True)
 
 
 if __name__ == '__main__':

@@ -4,10 +4,10 @@
 """
 What the faults of real cells do to the answer: simulated profiles through the whole pipeline.
 
-usage: python bench/physics.py [--seeds N] [--first S] [--only TEXT] [--workers W] [--samples]
-                               [--stations N ...]
+usage: python bench/physics.py [--sweeps] [--seeds N] [--first S] [--only TEXT] [--workers W]
+                               [--samples] [--stations N ...] [--refusals]
 
-A row per cell of FAULTS in simulate/scenarios.py; its name says all that is wrong with it, and
+A row per cell of FAULTS in simulate/scenario.py; its name says all that is wrong with it, and
 the settings do not know of it. Over N recordings of each:
   answered  how many gave an answer; all the rest were refused, and the last column tells for
             what most often
@@ -23,119 +23,131 @@ must be inside the stated uncertainty. So a row is bad when TRE is large and NEE
 when recordings that could carry an answer are refused. The rows of the first block have no
 fault; those of the last one may well be refused, but must never be answered with a large TRE.
 
+--sweeps: a robot that moves all the time. Sweeps of 30 s: a knot of a smooth curve every 1.6 s,
+tilts within 24 degrees, poses at 250 Hz with a white error of 0.02 mm and 0.004 degrees each,
+profiles of 640 points at 50 Hz; the profiles' clock is off by the offset named. Then also:
+  offset    ms, median and largest error of the time offset, and the median of its stated sigma;
+            its NEES (1 when true), and its share in the stated region
 --stations replaces the number of stations of each cell; several numbers give several tables.
 --samples makes the features directly, with the noise of ideal edges: quick, but of robots only.
---faces also solves the same samples as a plane, from their face lines alone, and adds
-  faces     mm, median mapped error of that: edges that are not sharp should never make it worse
 """
 from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+import math
 import time
 
-from handeye_ros import pipeline, se3
+from handeye_ros import pipeline
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.results.truth_file import errors_against, field_points
-from handeye_ros.simulate import (
-    FAULTS,
-    Scenario,
-    settings,
-    simulate,
-    simulate_samples,
-    Simulated,
-)
-from handeye_ros.simulate.sensor import FRAMES
+from handeye_ros.results.truth_file import errors_against
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings, simulate, simulate_samples
+from handeye_ros.simulate.scenario import changed, Sweep
 import numpy as np
 from scipy.stats import chi2
 import trials
 
-LIMIT = chi2.ppf(0.95, 6)
-HEADER = (f'{"cell":32} {"answered":>9} {"TRE, mm":>7} {"90 %":>7} {"NEES":>7} {"median":>7} '
+DURATION = 30.0  # s of a sweep
+LIMIT, LIMIT_OF_OFFSET = chi2.ppf(0.95, 6), chi2.ppf(0.95, 1)
+HEADER = (f'{"cell":38} {"answered":>9} {"TRE, mm":>7} {"90 %":>7} {"NEES":>7} {"median":>7} '
           f'{"in 95 %":>8} {"s":>5} {"worst":>5}  most are refused as')
 
 
 @dataclass(frozen=True)
 class Outcome:
     """
-    An answer's errors (mapped points in m, squared Mahalanobis), or what was refused.
+    An answer's errors, or what was refused.
 
-    faces: mapped points of the answer of the face lines alone (m).
+    mapped: RMS of mapped points (m); squared: squared Mahalanobis error; offset: error of the time
+    offset and its sigma (s), of a sweep.
     """
 
     seconds: float
-    mapped: float = np.nan
-    squared: float = np.nan
+    mapped: float = math.nan
+    squared: float = math.nan
+    offset: tuple[float, float] = (math.nan, math.nan)
     refusal: str = ''
-    faces: float = np.nan
 
 
-def field(scenario: Scenario) -> Array:
-    """Return the points (k, 3) of the published frame over which mapped points are compared."""
-    (near, far), width = scenario.sensor.range, scenario.sensor.half_width
-    x, depth = 0.95 * width * near, far - near
-    points = field_points((-x, x), (near + 0.2 * depth, far - 0.2 * depth))
-    T_standard_sensor = FRAMES[scenario.layout.frame].T_standard_sensor
-    return se3.apply(se3.inverse(T_standard_sensor), points)
+def swept(target: str, offset: float = 0.02, knot: float = 1.6, rate: float = 250.0,
+          **sweep: object) -> Scenario:
+    """Return a sweep over a target; sweep: values of scenario.Sweep."""
+    base, knots = SCENARIOS[target], round(DURATION / knot) + 1
+    second = knots // 2 * (base.scene == 'plate')
+    return changed(base, target, stations=(knots - second, second),
+                   tilt=min(math.radians(24), base.tilt), robot={'rate': rate},
+                   sensor={'columns': 640, 'rate': 50.0, 'delay': -offset},
+                   sweep=Sweep(knot, **sweep))  # type: ignore[arg-type]
 
 
-def of_faces(recording: Simulated, scenario: Scenario, config: Config) -> float:
-    """Return the error of points mapped by the answer of the face lines alone (m), or nan."""
-    plane = with_values(config, {'target.type': 'plane'}, config.name)
-    try:
-        session = pipeline.gather(recording.profiles, recording.poses, config)
-        X = pipeline.solve(session.samples, (), plane, session.frame_id).T_flange_sensor
-    except HandeyeError:
-        return np.nan
-    return errors_against(X, recording.truth.T_flange_sensor, field(scenario)).mapped_points
-
-
-def trial(job: tuple[str, int, bool, bool, int]) -> Outcome:
-    """
-    Return what becomes of a recording.
-
-    job: name of the cell, seed, if of samples, if of faces, stations (0: as the cell says).
-    """
-    name, seed, of_samples, faces, stations = job
-    scenario, rng = with_stations(FAULTS[name], stations), np.random.default_rng(seed)
-    config = with_values(Config(), settings(scenario), name)
-    if of_samples:
-        samples, truth = simulate_samples(scenario, rng)
-    else:
-        recording = simulate(scenario, rng)
-        truth = recording.truth
-    start = time.process_time()
-    try:
-        answer = pipeline.solve(samples, (), config, 'laser') if of_samples else (
-            pipeline.calibrate(recording.profiles, recording.poses, config))
-    except HandeyeError as error:
-        cause = error.reason or type(error).__name__
-        return Outcome(time.process_time() - start, refusal=f'{cause}: {error}')
-    seconds = time.process_time() - start
-    X, X_true = answer.T_flange_sensor, truth.T_flange_sensor
-    delta = se3.difference(X, X_true)
-    return Outcome(seconds, errors_against(X, X_true, field(scenario)).mapped_points,
-                   float(delta @ np.linalg.solve(answer.covariance, delta)),
-                   faces=of_faces(recording, scenario, config) if faces else np.nan)
+def sweeps() -> Iterator[tuple[str, Scenario]]:
+    """Yield the rows of robots that move."""
+    for target in ('plate', 'wedge', 'sphere', 'line', 'plane'):
+        for ms in (0, 20, -35, 150):
+            yield f'{target}, {ms} ms', swept(target, ms * 1e-3)
+        yield f'{target}, fast', swept(target, knot=0.9)
+        yield f'{target}, slow', swept(target, knot=4.0)
+        yield f'{target}, robot smooth 0.1 mm', changed(
+            swept(target), target, robot={'systematic': (1e-4, 3e-4)})
+        yield f'{target}, no rotation', replace(swept(target), motion='one_orientation')
+    for target in ('plate', 'sphere'):
+        for rate in (100, 30, 1000):
+            yield f'{target}, poses at {rate} Hz', swept(target, rate=float(rate))
+        yield f'{target}, drift 0.1 mm in 1 s', swept(target, drift=(1e-4, 3e-4))
+        yield f'{target}, stamps jitter by 0.5 ms', swept(target, stamp_jitter=5e-4)
+        yield f'{target}, poses jitter, 0.1 mm, gaps', swept(
+            target, pose_jitter=1e-3, resolution=1e-4, gaps=5)
+        yield f'{target}, exposure 2 ms', swept(target, exposure=2e-3)
+        yield f'{target}, rotation late by 10 ms', swept(target, rotation_lag=0.01)
+        yield f'{target}, sensor on the base', replace(
+            swept(target), calibration_type='eye_on_base')
 
 
 def with_stations(scenario: Scenario, count: int) -> Scenario:
     """Return a scenario with so many stations, spread over its edges as before."""
     first, second = scenario.stations
-    if not count:
-        return scenario
     share = round(count / scenario.repeats * first / (first + second))
     return replace(scenario, stations=(share, count // scenario.repeats - share))
+
+
+def trial(job: tuple[Scenario, int, bool]) -> Outcome:
+    """Return what becomes of a recording of a scenario, with a seed; or of samples alone."""
+    scenario, seed, of_samples = job
+    rng, values = np.random.default_rng(seed), settings(scenario)
+    if scenario.sweep:
+        values |= {'sampling.mode': 'moving', 'noise.robot_translation': 3e-5,
+                   'noise.robot_rotation': 7e-5}
+    config = with_values(Config(), values, scenario.name)
+    if of_samples:
+        samples, truth = simulate_samples(scenario, rng)
+        solve = partial(pipeline.solve, samples, (), config, 'laser')
+    else:
+        made = simulate(scenario, rng)
+        truth, solve = made.truth, partial(pipeline.calibrate, made.profiles, made.poses, config)
+    start = time.process_time()
+    try:
+        answer = solve()
+    except HandeyeError as error:
+        cause = error.reason or type(error).__name__
+        return Outcome(time.process_time() - start, refusal=f'{cause}: {error}')
+    seconds, X_true = time.process_time() - start, truth.T_flange_sensor
+    X, field = answer.T_flange_sensor, trials.field_of(scenario)
+    offset = (math.nan, math.nan)
+    if answer.time_offset and truth.time_offset is not None:
+        offset = (answer.time_offset.value - truth.time_offset, answer.time_offset.std)
+    return Outcome(seconds, errors_against(X, X_true, field).mapped_points,
+                   trials.nees(X, answer.covariance, X_true), offset)
 
 
 def row(name: str, outcomes: list[Outcome]) -> str:
     """Return the row of a cell."""
     good = [o for o in outcomes if not o.refusal]
     seconds = [o.seconds for o in outcomes]
-    text = f'{name:32} {len(good):4}/{len(outcomes):<4}'
+    text = f'{name:38} {len(good):4}/{len(outcomes):<4}'
     if good:
         mapped = 1e3 * np.quantile([o.mapped for o in good], [0.5, 0.9])
         squared = np.array([o.squared for o in good])
@@ -144,8 +156,12 @@ def row(name: str, outcomes: list[Outcome]) -> str:
     else:
         text += ' ' * 41
     text += f' {np.median(seconds):5.2f} {max(seconds):5.2f}'
-    if not np.isnan([o.faces for o in good]).all():
-        text += f' {1e3 * np.nanmedian([o.faces for o in good]):7.3f}'
+    off, sigma = np.array([o.offset for o in good]).reshape(-1, 2).T
+    if np.isfinite(off).any():
+        squared = (off / sigma) ** 2
+        text += (f'  offset {1e3 * np.median(abs(off)):.4f} {1e3 * abs(off).max():.3f} '
+                 f'{1e3 * np.median(sigma):.3f} {squared.mean():.2f} '
+                 f'{100 * (squared < LIMIT_OF_OFFSET).mean():.0f}%')
     # figures differ from seed to seed; the kind of the refusal does not
     refusals = Counter(o.refusal.partition(':')[0] for o in outcomes if o.refusal)
     if refusals:
@@ -157,26 +173,25 @@ def row(name: str, outcomes: list[Outcome]) -> str:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--seeds', type=int, default=20)
-    parser.add_argument('--first', type=int, default=0, help='the first seed')
-    parser.add_argument('--only', default='', help='cells whose name holds this text')
-    trials.add_option(parser)
-    parser.add_argument('--refusals', action='store_true', help='print every refusal')
+    trials.add_options(parser, 20)
+    parser.add_argument('--sweeps', action='store_true', help='robots that move all the time')
     parser.add_argument('--samples', action='store_true', help='make features, no profiles')
     parser.add_argument('--stations', type=int, nargs='+', default=[0], help='instead of its own')
-    parser.add_argument('--faces', action='store_true', help='the face lines alone, too')
+    parser.add_argument('--refusals', action='store_true', help='print every refusal')
     arguments = parser.parse_args()
-    names = [name for name in FAULTS if arguments.only in name
-             and not (arguments.faces and FAULTS[name].scene != 'plate')]
-    seeds = range(arguments.first, arguments.first + arguments.seeds)
-    cells = [(name, count) for count in arguments.stations for name in names]
-    jobs = [(name, seed, arguments.samples, arguments.faces, count)
-            for name, count in cells for seed in seeds]
-    print(HEADER.replace('worst', 'worst   faces') if arguments.faces else HEADER, flush=True)
-    outcomes = trials.results(trial, jobs, arguments.workers)
-    for name, count in cells:
+    cells = [(f'{name}, {count}' if count else name,
+              with_stations(scenario, count) if count else scenario)
+             for count in arguments.stations
+             for name, scenario in (sweeps() if arguments.sweeps else FAULTS.items())
+             if arguments.only in name]
+    seeds = trials.seeds_of(arguments)
+    outcomes = trials.results(trial, [(scenario, seed, arguments.samples)
+                                      for _, scenario in cells for seed in seeds],
+                              arguments.workers)
+    print(HEADER, flush=True)
+    for name, _ in cells:
         found = [next(outcomes) for _ in seeds]
-        print(row(f'{name}, {count}' if count else name, found), flush=True)
+        print(row(name, found), flush=True)
         for seed, outcome in zip(seeds, found, strict=True):
             if outcome.refusal and arguments.refusals:
                 print(f'    seed {seed}: {outcome.refusal}')

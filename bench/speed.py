@@ -4,18 +4,17 @@
 """
 How long a profile takes, a solve, guess included, and a whole recording offline.
 
-usage: python bench/speed.py [--profiles]
+usage: python bench/speed.py
 
 Prints, for the bags of plate (1280 points) and sphere (640 points), how many profiles a second
 of the processor are segmented, as the best of seven rounds, beside the 96 a second of the network
-of a published method; with --profiles nothing else. Then, for plate and sphere, the median
+of a published method. Then, for plate and sphere, the median
 seconds of the processor from samples to answer for 18 and for 2000 stations and the ratio of the
 two, and the wall time of `handeye solve` (import included) on a simulated 40 s bag of 1280-point
 profiles at 30 Hz.
 """
 from __future__ import annotations
 
-import argparse
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -83,15 +82,10 @@ def bag_seconds(runs: int = 3) -> float:
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--profiles', action='store_true')
-    options = parser.parse_args()
     for target in ('plate', 'sphere'):
         columns, rate = profiles_a_second(target)
         print(f'{target:7} {columns} points: {rate:.0f} profiles a second of the processor, '
               f'{rate / NETWORK:.0f} times the {NETWORK} of a published network', flush=True)
-    if options.profiles:
-        return
     for target in ('plate', 'sphere'):
         few, many = solve_seconds(target, 18, 11), solve_seconds(target, 2000, 3)
         print(f'{target:7} 18 stations {1e3 * few:6.1f} ms, 2000 stations {many:6.2f} s, '

@@ -75,7 +75,7 @@ def refused(client: Client, words: str) -> None:
 
 @pytest.mark.thorough
 def test_nothing_acknowledged_is_lost_by_kills_of_the_node() -> None:
-    run = subprocess.run([sys.executable, 'bench/kill_node.py', '--count', '4'], cwd=ROOT,
+    run = subprocess.run([sys.executable, 'bench/kills.py', '--node', '--count', '4'], cwd=ROOT,
                          text=True, capture_output=True, check=False)
     assert run.returncode == 0, run.stderr
     result = re.match(r'4 kills of the node: (\d+) samples acknowledged, \d+ of them removed, '
