@@ -115,6 +115,8 @@ def test_python(page: Path, command: str) -> None:
     if not arguments or not arguments[0].endswith('.py'):
         pytest.skip('no script of the project')
     source = (ROOT / arguments[0]).read_text(encoding='utf-8')
+    if 'trials.add_options' in source:
+        source += (ROOT / 'bench' / 'trials.py').read_text(encoding='utf-8')
     for flag in (word for word in arguments[1:] if word.startswith('--')):
         assert f"'{flag}'" in source
 
