@@ -15,10 +15,13 @@ from command import PATIENCE, ROOT, running
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_clouds import cloud
 from sensor_msgs.msg import PointCloud2, PointField
@@ -166,3 +169,17 @@ def sphere_profile(stamp: int, frame_id: str = 'laser') -> PointCloud2:
     x = np.linspace(-0.03, 0.03, 300)
     return cloud_message(cloud({'x': x, 'z': 0.2 - np.sqrt(0.04**2 - x**2)}, XZ, 8), stamp,
                          frame_id)
+
+
+def stand_still(client: Client, start: int, seconds: float = 1.0, x: float = 0.0,
+                frame_id: str = 'laser') -> None:
+    """Publish a robot that stands still, and what its sensor sees, 20 times a second."""
+    for stamp in range(start, start + round(seconds * 1e9), 50_000_000):
+        client.poses.publish(pose_message(stamp, (x, 0.0, 0.0)))
+        client.profiles.publish(sphere_profile(stamp + 1, frame_id))
+
+
+def set_parameter(client: Client, name: str, value: Any) -> SetParametersResult:
+    """Return whether a parameter of the node is set, and why not."""
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    return client.request(SetParameters, 'set_parameters', request).results[0]
