@@ -20,12 +20,11 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import Arm, read_arm, read_urdf
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.node.main import exit_code, spin
+from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
 from handeye_ros.node.streams import STREAM, TFMessage, THROTTLE
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
 
 
@@ -73,7 +72,7 @@ def main() -> int:
     for name, default in (('base', ''), ('flange', ''), ('joint-topic', 'joint_states'),
                           ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
         parser.add_argument(f'--{name}', default=default)
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    options = parser.parse_args(own_arguments())
     return exit_code(lambda: run(options))
 
 

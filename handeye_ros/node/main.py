@@ -34,19 +34,30 @@ calibration on request. All settings are ROS parameters and follow --ros-args:
 """
 
 
+def own_arguments() -> list[str]:
+    """Return the arguments of the executable outside of --ros-args ... [--]."""
+    remaining, in_ros_arguments = [], False
+    for argument in sys.argv[1:]:
+        if argument == '--ros-args':
+            in_ros_arguments = True
+        elif not in_ros_arguments:
+            remaining.append(argument)
+        elif argument == '--':
+            in_ros_arguments = False
+    return remaining
+
+
 def main() -> int:
     """Run the executable `calibrate`; return the exit code."""
+    argparse.ArgumentParser(
+        usage=USAGE, description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
     sys.setswitchinterval(SWITCH)
     # small matrices: more threads would slow down the streams
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     # an exception in the import of an extension module would be lost
     _on_signals(lambda *_: os._exit(0))
     try:
-        from rclpy.utilities import remove_ros_args
-        argparse.ArgumentParser(
-            usage=USAGE, description=DESCRIPTION,
-            formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(
-                remove_ros_args(sys.argv)[1:])
         from handeye_ros.node.node import HandeyeNode
         _on_signals(signal.default_int_handler)
     except KeyboardInterrupt:

@@ -10,12 +10,11 @@ import sys
 
 from handeye_ros.data import Calibration
 from handeye_ros.errors import InputError, NoRosError
-from handeye_ros.node.main import exit_code, spin
+from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import LATCHED, transform_of
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
 
 def publish(paths: Sequence[Path]) -> None:
@@ -50,7 +49,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog='publish', description=__doc__)
     parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
                         help='a calibration.yaml, or the folder that holds it')
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    options = parser.parse_args(own_arguments())
     return exit_code(lambda: publish(options.files))
 
 

@@ -13,13 +13,12 @@ import time
 
 from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
-from handeye_ros.node.main import exit_code, ros
+from handeye_ros.node.main import exit_code, own_arguments, ros
 from handeye_ros.node.outputs import time_message
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.utilities import remove_ros_args
 from rich.console import Console
 from rich.progress import Progress
 from rosgraph_msgs.msg import Clock
@@ -112,7 +111,7 @@ def main() -> int:
     parser.add_argument('--rate', type=float, default=1.0, help='speed; 1: as recorded')
     parser.add_argument('--timeout', type=float, default=5.0,
                         help='start after so many seconds in any case (default: 5)')
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    options = parser.parse_args(own_arguments())
     return exit_code(lambda: replay(options.bag, options.rate, options.timeout, sys.argv))
 
 

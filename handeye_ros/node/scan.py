@@ -26,7 +26,7 @@ from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError
-from handeye_ros.node.main import exit_code, spin
+from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.streams import LATCHED_TREE, pose_topics, STREAM, THROTTLE
 from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
@@ -34,7 +34,6 @@ from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import PointCloud2
 
 PERIOD = 0.05  # s between two clouds
@@ -127,7 +126,7 @@ def main() -> None:
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    options = parser.parse_args(own_arguments())
     sys.exit(exit_code(lambda: scan(options.calibration, options.set, ScanOptions.of_texts(
         options.range, options.incidence, options.voxel, options.std))))
 

@@ -105,31 +105,18 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
 
 
 @pytest.mark.parametrize(('key', 'value'), [
-    ('noise__robot_translation', 1e-3), ('limits__rotation', 1e-6), ('samples__exclude', [2, 5]),
-    ('target__radius', 0.0), ('clock_drift_std', 0.0)])
+    ('noise__robot_translation', 1e-3), ('target__radius', 0.0), ('clock_drift_std', 0.0)])
 def test_settings_that_change_need_no_new_samples(key: str, value: object) -> None:
     live = fed()
     live.compute_calibration()
     changed(live, **{key: value})
-    try:
-        expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses,
-                                      set_to(SPHERE.config, **{key: value}))
-    except DataError as error:
-        status = state_of(live)['calibration']
-        assert status['state'] == 'withdrawn' and str(error) in status['text']
-        assert 'is not the answer' in status['text'] and live.calibration is None
-        changed(live, limits__rotation=2e-2)
-        assert state_of(live)['calibration']['state'] == 'current', 'and back'
-    else:
-        assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
-        solved_with, name = live.calibration.provenance['config'], key.replace('__', '.')
-        assert solved_with[name] == expected.provenance['config'][name]
-
-
-def test_what_changes_extraction_extracts_anew() -> None:
-    live = fed()
+    expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses,
+                                  set_to(SPHERE.config, **{key: value}))
+    assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
+    solved_with, name = live.calibration.provenance['config'], key.replace('__', '.')
+    assert solved_with[name] == expected.provenance['config'][name]
     count = taken(state_of(live))
-    changed(live, sampling__min_points=5000)
+    changed(live, sampling__min_points=5000)  # extracts again
     assert taken(state_of(live)) == 0
     changed(live, sampling__min_points=20)
     assert taken(state_of(live)) == count
@@ -161,11 +148,15 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
 def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
     live = fed()
     live.compute_calibration()  # which takes the stop that the robot stands in
-    numbers = [s['number'] for s in state_of(live)['samples']]
-    assert numbers == list(range(1, len(numbers) + 1))
-    assert f'removed sample {numbers[-1]}' in live.remove_last_sample()
-    assert state_of(live)['calibration']['state'] == 'outdated'
-    assert live.take_sample().startswith(f'sample {numbers[-1] + 1} taken: ')
+    state = state_of(live)
+    last = len(state['samples'])
+    assert [s['number'] for s in state['samples']] == list(range(1, last + 1))
+    assert state['guidance']['text'].startswith(f'after sample {last}: ')
+    assert f'removed sample {last}' in live.remove_last_sample()
+    live.update()
+    state = state_of(live)
+    assert (state['calibration']['state'], state['guidance']['sample']) == ('outdated', last - 1)
+    assert live.take_sample().startswith(f'sample {last + 1} taken: ')
     status = state_of(live)['calibration']
     assert status['state'] == 'outdated' and '1 removed and 1 added' in status['text']
 
@@ -177,7 +168,11 @@ def test_cleared_and_refused_answers_are_withdrawn() -> None:
     status = state_of(live)['calibration']
     assert status['state'] == 'none' and str(error.value) in status['text']
     changed(live, limits__rotation=2e-2)
-    live.compute_calibration()
+    assert state_of(live)['calibration']['state'] == 'current', 'it was asked for'
+    changed(live, limits__rotation=1e-6)
+    status = state_of(live)['calibration']
+    assert status['state'] == 'withdrawn' and str(error.value) in status['text']
+    changed(live, limits__rotation=2e-2)
     live.clear_samples()
     status = state_of(live)['calibration']
     assert (status['state'], status['translation']) == ('withdrawn', None)
@@ -205,25 +200,14 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     assert str(tmp_path / 'other' / 'calibration.yaml') in other.save_calibration()
 
 
-def test_the_advice_says_of_which_sample_it_knows() -> None:
-    live = fed()
-    last = len(live.copied().outcomes)
-    guidance = state_of(live)['guidance']
-    assert guidance['sample'] == last and guidance['text'].startswith(f'after sample {last}: ')
-    live.remove_last_sample()
-    live.update()
-    assert state_of(live)['guidance']['sample'] == last - 1
-
-
-def test_nobody_asked_for_a_sample() -> None:
+def test_why_there_is_no_sample_is_told() -> None:
     live = fed(set_to(SPHERE.config, sampling__mode='manual'))
     assert 'no sample was requested: sampling.mode is manual' in (
         state_of(live)['session']['trouble'])
     with pytest.raises(DataError, match='no sample was requested'):
         live.compute_calibration()
-
-
-def test_how_long_the_robot_must_still_stand_is_told() -> None:
+    with pytest.raises(DataError, match='there is no sample to remove'):
+        live.remove_last_sample()
     live = new(set_to(SPHERE.config, sampling__mode='manual'))
     for stamp in range(10**18, 10**18 + 4 * 10**8, 2 * 10**7):
         live.add_poses([TimedPose(stamp, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))])

@@ -3,8 +3,7 @@
 """The page, in a real browser, of the real node fed by a bag; and what it refuses."""
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 import json
 from pathlib import Path
 import socket
@@ -28,7 +27,6 @@ from ros_helpers import Client, replay, ROOT, running_node  # noqa: E402
 pytestmark = pytest.mark.ros
 
 BAG, CONFIG = ROOT / 'bags' / 'plate', ROOT / 'config' / 'plate.yaml'
-SMALLEST_TARGET = 48  # px, for gloves
 
 
 def free_port() -> int:
@@ -63,15 +61,6 @@ def press(browser: Any, selector: str, message: str) -> str:
     wait(browser, f"document.getElementById('message').textContent.includes({message!r})",
          f'"{message}", not "{words(browser, "message")}"')
     return words(browser, 'message')
-
-
-@contextmanager
-def opened(tmp_path: Path, client: Client, width: int) -> Iterator[Any]:
-    """Give a browser that looks at a node which was fed the bag."""
-    port = free_port()
-    with chromium(width, 900) as browser, node_with_page(tmp_path, port):
-        shown(browser, port, client)
-        yield browser
 
 
 def node_with_page(tmp_path: Path, port: int) -> AbstractContextManager[Any]:
@@ -245,24 +234,3 @@ def cleared(browser: Any) -> None:
     browser.find_element('id', 'yes').click()
     press(browser, '#yes', 'removed; bags and clocks may start again')
     wait(browser, "document.querySelectorAll('#samples li').length === 0", 'no samples')
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize('width', [390, 1280])
-def test_it_is_readable_and_fits_gloves(tmp_path: Path, client: Client, width: int) -> None:
-    with opened(tmp_path, client, width) as browser:
-        wait(browser, "document.querySelectorAll('#sigmas .bar').length > 6", 'the sigmas')
-        browser.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
-            'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': width < 500})
-        assert browser.execute_script('return document.documentElement.scrollWidth') <= width
-        small = browser.execute_script(
-            "return [...document.querySelectorAll('button, select')].filter(b => b.offsetParent)"
-            '.map(b => b.getBoundingClientRect()).filter(r => r.width)'
-            f'.filter(r => r.width < {SMALLEST_TARGET} || r.height < {SMALLEST_TARGET}).length')
-        assert small == 0
-        # what the canvases show is not empty
-        for name in ('profile', 'scene'):
-            assert browser.execute_script('return ' + PAINTED.replace('NAME', f'#{name}'))
-        assert 'points in view are known to' in words(browser, 'advice')
-        assert words(browser, 'link') == 'a sample is taken at every stop'
-        assert complaints(browser) == []
