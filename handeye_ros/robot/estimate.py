@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, KINDS
+from handeye_ros.arm import Arm
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.least_squares import (
+    agreeing,
     covariance_of,
     leave_one_out,
-    outliers,
     Rows,
     System,
 )
@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # stops
-SMOOTH = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
 ROUNDS, CONVERGED = 6, 0.02  # iterations of prior scales and noise; relative change that ends them
 POOLED = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
@@ -55,8 +54,7 @@ class Fit:
     @property
     def stds(self) -> Array:
         """Return the prior sigmas (p,) of the errors of arm and robot, as estimated."""
-        kind = kinds_of(self.state)
-        return _configured(self.state) * np.sqrt(self.variances[kind])
+        return self.state.stds * np.sqrt(self.variances[self.state.kinds])
 
     @property
     def rows(self) -> NDArray[np.bool_]:
@@ -81,22 +79,6 @@ class Fit:
         return float(np.sqrt((shift[self.used] ** 2).mean()))
 
 
-def kinds_of(state: State) -> NDArray[np.intp]:
-    """Return the number of the kind of each error with a prior (p,); the smooth one is last."""
-    of_arm = KINDS[np.nonzero(state.arm.free)[1]]
-    kinds = [*dict.fromkeys(of_arm), 'smooth']
-    names = [*of_arm, *['smooth'] * len(state.smooth)]
-    return np.array([kinds.index(name) for name in names], dtype=np.intp)
-
-
-def _configured(state: State) -> Array:
-    return np.append(state.arm.priors[state.arm.free], np.full(len(state.smooth), SMOOTH))
-
-
-def _values(state: State) -> Array:
-    return np.append(state.arm.values, state.smooth)
-
-
 def _by_priors(stops: Stops, stds: Array) -> Array:
     """Return the derivatives (p, u) of the errors, in sigmas."""
     return np.hstack([np.zeros((len(stds), stops.unknowns)), np.diag(1 / stds)])
@@ -105,12 +87,12 @@ def _by_priors(stops: Stops, stds: Array) -> Array:
 def fitted(stops: Stops, state: State, noise: Array, variances: Array, used: NDArray[np.bool_]
            ) -> Fit:
     """Return the least-squares estimate with priors near a state."""
-    stds = _configured(state) * np.sqrt(variances[kinds_of(state)])
+    stds = state.stds * np.sqrt(variances[state.kinds])
     sigma = noise[np.arange(len(stops.station)) % stops.axes]
 
     def rows(at: State) -> Rows:
         r, J = stops.linearised(at)
-        return Rows(np.append(r / sigma, _values(at) / stds),
+        return Rows(np.append(r / sigma, at.errors / stds),
                     lambda: np.vstack([J / sigma[:, None], _by_priors(stops, stds)]))
     block = np.append(stops.station, np.full(len(stds), len(stops)))
     state = System(rows, stops.moved, block).least_squares(
@@ -123,11 +105,11 @@ def estimated_weights(fit: Fit, conservative: bool = False) -> tuple[Array, Arra
     """Return noise and variances as a fit shows them; conservative: those for the report."""
     variances, u = fit.variances, fit.stops.unknowns
     if len(variances):
-        order = np.argsort(kinds_of(fit.state), kind='stable')
+        order = np.argsort(fit.state.kinds, kind='stable')
         sigma, covariance = fit.stds[order], fit.covariance[u:, u:][np.ix_(order, order)]
-        first = np.searchsorted(kinds_of(fit.state)[order], np.arange(len(variances)))
+        first = np.searchsorted(fit.state.kinds[order], np.arange(len(variances)))
         variances = prior_scales(
-            covariance / np.outer(sigma, sigma), _values(fit.state)[order] / sigma, first,
+            covariance / np.outer(sigma, sigma), fit.state.errors[order] / sigma, first,
             variances, np.full(len(variances), LARGEST))[int(conservative)]
     J, axis = fit.jacobian[fit.rows], (np.arange(len(fit.rows)) % fit.stops.axes)[fit.rows]
     residuals = fit.residuals[fit.rows] * fit.noise[axis]
@@ -151,17 +133,17 @@ def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
 
 def without_outliers(fit: Fit) -> Fit:
     """Return a fit without the stops that the others do not predict."""
-    while True:
-        fit = adjusted(fit)
-        rows, used = fit.rows, np.flatnonzero(fit.used)
-        r, block = fit.residuals[rows], np.searchsorted(used, fit.stops.station[rows])
-        left_out = leave_one_out(r, fit.jacobian[rows], fit.covariance, block)
-        freedom = np.bincount(block)
-        worst = outliers(np.bincount(block, r * left_out) / freedom, freedom, len(fit.stops),
-                         len(used) - MINIMUM)
-        if not len(worst):
-            return fit
-        fit = replace(fit, used=np.isin(np.arange(len(fit.used)), np.delete(used, worst)))
+    every = np.arange(len(fit.stops))
+
+    def fitted_to(before: Fit | None, used: NDArray[np.intp]) -> Fit:
+        return adjusted(replace(before or fit, used=np.isin(every, used)))
+
+    def judged(found: Fit) -> tuple[Array, NDArray[np.intp]]:
+        _, block = np.unique(found.stops.station[found.rows], return_inverse=True)
+        r, freedom = found.residuals[found.rows], np.bincount(block)
+        left_out = leave_one_out(r, found.jacobian[found.rows], found.covariance, block)
+        return np.bincount(block, r * left_out) / freedom, freedom
+    return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 
 def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float = 1.0) -> Fit:
@@ -172,7 +154,7 @@ def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float 
 def with_arm(fit: Fit, arm: Arm) -> Fit:
     """Return the fit with the errors of an arm, at their configured sigmas."""
     state = replace(fit.state, arm=arm)
-    return fitted(fit.stops, state, fit.noise, np.ones(len(set(kinds_of(state)))), fit.used)
+    return fitted(fit.stops, state, fit.noise, np.ones(len(set(state.kinds))), fit.used)
 
 
 def reported_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:

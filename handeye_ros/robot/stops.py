@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import ClassVar, TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm
+from handeye_ros.arm import Arm, KINDS
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import as_they_are
 from handeye_ros.estimation.noise import Noise, whitening
@@ -25,6 +25,8 @@ from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.frames import in_mount
 import numpy as np
 from numpy.typing import NDArray
+
+SMOOTH = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +140,22 @@ class State:
     targets: tuple[Array, ...]
     arm: Arm
     smooth: Array
+
+    @property
+    def errors(self) -> Array:
+        """Return the errors (p,) of the arm, and the smooth ones."""
+        return np.append(self.arm.values, self.smooth)
+
+    @property
+    def stds(self) -> Array:
+        """Return their prior sigmas (p,) as stated."""
+        return np.append(self.arm.priors[self.arm.free], np.full(len(self.smooth), SMOOTH))
+
+    @property
+    def kinds(self) -> NDArray[np.intp]:
+        """Return the number of the kind of each (p,), from 0; the smooth ones are the last."""
+        names = [*KINDS[np.nonzero(self.arm.free)[1]], *['smooth'] * len(self.smooth)]
+        return np.array([list(dict.fromkeys(names)).index(name) for name in names], dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
