@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 CHANGED, WARNING = 0.01, 0.05  # p-values of a difference: act, watch
+AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +26,9 @@ class Entry:
     """
     One calibration of a trend.
 
-    recorded: time of its first sample, or of its file where that is unknown. difference: (6,) to
-    the first, std: (6,) of it, by both covariances; p_first, p_before: p-values of the difference
-    to the first, and to the previous one. residual: RMS (m).
+    recorded: time of its first sample, or of its solution where that is unknown. difference: (6,)
+    to the first, std: (6,) of it, by both covariances; p_first, p_before: p-values of the
+    difference to the first, and to the previous one. residual: RMS (m).
     """
 
     path: Path
@@ -54,36 +55,30 @@ def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] 
         except InputError as error:
             warnings.append(str(error))
             continue
-        calibrations.append((_recorded(calibration), path, calibration))
-    calibrations.sort(key=lambda item: (item[0], str(item[1])))
+        stamp = min((report.stamp for report in calibration.samples), default=0)
+        recorded = time_of(stamp) or str(calibration.provenance.get('created', ''))
+        calibrations.append((recorded, str(path), calibration))
+    calibrations.sort(key=lambda item: item[:2])
     if len(calibrations) < 2 - (first is not None):
         raise DataError(f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend '
                         'needs two, or one with --against')
-    reference = first or calibrations[0][2]
-    entries, previous = [], reference
-    for recorded, path, calibration in calibrations:
-        difference, C = between(calibration, reference)
-        entries.append(Entry(path, recorded, difference, np.sqrt(np.diag(C)),
-                             _p(difference, C), _p(*between(calibration, previous)),
+    reference = previous = first or calibrations[0][2]
+    entries = []
+    for recorded, name, calibration in calibrations:
+        difference, std, p_first = _compared(calibration, reference)
+        entries.append(Entry(Path(name), recorded, difference, std, p_first,
+                             _compared(calibration, previous)[2],
                              calibration.quality.residual_rms))
         previous = calibration
     return entries, warnings
 
 
-def _recorded(calibration: Calibration) -> str:
-    """Return the time of a calibration: of its samples, else of its solution."""
-    stamp = min((report.stamp for report in calibration.samples), default=0)
-    return time_of(stamp) or str(calibration.provenance.get('created', ''))
-
-
-def between(a: Calibration, b: Calibration) -> tuple[Array, Array]:
-    """Return the difference of a from b (6,), and its covariance; zero for the same one."""
+def _compared(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
+    """Return the difference of a from b (6,), its 1 sigma (6,) and p-value."""
     difference = se3.difference(a.T_flange_sensor, b.T_flange_sensor)
-    return difference, a.covariance + b.covariance
-
-
-def _p(difference: Array, C: Array) -> float:
-    return float(chi2_sf(difference @ np.linalg.solve(C, difference), 6))
+    C = a.covariance + b.covariance
+    p = float(chi2_sf(difference @ np.linalg.solve(C, difference), 6))
+    return difference, np.sqrt(np.diag(C)), p
 
 
 def table(entries: Sequence[Entry]) -> Table:
@@ -111,41 +106,32 @@ def since_when(entries: Sequence[Entry]) -> str:
 
 def draw(entries: Sequence[Entry], path: Path) -> None:
     """
-    Write a picture of the trend: differences from the first, and the residuals.
+    Write a picture of the trend: differences from the first.
 
     The bars are the joint 95 % region of all six differences. Raises NoMatplotlibError,
     UnwritableError.
     """
-    drawing, axes = output.figure(3, 1)
-    index = np.arange(len(entries))
-    difference = np.array([e.difference for e in entries])
-    reach = float(np.sqrt(chi2_isf(WARNING, 6))) * np.array([e.std for e in entries])
-    for ax, axes_slice, scale, unit in ((axes[0], slice(0, 3), 1e3, 'mm'),
-                                        (axes[1], slice(3, 6), 180 / np.pi, 'degrees')):
-        for k, name in enumerate('xyz'):
-            ax.errorbar(index + 0.05 * (k - 1), scale * difference[:, axes_slice][:, k],
-                        scale * reach[:, axes_slice][:, k], fmt='o-', capsize=3,
-                        label=name if unit == 'mm' else f'about {name}')
-        ax.set_ylabel(f'difference [{unit}], joint 95 %')
-        ax.axhline(0, color='0.7', linewidth=0.8)
-        for boundary in np.flatnonzero([e.p_before < CHANGED for e in entries]) - 0.5:
-            ax.axvline(boundary, color='tab:red', linestyle='--', linewidth=1)
-            ax.annotate('changed', (boundary, 1), xycoords=('data', 'axes fraction'), fontsize=8,
-                        color='tab:red', va='bottom', ha='center')
-        ax.legend(fontsize=8)
-        ax.set_xticks(index, [])  # the dates stand below the last
-    axes[2].plot(index, [1e3 * e.residual for e in entries], 'o-', markersize=4)
-    axes[2].set_ylabel('residual RMS [mm]')
-    axes[2].set_xticks(index, [e.recorded[:16] or e.path.parent.name for e in entries],
-                       rotation=20, ha='right', fontsize=8)
+    drawing, plots = output.figure(2, 1)
+    index, reach = np.arange(len(entries)), float(np.sqrt(chi2_isf(WARNING, 6)))
+    for k, axis in enumerate(AXES):
+        scale, unit = (1e3, 'mm') if k < 3 else (180 / np.pi, 'degrees')
+        plots[k // 3].errorbar(
+            index + 0.05 * (k % 3 - 1), [scale * e.difference[k] for e in entries],
+            [scale * reach * e.std[k] for e in entries], fmt='o-', capsize=3, label=axis)
+        plots[k // 3].set_ylabel(f'difference [{unit}], joint 95 %')
+    for plot in plots:
+        plot.legend()
+        for change in np.flatnonzero([e.p_before < CHANGED for e in entries]) - 0.5:
+            plot.axvline(change, color='tab:red', linestyle='--')
+        plot.set_xticks(index, [e.recorded[:16] or e.path.parent.name for e in entries],
+                        rotation=20, ha='right', fontsize=8)
     output.save(drawing, path)
 
 
 def csv_text(entries: Sequence[Entry]) -> str:
     """Return the trend as CSV: metres and radians."""
-    axes = ('x', 'y', 'z', 'rx', 'ry', 'rz')
     return output.csv_text(
-        ('recorded', 'path', *axes, *(f'{axis}_std' for axis in axes), 'p_first', 'p_before',
+        ('recorded', 'path', *AXES, *(f'{axis}_std' for axis in AXES), 'p_first', 'p_before',
          'residual'),
         ((e.recorded, e.path, *e.difference, *e.std, e.p_first, e.p_before, e.residual)
          for e in entries))
