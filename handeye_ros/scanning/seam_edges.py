@@ -28,21 +28,22 @@ NEXT_NEAREST = 1.15  # largest ratio of a partner's distance to that of the near
 LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
 SHORTEST = 0.01  # m: smallest length of a seam
 MINOR = 0.15  # of the longest seam's length: shorter ones are no seams
-IN_LINE = 0.85  # cosine between the parts of an interrupted seam and the gap
 HIGHEST_LAP = 8e-3  # m: a higher step is no lap
 NARROWEST = 4.0  # spacings: smallest gap
 TOUCHING = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
 OUTWARDS = 0.9  # cosine between the axis of a V and the normals of its plates
 KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
 
+Pairs = NDArray[np.intp]
+"""Pairs (k, 2) of rows of the rims that face each other."""
+
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Pairs (k, 2) of rows of the rims, in order along the seam; others: number of other seams."""
+    """Pairs (k, 2) in order along the seam; others: number of other seams."""
 
     kind: str
-    pairs: NDArray[np.intp]
-    middle: Array
+    pairs: Pairs
     others: int
 
 
@@ -60,47 +61,47 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
 
     widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
     """
-    pairs = _pairs(rims, widest, spacing)
-    by_kind: dict[str, list[NDArray[np.intp]]] = {kind: [] for kind in (*KINDS, 'none')}
+    pairs = _facing(rims, widest, spacing)
+    of_kind: dict[str, list[Pairs]] = {kind: [] for kind in (*KINDS, 'none')}
     sides = np.sort(rims.label[pairs], axis=1)
     for sheets in np.unique(sides, axis=0):
-        between_sheets = pairs[(sides == sheets).all(axis=1)]
-        for _, rows in _connected(rims, between_sheets, spacing):
-            sheet_kind = _kind(rims, between_sheets[rows], spacing, up)
-            if sheet_kind != 'butt' or not _covered(rims, between_sheets[rows], points, spacing):
-                by_kind[sheet_kind].append(between_sheets[rows])
-    by_length = {kind: _seams_of_kind(rims, by_kind[kind], spacing) for kind in KINDS}
-    longest = max((length for parts in by_length.values() for length, _ in parts), default=0.0)
-    seams = {kind: sorted((p for p in parts if p[0] >= MINOR * longest), key=lambda p: -p[0])
-             for kind, parts in by_length.items()}
-    kind = next((kind for kind in KINDS if seams[kind]), None)
-    if kind is None:
+        for _, part in _connected(rims, pairs[(sides == sheets).all(axis=1)], spacing):
+            of_kind[_kind(rims, part, points, spacing, up)].append(part)
+    lines = {kind: _connected(rims, np.concatenate([pairs[:0], *of_kind[kind]]), spacing)
+             for kind in KINDS}
+    longest = max((length for parts in lines.values() for length, _ in parts), default=0.0)
+    seams = {kind: [part for length, part in parts if length >= MINOR * longest]
+             for kind, parts in lines.items()}
+    kind = next((kind for kind in KINDS if seams[kind]), '')
+    if not kind:
         raise DataError(
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
             f'{mm(4 * spacing)} to be seen: scan more densely, or check what was scanned')
-    middles = [rims.points[pairs].mean(axis=1) for _, pairs in seams[kind]]
-    pairs = seams[kind][0][1]
+    middles = [rims.points[part].mean(axis=1) for part in seams[kind]]
     if kind == 'step':
         raise DataError(
-            f'a step of {mm(_height(rims, pairs))} at {position_text(middles[0].mean(axis=0))} '
-            'whose wall is not seen: too high for a lap, and the root of a T cannot be found '
-            'without it: scan with the sensor tilted by 30 to 45 degrees towards the wall')
-    _require_one(middles, spacing)
-    return Course(kind, pairs, middles[0], sum(len(parts) for parts in seams.values()) - 1)
+            f'a step of {mm(_height(rims, seams[kind][0]))} at '
+            f'{position_text(middles[0].mean(axis=0))} whose wall is not seen: too high for a '
+            'lap, and the root of a T cannot be found without it: scan with the sensor tilted by '
+            '30 to 45 degrees towards the wall')
+    if len(middles) > 1:
+        listed = '; '.join(f'{mm(float(np.linalg.norm(np.ptp(p, axis=0))))} long at '
+                           f'{position_text(p.mean(axis=0))}' for p in middles)
+        apart = float(cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0].min())
+        raise DataError(
+            f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if it '
+            'is a single one, scan again what is not seen of it')
+    return Course(kind, seams[kind][0], sum(map(len, seams.values())) - 1)
 
 
-def _seams_of_kind(rims: Rims, parts: list[NDArray[np.intp]], spacing: float
-                   ) -> list[tuple[float, NDArray[np.intp]]]:
-    """Return length and pairs of the connected seams of one kind."""
-    if not parts:
-        return []
-    pairs = np.concatenate(parts)
-    return [(length, pairs[rows]) for length, rows in _connected(rims, pairs, spacing)]
+def position_text(point: Array) -> str:
+    """Return the position of a point in words."""
+    return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'
 
 
-def _pairs(rims: Rims, widest: float, spacing: float) -> NDArray[np.intp]:
-    """Return the pairs (k, 2) of rims that face each other, the nearest of their sheets."""
+def _facing(rims: Rims, widest: float, spacing: float) -> Pairs:
+    """Return the pairs of rims that face each other, the nearest of their sheets."""
     i, j = cKDTree(rims.points).query_pairs(widest, output_type='ndarray').T
     offset = rims.points[j] - rims.points[i]
     length = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
@@ -117,16 +118,37 @@ def _pairs(rims: Rims, widest: float, spacing: float) -> NDArray[np.intp]:
     for first, second in ((i, j), (j, i)):
         key = np.unique(first * (rims.label.max(initial=0) + 1) + rims.label[second],
                         return_inverse=True)[1]
-        threshold = np.full(len(i), np.inf)
-        np.minimum.at(threshold, key, length)
-        nearest.append(threshold[key])
+        shortest = np.full(len(i), np.inf)
+        np.minimum.at(shortest, key, length)
+        nearest.append(shortest[key])
     chosen = (length == nearest[0]) | (length == nearest[1])
     chosen &= length <= NEXT_NEAREST * np.minimum(*nearest)
     return np.stack([i[chosen], j[chosen]], axis=1)
 
 
-def _kind(rims: Rims, pairs: NDArray[np.intp], spacing: float, up: Array) -> str:
-    """Return the kind of a seam between two sheets; none: a convex corner."""
+def _connected(rims: Rims, pairs: Pairs, spacing: float) -> list[tuple[float, Pairs]]:
+    """Return length and pairs, in order, of each connected line of sufficient length."""
+    if not len(pairs):
+        return []
+    middle = rims.points[pairs].mean(axis=1)
+    links = cKDTree(middle).query_pairs(LINK * spacing, output_type='ndarray')
+    length = np.linalg.norm(middle[links[:, 0]] - middle[links[:, 1]], axis=1)
+    n = len(middle)
+    graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
+    label = connected_components(graph, directed=False)[1]
+    found = []
+    for number in np.unique(label):
+        rows = np.flatnonzero(label == number)
+        inner = graph[rows][:, rows]
+        end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
+        along = dijkstra(inner, directed=False, indices=end)
+        if along.max() >= SHORTEST:
+            found.append((float(along.max()), pairs[rows[np.argsort(along)]]))
+    return found
+
+
+def _kind(rims: Rims, pairs: Pairs, points: Array, spacing: float, up: Array) -> str:
+    """Return the kind of a seam between two sheets; none: a convex corner, a ridge."""
     i, j = pairs.T
     normals, outward = rims.normals, rims.outward
     alike = (normals[i] * normals[j]).sum(axis=1)
@@ -134,9 +156,10 @@ def _kind(rims: Rims, pairs: NDArray[np.intp], spacing: float, up: Array) -> str
         height = _height(rims, pairs)
         distance = np.linalg.norm(rims.points[j] - rims.points[i], axis=1)
         lateral = np.sqrt(max(float(np.median(distance)) ** 2 - height ** 2, 0.0))
-        if height <= max(lateral - 2 * spacing, 0.5 * lateral):
-            return 'butt' if lateral > NARROWEST * spacing else 'none'
-        return 'lap' if height <= HIGHEST_LAP else 'step'
+        if height > max(lateral - 2 * spacing, 0.5 * lateral):
+            return 'lap' if height <= HIGHEST_LAP else 'step'
+        is_gap = lateral > NARROWEST * spacing and not _covered(rims, pairs, points, spacing)
+        return 'butt' if is_gap else 'none'
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
     if np.median(inward) > -INWARDS:
@@ -144,7 +167,13 @@ def _kind(rims: Rims, pairs: NDArray[np.intp], spacing: float, up: Array) -> str
     return 'v' if _is_v(rims, pairs, spacing) else 'fillet'
 
 
-def _covered(rims: Rims, pairs: NDArray[np.intp], points: Array, spacing: float) -> bool:
+def _height(rims: Rims, pairs: Pairs) -> float:
+    """Return the median height of a step."""
+    offset = rims.points[pairs[:, 1]] - rims.points[pairs[:, 0]]
+    return float(np.median(np.abs((offset * rims.normals[pairs[:, 0]]).sum(axis=1))))
+
+
+def _covered(rims: Rims, pairs: Pairs, points: Array, spacing: float) -> bool:
     """Return whether points in a gap are higher than its edges."""
     ends = rims.points[pairs]
     normal = np.linalg.svd(rims.normals[pairs].reshape(-1, 3), full_matrices=False)[2][0]
@@ -159,13 +188,7 @@ def _covered(rims: Rims, pairs: NDArray[np.intp], points: Array, spacing: float)
     return bool((above & valid).any(axis=1).mean() > 0.5)
 
 
-def _height(rims: Rims, pairs: NDArray[np.intp]) -> float:
-    """Return the median height of a step."""
-    offset = rims.points[pairs[:, 1]] - rims.points[pairs[:, 0]]
-    return float(np.median(np.abs((offset * rims.normals[pairs[:, 0]]).sum(axis=1))))
-
-
-def _is_v(rims: Rims, pairs: NDArray[np.intp], spacing: float) -> bool:
+def _is_v(rims: Rims, pairs: Pairs, spacing: float) -> bool:
     """Return whether both sheets of a concave corner bend outwards at their other ends."""
     axis = -rims.outward[pairs].sum(axis=(0, 1))
     axis /= np.linalg.norm(axis)
@@ -180,54 +203,3 @@ def _is_v(rims: Rims, pairs: NDArray[np.intp], spacing: float) -> bool:
         if (np.abs(rims.normals[plate] @ axis) > OUTWARDS).sum() < len(pairs) / 8:
             return False
     return True
-
-
-def _connected(rims: Rims, pairs: NDArray[np.intp], spacing: float
-               ) -> list[tuple[float, NDArray[np.intp]]]:
-    """Return length and rows, in order, of each connected line of pairs of sufficient size."""
-    middle = rims.points[pairs].mean(axis=1)
-    links = cKDTree(middle).query_pairs(LINK * spacing, output_type='ndarray')
-    length = np.linalg.norm(middle[links[:, 0]] - middle[links[:, 1]], axis=1)
-    n = len(middle)
-    graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
-    count, label = connected_components(graph, directed=False)
-    seams = []
-    for number in range(count):
-        rows = np.flatnonzero(label == number)
-        inner = graph[rows][:, rows]
-        end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
-        along = dijkstra(inner, directed=False, indices=end)
-        if along.max() >= SHORTEST:
-            seams.append((float(along.max()), rows[np.argsort(along)]))
-    return seams
-
-
-def _require_one(seams: list[Array], spacing: float) -> None:
-    """Raise for an interrupted seam, and for several seams."""
-    if len(seams) < 2:
-        return
-    count = max(int(4 * LINK), 8)
-    ends = [(p[:count].mean(axis=0) - p[count:2 * count].mean(axis=0), p[0])
-            for seam in seams for p in (seam, seam[::-1]) if len(p) > 2 * count]
-    for k, (direction, end) in enumerate(ends):
-        for other_direction, other in ends[k + 1:]:
-            across = other - end
-            size = float(np.linalg.norm(across))
-            if (direction @ across > IN_LINE * np.linalg.norm(direction) * size
-                    and -(other_direction @ across)
-                    > IN_LINE * np.linalg.norm(other_direction) * size):
-                raise interrupted(size, 0.5 * (end + other))
-    listed = '; '.join(f'{mm(float(np.linalg.norm(np.ptp(p, axis=0))))} long at '
-                       f'{position_text(p.mean(axis=0))}' for p in seams)
-    raise DataError(f'{len(seams)} seams ({listed}): cut one out with --box')
-
-
-def interrupted(size: float, position: Array) -> DataError:
-    """Return the refusal of a seam that is not seen over some length (m)."""
-    return DataError(f'the seam is not seen for {mm(size)} at {position_text(position)}: scan '
-                     'there again, or cut one part out with --box')
-
-
-def position_text(point: Array) -> str:
-    """Return the position of a point in words."""
-    return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'

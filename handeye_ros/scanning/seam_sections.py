@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
-from handeye_ros.scanning.seam_edges import Course, interrupted, position_text
+from handeye_ros.scanning.seam_edges import Course, position_text
 from handeye_ros.scanning.seam_sheets import Rims, Sheets
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ FEWEST = 12  # points of a side of a section
 SHORT = 0.365  # mean bias of the most likely end for few points, times the density
 INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
 FREQUENCIES = np.linspace(0.5, 5.0, 226)  # of columns, per spacing
-IRREGULAR, REGULAR = 0.15, 0.35  # largest periodicity of random points; smallest of columns
+REGULAR = 0.25  # periodicity of columns, more than random points have
 WIDTH = 24.0  # spacings: width of a sheet's section, at least
 NARROWEST = 6e-3  # m: the same
 MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
@@ -90,12 +90,16 @@ class _Side:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The rough course: its curve, and for each pair t (k,), its point (k, 3) and two rims."""
+    """The rough course: its curve, and for each pair t (k,) and the rims (2, k) of the sides."""
 
     curve: Curve
     t: Array
-    points: Array
-    rims: tuple[NDArray[np.intp], NDArray[np.intp]]
+    rims: NDArray[np.intp]
+
+    @cached_property
+    def points(self) -> Array:
+        """Return the point (k, 3) of each pair on the curve."""
+        return self.curve.position(np.clip(self.t, self.curve.first, self.curve.last))
 
     def position(self, t: float) -> tuple[Array, Array]:
         """Return position and tangent at t, extrapolated a little beyond the ends."""
@@ -103,10 +107,22 @@ class _Line:
         tangent = self.curve.advance(clipped)
         return self.curve.position(clipped) + (t - clipped) * tangent, tangent
 
-    def moved(self, curve: Curve) -> _Line:
-        """Return the same pairs along another curve of the same lengths."""
-        return replace(self, curve=curve, points=curve.position(
-            np.clip(self.t, curve.first, curve.last)))
+
+@dataclass(frozen=True, eq=False)
+class _Cloud:
+    """The points (n, 3) with their sheets and rims, and the kind of the seam between two."""
+
+    points: Array
+    tree: cKDTree
+    spacing: float
+    sheets: Sheets
+    rims: Rims
+    kind: str
+
+    @property
+    def is_corner(self) -> bool:
+        """Return whether the sheets meet at an angle."""
+        return self.kind in ('v', 'fillet')
 
 
 def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Course,
@@ -116,40 +132,58 @@ def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Cours
 
     Raises DataError.
     """
-    line = _line(rims, rough, spacing)
-    found = _edges_along(line, points, tree, sheets, rims, rough.kind, spacing)
-    if rough.kind in ('v', 'fillet'):  # out of a corner the rough course may bend at its ends
-        line = line.moved(spline(found.lengths, found.root))
-        found = _edges_along(line, points, tree, sheets, rims, rough.kind, spacing)
+    cloud = _Cloud(points, tree, spacing, sheets, rims, rough.kind)
+    line = _line(cloud, rough)
+    found = _edges_along(line, cloud)
+    if cloud.is_corner:  # out of a corner the rough course may bend at its ends
+        line = replace(line, curve=spline(found.lengths, found.root))
+        found = _edges_along(line, cloud)
     return found
 
 
-def _edges_along(line: _Line, points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, kind: str,
-                 spacing: float) -> Edges:
+def _line(cloud: _Cloud, rough: Course) -> _Line:
+    """Return a smooth curve along the rough course, and the pairs in its order."""
+    rims, middle = cloud.rims, cloud.rims.points[rough.pairs].mean(axis=1)
+    t, index = np.unique(arc_length(averaged(middle)), return_index=True)
+    points, (i, j) = middle[index], rough.pairs[index].T
+    curve = spline(t, points)
+    distance = np.linalg.norm(curve.position(t) - points, axis=1)
+    widest = float(np.quantile(distance, 0.95))
+    if widest > WIDEST_LINE * cloud.spacing:
+        place = position_text(points[int(np.argmax(distance))])
+        raise DataError(f'what looks like a seam is not a single open line: it is '
+                        f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
+                        'out with --box')
+    up = (-rims.outward[i] - rims.outward[j] if cloud.is_corner
+          else rims.normals[i] + rims.normals[j])
+    across = np.cross(up, curve.advance(t))
+    turned = ((rims.outward[i] - rims.outward[j]) * across).sum(axis=1) < 0
+    return _Line(curve, t, np.where(turned, [j, i], [i, j]))
+
+
+def _edges_along(line: _Line, cloud: _Cloud) -> Edges:
     """Return the edges by sections across a line; raises DataError."""
-    step = max(1e-3, 3 * spacing)
+    step = max(1e-3, 3 * cloud.spacing)
     first, last = line.t[0] - OVERHANG, line.t[-1] + OVERHANG
-    lengths = np.arange(first + 0.5 * step, last, step)
-    degree = 1 if kind in ('v', 'fillet') else 2
     sections: list[tuple[float, _Side, _Side]] = []
-    for t in lengths:
-        a, b = (_side(points, tree, sheets, rims, line, side, t, step, spacing, degree)
-                for side in (0, 1))
+    for t in np.arange(first + 0.5 * step, last, step).tolist():
+        a, b = (_side(cloud, line, side, t, step) for side in (0, 1))
         if a is not None and b is not None:
-            sections.append((float(t), a, b))
-    seen = [t for t, _, _ in sections] or [float(lengths[0]), float(lengths[-1])]
+            sections.append((t, a, b))
+    seen = np.array([t for t, _, _ in sections] or [first, last])
     missing = np.append(np.diff(seen) - step, 0.0)
     worst = int(np.argmax(missing))
     if not sections or missing[worst] > MISSING:
-        raise interrupted(float(missing[worst]),
-                          line.position(0.5 * (seen[worst] + seen[worst + 1]))[0])
+        place = position_text(line.position(0.5 * (seen[worst] + seen[worst + 1]))[0])
+        raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
+                        'there again, or cut one part out with --box')
     (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
     filled = [(t, a, b) for t, a, b in sections
-              if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - spacing]
+              if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - cloud.spacing]
     gap = np.median([(a.end - b.end) @ (b.outwards - a.outwards)
                      / np.linalg.norm(b.outwards - a.outwards) for _, a, b in filled])
-    meeting = {'fillet': np.inf, 'v': MET * spacing * (gap < ROOT_GAP * spacing)}
-    joint = partial(_joint, kind, meeting.get(kind, 0.0))
+    meeting = {'fillet': np.inf, 'v': MET * cloud.spacing * (gap < ROOT_GAP * cloud.spacing)}
+    joint = partial(_joint, cloud.kind, meeting.get(cloud.kind, 0.0))
     rows = np.array([joint(a, b) for _, a, b in filled])
     return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
                  rows[:, 3:], float(np.median([s.noise for _, *sides in filled for s in sides])),
@@ -157,59 +191,39 @@ def _edges_along(line: _Line, points: Array, tree: cKDTree, sheets: Sheets, rims
                  np.median([_resolution(joint, a, b) for _, a, b in filled], axis=0))
 
 
-def _line(rims: Rims, rough: Course, spacing: float) -> _Line:
-    """Return a smooth curve along the rough course, and the pairs in its order."""
-    t = arc_length(averaged(rough.middle))
-    t, index = np.unique(t, return_index=True)
-    points, pairs = rough.middle[index], rough.pairs[index]
-    curve = spline(t, points)
-    on_curve = curve.position(t)
-    distance = np.linalg.norm(on_curve - points, axis=1)
-    widest = float(np.quantile(distance, 0.95))
-    if widest > WIDEST_LINE * spacing:
-        place = position_text(points[int(np.argmax(distance))])
-        raise DataError(f'what looks like a seam is not a single open line: it is '
-                        f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
-                        'out with --box')
-    i, j = pairs.T
-    up = (-rims.outward[i] - rims.outward[j] if rough.kind in ('v', 'fillet')
-          else rims.normals[i] + rims.normals[j])
-    across = np.cross(up, curve.advance(t))
-    turned = ((rims.outward[i] - rims.outward[j]) * across).sum(axis=1) < 0
-    return _Line(curve, t, on_curve, (np.where(turned, j, i), np.where(turned, i, j)))
-
-
-def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line, side: int,
-          t: float, step: float, spacing: float, degree: int) -> _Side | None:
-    """Return one sheet in the section at t."""
+def _side(cloud: _Cloud, line: _Line, side: int, t: float, step: float) -> _Side | None:
+    """Return one sheet in the section at t, None where it does not end there."""
+    rims, spacing, margin = cloud.rims, cloud.spacing, MARGIN * cloud.spacing
     window = np.abs(line.t - np.clip(t, line.t[0], line.t[-1])) <= WINDOW
-    rows_of_side, rows_of_other = line.rims[side][window], line.rims[1 - side][window]
-    if not len(rows_of_side):
+    own, other = line.rims[side, window], line.rims[1 - side, window]
+    if not len(own):
         return None
     position, tangent = line.position(t)
-    inwards, upright = _axes(rims, rows_of_side, rows_of_other, tangent)
-    offset = np.median(rims.points[rows_of_side] - line.points[window], axis=0)
+    inwards, upright = _axes(rims, own, other, tangent)
+    offset = np.median(rims.points[own] - line.points[window], axis=0)
     # the points of a pair may be displaced along the seam
     start = position + offset - (offset @ tangent) * tangent
     width = max(WIDTH * spacing, NARROWEST)
-    rows = np.array(tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width), dtype=int)
-    labels, counts = np.unique(rims.label[rows_of_side], return_counts=True)
-    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(rows_of_side)])]
-    along, b, height = ((points[rows] - start) @ np.column_stack([tangent, inwards, upright])).T
+    rows = np.array(cloud.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
+                    dtype=int)
+    labels, counts = np.unique(rims.label[own], return_counts=True)
+    rows = rows[np.isin(cloud.sheets.label[rows], labels[counts > 0.1 * len(own)])]
+    along, b, height = ((cloud.points[rows] - start)
+                        @ np.column_stack([tangent, inwards, upright])).T
     limit = BEYOND
-    if np.isin(labels, rims.label[rows_of_other]).any():  # one sheet on both sides
-        separation = np.median((rims.points[rows_of_side] - rims.points[rows_of_other]) @ inwards)
+    if np.isin(labels, rims.label[other]).any():  # one sheet on both sides
+        separation = np.median((rims.points[own] - rims.points[other]) @ inwards)
         limit = min(0.5 * abs(float(separation)), BEYOND)
-    resolution = _column_resolution(b, spacing, MARGIN)
+    resolution = _column_resolution(b, spacing)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
-    fitted = _sheet_through(b, height, MARGIN * spacing, degree)
+    fitted = _sheet_through(b, height, margin, 1 if cloud.is_corner else 2)
     if fitted is None:
         return None
     sheet, noise = fitted
     on_sheet = np.abs(height - np.polyval(sheet, b)) < TOLERANCE * noise
-    inner = on_sheet & (b > MARGIN * spacing)
-    end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - MARGIN * spacing))
+    inner = on_sheet & (b > margin)
+    end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - margin))
     if abs(end) > BEYOND:
         return None
     slope = np.polyval(np.polyder(sheet), end)
@@ -220,8 +234,21 @@ def _side(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, line: _Line,
                  (float(along[on_sheet].min()), float(along[on_sheet].max())), resolution)
 
 
+def _axes(rims: Rims, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array
+          ) -> tuple[Array, Array]:
+    """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
+    inwards = -rims.outward[own].mean(axis=0)
+    inwards -= (inwards @ tangent) * tangent
+    inwards /= np.linalg.norm(inwards)
+    upright = np.cross(tangent, inwards)
+    towards = upright @ rims.outward[other].mean(axis=0)
+    if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
+        return inwards, -np.sign(towards) * upright
+    return inwards, upright if upright @ rims.normals[own].mean(axis=0) >= 0 else -upright
+
+
 def _sheet_through(b: Array, height: Array, margin: float, degree: int
-                  ) -> tuple[Array, float] | None:
+                   ) -> tuple[Array, float] | None:
     """Return the polynomial through the sheet at b > margin, and the residual scatter."""
     beside: NDArray[np.bool_] = np.asarray(b > margin)
     if beside.sum() < FEWEST or np.ptp(b[beside]) < margin:
@@ -256,36 +283,24 @@ def _end_of(b: Array, noise: float, density: float) -> float:
     return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
 
 
-def _column_resolution(b: Array, spacing: float, margin: float) -> float:
+def _column_resolution(b: Array, spacing: float) -> float:
     """
     Return 1 sigma (m) of an end anywhere between two columns.
 
-    b: (n,) across the seam from its edge, of the points of many profiles (m); those within margin
-    spacings are left out. If the columns follow the seam, their distance is a period of b; else
-    the position of the end between columns differs from profile to profile.
+    b: (n,) across the seam from its edge, of the points of many profiles (m). If the columns
+    follow the seam, their distance is a period of b; else the position of the end between columns
+    differs from profile to profile.
     """
-    inner = b[(b > margin * spacing) & (b < INNER * spacing)] / spacing
+    inner = b[(b > MARGIN * spacing) & (b < INNER * spacing)] / spacing
     if len(inner) < FEWEST:
         return 0.0
     periodic = np.abs(np.exp(2j * np.pi * np.outer(FREQUENCIES, inner)).mean(axis=1))
-    first = int(np.argmax(periodic > 0.8 * periodic.max()))
-    while first + 1 < len(periodic) and periodic[first + 1] > periodic[first]:
-        first += 1
-    regularity = np.clip((periodic[first] - IRREGULAR) / (REGULAR - IRREGULAR), 0.0, 1.0)
-    return float(regularity * spacing / FREQUENCIES[first] / np.sqrt(12))
-
-
-def _axes(rims: Rims, rows_of_side: NDArray[np.intp], rows_of_other: NDArray[np.intp],
-          tangent: Array) -> tuple[Array, Array]:
-    """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
-    inwards = -rims.outward[rows_of_side].mean(axis=0)
-    inwards -= (inwards @ tangent) * tangent
-    inwards /= np.linalg.norm(inwards)
-    upright = np.cross(tangent, inwards)
-    towards = upright @ rims.outward[rows_of_other].mean(axis=0)
-    if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
-        return inwards, -np.sign(towards) * upright
-    return inwards, upright if upright @ rims.normals[rows_of_side].mean(axis=0) >= 0 else -upright
+    if periodic.max() < REGULAR:
+        return 0.0
+    peak = int(np.argmax(periodic > 0.8 * periodic.max()))  # the first, not a multiple of it
+    while peak + 1 < len(periodic) and periodic[peak + 1] > periodic[peak]:
+        peak += 1
+    return float(spacing / FREQUENCIES[peak] / np.sqrt(12))
 
 
 def _joint(kind: str, meeting: float, a: _Side, b: _Side) -> Array:

@@ -84,15 +84,11 @@ def _without_single_profiles(points: Array, label: NDArray[np.intp], thinnest: f
 
     A face at a grazing angle is rows of points that are far from each other.
     """
-    rows, result = np.flatnonzero(label >= 0), label.copy()
-    labels, sheet = np.unique(label[rows], return_inverse=True)
-    size = np.bincount(sheet)
-    mean = np.stack([np.bincount(sheet, column) for column in points[rows].T], axis=1)
-    offset = points[rows] - (mean / size[:, None])[sheet]
-    spread = np.array([[np.bincount(sheet, offset[:, i] * offset[:, j]) / size
-                        for j in range(3)] for i in range(3)])
-    middle = np.linalg.eigvalsh(np.moveaxis(spread, 2, 0))[:, 1]
-    result[np.isin(label, labels[middle < thinnest ** 2])] = -1
+    order = np.argsort(label, kind='stable')
+    result = label.copy()
+    for rows in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
+        if np.linalg.eigvalsh(np.cov(points[rows].T, bias=True))[1] < thinnest ** 2:
+            result[rows] = -1
     return result
 
 

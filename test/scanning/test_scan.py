@@ -43,12 +43,8 @@ def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
             or p.stamp > poses[-1].stamp]
     assert scanner.count.without_pose == len(lost)
     assert len(cloud) == (240 - len(lost)) * 50
-
-
-def test_a_scan_without_any_pose_is_refused():
     scanner = Scanner(calibration(), Config())
-    late = [replace(p, stamp=p.stamp + 10**12) for p in plane_profiles(3)]
-    scanned(scanner, late, moving(200))
+    scanned(scanner, [replace(p, stamp=p.stamp + 10**12) for p in profiles[:3]], poses)
     with pytest.raises(DataError, match='none of the 3 profiles'):
         scanner.require_points()
 
@@ -143,7 +139,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path):
 FIELDS = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<f4')])
 
 
-@pytest.mark.parametrize('count', [0, 1, 9, 12345])
+@pytest.mark.parametrize('count', [0, 1, 12345])
 def test_other_libraries_read_the_clouds(tmp_path, count):
     rng = np.random.default_rng(count)
     cloud = np.empty(count, FIELDS)
@@ -226,14 +222,14 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
 def test_the_verb_refuses_in_words(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     bag_write.write(tmp_path / 'bag', plane_profiles(10), moving(10))
-    common = ('--calibration', 'calibration.yaml', '--out')
-    assert_refused(handeye('scan', 'bag', *common, 'c.xyz', cwd=tmp_path), 2, '.ply or .pcd')
-    assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--set', 'profile_topic=a',
-                           cwd=tmp_path), 2, 'no topic /a')
-    assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--set', 'time_offset=5',
-                           cwd=tmp_path), 3, 'none of the 10 profiles')
-    assert_refused(handeye('scan', 'bag', *common, 'c.ply', '--range', '150', '200',
-                           cwd=tmp_path), 2, '150mm')
+    for words, code, sentence in (
+            (('c.xyz',), 2, '.ply or .pcd'),
+            (('c.ply', '--set', 'profile_topic=a'), 2, 'no topic /a'),
+            (('c.ply', '--set', 'time_offset=5'), 3, 'none of the 10 profiles'),
+            (('c.ply', '--range', '150', '200'), 2, '150mm')):
+        run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', *words,
+                      cwd=tmp_path)
+        assert_refused(run, code, sentence)
     assert not (tmp_path / 'c.ply').exists()
 
 
@@ -249,23 +245,21 @@ def test_a_bag_that_was_cut_off_gives_what_can_be_read(tmp_path):
     assert len(read_cloud(tmp_path / 'c.pcd'))
 
 
-@pytest.mark.parametrize(('rate', 'most'), [(50, 6e-6), (4, 1e-6)])
-def test_sparse_poses_of_a_curved_way_are_interpolated_smoothly(rate, most):
-    """Poses at 20 Hz: linearly, points were off by 39 um RMS; their std tells the rest."""
+def test_sparse_poses_of_a_curved_way_are_interpolated_smoothly():
+    """Poses at 20 Hz: linearly, points were off by 39 um RMS."""
     cal = calibration()
 
     def flange(at):
         way = np.array([0.6 + 0.05 * np.cos(at * 2e-3), 0.05 * np.sin(at * 2e-3), 0.4])
         return se3.transform(se3.exp_rotation(np.array([0.2 * np.sin(2e-3 * at), 0, 0])), way)
     poses = [TimedPose(T0 + k * STEP, flange(k)[:3, 3], se3.quaternion(flange(k)))
-             for k in range(0, 4001, rate)]
+             for k in range(0, 4001, 50)]
     at = np.arange(505, 3500, 10)
     profiles = [Profile(T0 + int(k) * STEP, 'laser', np.array([[0.01, 0.2]])) for k in at]
-    cloud = scanned(Scanner(cal, Config(), ScanOptions(std=True)), profiles, poses)
+    cloud = xyz(scanned(Scanner(cal, Config()), profiles, poses))
     true = np.array([se3.apply(flange(k) @ cal.T_flange_sensor, np.array([[0.01, 0, 0.2]]))[0]
                      for k in at])
-    off = np.linalg.norm(np.column_stack([cloud[c] for c in 'xyz']) - true, axis=1)
-    assert len(cloud) == len(at) and np.sqrt((off ** 2).mean()) < most
+    assert np.sqrt(((cloud - true) ** 2).sum(axis=1).mean()) < 6e-6
 
 
 def test_the_std_tells_how_well_the_poses_are_known():

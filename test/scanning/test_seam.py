@@ -61,9 +61,8 @@ def off_approach(truth, T):
 
 
 @pytest.mark.parametrize('kind', ['lap', 'butt'])
-@pytest.mark.parametrize('seed', [0, 1])
-def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind, seed):
-    truth = cloud_of(seed, kind=kind)
+def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
+    truth = cloud_of(kind=kind)
     seam = find_seam(truth.points)
     frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
     away = off_line(truth, frames.T_base_tool[:, :3, 3])
@@ -175,9 +174,8 @@ def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
 
 
 @pytest.mark.parametrize(('values', 'words'), [
-    ({'seams': 2}, '2 seams .*--box'), ({'seams': 2, 'kind': 'butt'}, '2 seams'),
-    ({'missing': (0.45, 0.55)}, 'not seen for 1[0-9]'),
-    ({'missing': (0.45, 0.55), 'kind': 'butt'}, 'scan there again'),
+    ({'seams': 2}, '2 seams .*--box'),
+    ({'missing': (0.45, 0.55), 'kind': 'butt'}, '2 seams .*, 1[0-9].* mm apart.* scan again'),
     ({'thickness': 5e-4}, 'no seam.*scan more densely'), ({'thickness': 0.0}, 'no seam')])
 def test_what_is_no_single_seam_is_refused(values, words):
     with pytest.raises(DataError, match=words):
@@ -220,17 +218,13 @@ def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
             assert np.linalg.norm(curve.advance(at)) == pytest.approx(1.0)
 
 
-def write_cloud(path, points):
-    rows = np.zeros(len(points), [(axis, '<f4') for axis in 'xyz'])
-    for k, axis in enumerate('xyz'):
-        rows[axis] = points[:, k]
-    with cloud_writer(path) as writer:
-        writer.write(rows)
-
-
 def test_the_verb_writes_what_others_read(tmp_path):
     truth = cloud_of()
-    write_cloud(tmp_path / 'c.pcd', truth.points)
+    rows = np.zeros(len(truth.points), [(axis, '<f4') for axis in 'xyz'])
+    for axis, column in zip('xyz', truth.points.T, strict=True):
+        rows[axis] = column
+    with cloud_writer(tmp_path / 'c.pcd') as writer:
+        writer.write(rows)
     towards = [str(v) for v in -truth.normals.mean(axis=0)]
     run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--towards', *towards,
                   '--pitch', '5 mm', '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
@@ -248,6 +242,12 @@ def test_the_verb_writes_what_others_read(tmp_path):
     assert path.header.frame_id == poses.header.frame_id == 'base'
     assert [p.position.x for p in poses.poses] == pytest.approx(list(rows['x']), abs=1e-8)
     assert [p.pose.orientation.w for p in path.poses] == pytest.approx(list(rows['qw']), abs=1e-8)
+    for words, code, sentence in (
+            (('c.pcd', '--widest', '0.5mm'), 3, 'no seam'), (('bag',), 2, '--calibration'),
+            (('c.pcd', '--pitch', '5'), 2, '5mm, or 5m if'),
+            (('c.pcd', '--widest', '0mm'), 2, 'at least 0.1 mm')):
+        assert_refused(handeye('seam', *words, cwd=tmp_path), code, sentence)
+    assert not (tmp_path / 'out').exists()
 
 
 def recorded(points, spacing):
@@ -280,13 +280,3 @@ def test_the_verb_on_a_recording(tmp_path):
     rows = np.genfromtxt(tmp_path / 'out/seam/seam.csv', delimiter=',', names=True)
     off = off_line(truth, np.column_stack([rows[axis] for axis in 'xyz']))
     assert len(rows) >= 15 and np.sqrt((off ** 2).mean()) < 1.5e-4, off
-
-
-@pytest.mark.once
-def test_the_verb_refuses_in_words(tmp_path):
-    write_cloud(tmp_path / 'c.ply', cloud_of(seams=2).points)
-    assert_refused(handeye('seam', 'c.ply', cwd=tmp_path), 3, '2 seams')
-    assert_refused(handeye('seam', 'bag', cwd=tmp_path), 2, '--calibration')
-    assert_refused(handeye('seam', 'c.ply', '--pitch', '5', cwd=tmp_path), 2, '5mm, or 5m if')
-    assert_refused(handeye('seam', 'c.ply', '--widest', '0mm', cwd=tmp_path), 2, 'at least 0.1 mm')
-    assert not (tmp_path / 'out').exists()
