@@ -13,6 +13,7 @@ name, namespace, parameter files (a dict becomes one, for all nodes) and remappi
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 import subprocess
@@ -26,64 +27,48 @@ import pytest
 import yaml
 
 EXECUTABLES = {'calibrate': '__main__', 'replay': 'replay', 'publish': 'publish', 'scan': 'scan'}
-LAUNCH = sorted((ROOT / 'launch').glob('*.launch.py'))
 
 
-class Argument(SimpleNamespace):
-
-    def __init__(self, name: str, *, default_value: Any = None, description: str) -> None:
-        super().__init__(name=name, default_value=default_value, description=description)
+def argument(name: str, *, default_value: Any = None, description: str) -> SimpleNamespace:
+    return SimpleNamespace(**locals())
 
 
-class LaunchConfiguration:
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def perform(self, context: dict[str, str]) -> str:
-        return context[self._name]
+def launched(*, package: str, executable: str, name: str, output: str = 'log', namespace: str = '',
+             arguments: Sequence[str] = (), parameters: Sequence[Any] = (),
+             remappings: Sequence[tuple[str, str]] = ()) -> SimpleNamespace:
+    return SimpleNamespace(**locals())
 
 
-class FindPackageShare:
-
-    def __init__(self, package: str) -> None:
-        assert package == 'handeye_ros'
+class LaunchConfiguration(str):
 
     def perform(self, context: dict[str, str]) -> str:
+        return context[self]
+
+
+class FindPackageShare(str):
+
+    def perform(self, context: dict[str, str]) -> str:
+        assert self == 'handeye_ros'
         return str(ROOT)
 
 
-class PathJoin:
-
-    def __init__(self, parts: list[Any]) -> None:
-        self._parts = parts
+class PathJoin(list):
 
     def perform(self, context: dict[str, str]) -> str:
-        return '/'.join(p if isinstance(p, str) else p.perform(context) for p in self._parts)
-
-
-class Node(SimpleNamespace):
-
-    def __init__(self, *, package: str, executable: str, name: str, output: str = 'log',
-                 namespace: str = '', arguments: list[str] | None = None,
-                 parameters: list[Any] | None = None,
-                 remappings: list[tuple[str, str]] | None = None) -> None:
-        super().__init__(package=package, executable=executable, name=name, output=output,
-                         namespace=namespace, arguments=arguments or [],
-                         parameters=parameters or [], remappings=remappings or [])
+        return '/'.join(p.perform(context) if hasattr(p, 'perform') else p for p in self)
 
 
 STAND_INS = {
     'launch': {'LaunchDescription': list, 'LaunchContext': dict},
-    'launch.actions': {'DeclareLaunchArgument': Argument,
+    'launch.actions': {'DeclareLaunchArgument': argument,
                        'OpaqueFunction': lambda function: function},
     'launch.substitutions': {'LaunchConfiguration': LaunchConfiguration,
                              'PathJoinSubstitution': PathJoin},
-    'launch_ros': {}, 'launch_ros.actions': {'Node': Node},
+    'launch_ros': {}, 'launch_ros.actions': {'Node': launched},
     'launch_ros.substitutions': {'FindPackageShare': FindPackageShare}}
 
 
-def described(file: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Argument], Any]:
+def described(file: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], Any]:
     """Return the arguments that a launch file declares, and its function."""
     for name, values in STAND_INS.items():
         module = ModuleType(name)
@@ -95,7 +80,7 @@ def described(file: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Argumen
     return arguments, function
 
 
-def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> list[Node]:
+def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> list[Any]:
     """Return what a launch file starts with these arguments."""
     arguments, function = described(ROOT / 'launch' / f'{launch_file}.launch.py', monkeypatch)
     values = {a.name: a.default_value for a in arguments}
@@ -105,7 +90,7 @@ def nodes(launch_file: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> li
     return function(context)
 
 
-def command(node: Node, folder: Path) -> list[str]:
+def command(node: Any, folder: Path) -> list[str]:
     """Return the command of a node of this package."""
     assert node.package == 'handeye_ros'
     words = [sys.executable, '-m', f'handeye_ros.node.{EXECUTABLES[node.executable]}',

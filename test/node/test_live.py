@@ -19,6 +19,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.node import live as lives
+from handeye_ros.node.pool import PoolEndedError
 from handeye_ros.node.state import MessageCount, samples_message, state_of, status_message, taken
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, settings, simulate
@@ -45,9 +46,14 @@ def items_of(part) -> list:
 # -- samples and answer
 
 
-def test_the_answer_is_that_of_the_recording() -> None:
-    live = fed()
+def test_the_answer_is_that_of_the_recording_and_solved_once(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    live, solved, answer = fed(), [], pipeline.answer
+    monkeypatch.setattr(pipeline, 'answer', lambda *args: solved.append(args) or answer(*args))
     text = live.compute_calibration()
+    live.update()
+    assert len(solved) == 1, 'review and advice are of the same answer'
+    monkeypatch.undo()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
     assert np.allclose(live.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-12)
     assert live.calibration.samples == offline.samples
@@ -383,6 +389,22 @@ def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
     thread.join(PATIENCE)
     assert 'cleared while the calibration was computed' in str(report[0])
     live.stop()
+
+
+def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    def ended(*_: object) -> None:
+        raise PoolEndedError
+
+    live = new()
+    monkeypatch.setattr(live.pool, 'run', ended)
+    feed(live, items_of(PARTS[0]))
+    state = state_of(live)
+    assert len(state['samples']) >= 7 and taken(state) == 0
+    assert 'ended before it had an answer' in state['samples'][0]['text']
+    monkeypatch.undo()
+    changed(live, sampling__min_points=21)
+    assert taken(state_of(live)) >= 7
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
