@@ -24,6 +24,7 @@ from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.errors import BagError, UnwritableError
+from handeye_ros.output import write_whole
 from handeye_ros.results import truth_file
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -148,7 +149,7 @@ def _contents(file: Path, written: int) -> Contents:
 
 def write_metadata(folder: Path, files: Sequence[Path]) -> None:
     """
-    Write metadata.yaml, atomically, and sync the names of files; raises OSError, BagError.
+    Write metadata.yaml, atomically, and sync the names of files; raises OSError, InputError.
 
     JSON is YAML, and is written 100 times faster.
     """
@@ -170,10 +171,8 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
         'files': [{'path': file.name, **part.span}
                   for file, part in zip(files, parts, strict=True)],
         'custom_data': None}
-    temporary = folder / f'.{METADATA}.tmp'
-    temporary.write_text(json.dumps({'rosbag2_bagfile_information': information}, indent=1),
-                         encoding='utf-8')
-    os.replace(temporary, folder / METADATA)
+    write_whole(folder / METADATA, json.dumps({'rosbag2_bagfile_information': information},
+                                              indent=1))
     sync(folder)
 
 

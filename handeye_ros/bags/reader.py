@@ -170,19 +170,14 @@ def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
                        'is a ROS 1 bag: convert it with rosbags-convert'
                        if magic == ROS1[:len(magic)] else
                        'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
-    if folder:
-        _deleted_with(storage, folder)
+    if folder:  # messages may be read again from it as long as the storage exists
+        weakref.finalize(storage, shutil.rmtree, folder, ignore_errors=True)
     return storage
 
 
 def _magic(path: Path) -> bytes:
     with path.open('rb') as stream:
         return stream.read(len(MCAP))
-
-
-def _deleted_with(storage: object, folder: str) -> None:
-    """Keep a temporary folder as long as messages may be read again from it."""
-    weakref.finalize(storage, shutil.rmtree, folder, ignore_errors=True)
 
 
 def _message(data: bytes) -> bytes:
@@ -325,15 +320,10 @@ class _Sqlite:
         """name: for the warnings."""
         self._path, self._name, self._reader = path, name, reader
         log = path.with_name(f'{path.name}-wal')
-        if log.exists() and log.stat().st_size:  # of a recorder that was killed
-            # SQLite would merge it into the file itself, but the recording must not be changed
-            folder = tempfile.mkdtemp(prefix='handeye-')
-            _deleted_with(self, folder)
-            self._path = Path(folder) / path.name
-            for file in (path, log):
-                shutil.copyfile(file, Path(folder) / file.name)
-            with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(self._path)) as database:
-                database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+        if log.exists() and log.stat().st_size:
+            reader.warnings.append(f'the recorder of {name} was killed, and {log.name} holds '
+                                   'messages that are not read: "ros2 bag info" merges them into '
+                                   'the file')
 
     def messages(self) -> Iterator[Raw]:
         """Yield the messages of the topics that the reader wants."""

@@ -48,7 +48,7 @@ from handeye_ros.errors import (
     UnusableMessageError,
     UnwritableError,
 )
-from handeye_ros.output import folder_name
+from handeye_ros.output import folder_name, replaced
 from handeye_ros.sampling.session import judged, Outcome, Session
 from handeye_ros.sampling.stops import Stop
 from mcap.reader import make_reader
@@ -212,10 +212,14 @@ class SessionFiles:
                                         'back, or call ~/clear_samples for a new session')
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
-            _write_file(file, *_messages(event, seen, outcome, joints))
+            types, messages = _messages(event, seen, outcome, joints)
+            with replaced(file) as temporary, temporary.open('wb') as stream:
+                write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
+                stream.flush()
+                os.fsync(stream.fileno())
             try:
                 write_metadata(folder, files_of(folder))
-            except OSError:
+            except (OSError, InputError):
                 with suppress(OSError):
                     file.unlink()  # the event is refused, so it must not be read back
                 raise
@@ -287,25 +291,6 @@ def _messages(event: Event, seen: Stop, outcome: Outcome | None,
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
         messages.append(Raw(topic, end, string_cdr(text)))
     return types, messages
-
-
-def _write_file(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
-    """
-    Write messages as an .mcap file, completely or not at all; types: by topic. Raises OSError.
-
-    Its name is on the disk after the folder is synced by write_metadata.
-    """
-    temporary = path.with_name(f'.{path.name}.tmp')
-    try:
-        with temporary.open('wb') as stream:  # may replace the rest of a killed process
-            write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
 
 
 def _number_of(file: Path) -> int:
