@@ -4,25 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 from handeye_ros.bags import bag
 from handeye_ros.bags.bag_write import LAYOUTS, serialised
-from handeye_ros.bags.messages import ProfileReader, rows_of, split
+from handeye_ros.bags.messages import ProfileReader, returns_of, rows_of, split
 from handeye_ros.bags.reader import CLOUD, POSE, Raw
-from handeye_ros.config import Config, ProfileConfig, SamplingConfig, with_values
+from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
-from handeye_ros.errors import BadValueError, InputError, UnusableMessageError
+from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
 from recordings import poses, rewrite
+from recordings import TYPES as STORE
 from ros_clouds import cloud, points, read
-from rosbags.typesys import get_typestore, Stores
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = STORE.types
 LAYOUT = {'x': (0, 7), 'y': (4, 7), 'z': (8, 7)}
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -32,14 +29,14 @@ X = np.linspace(-0.02, 0.02, 60)
 def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> bytes:
     """Return a message; the range tells which row it is, y is an encoder's (1 mm a row)."""
     number = np.arange(first, first + rows).repeat(len(X))
-    values = {'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}
-    made = cloud(values, LAYOUT, 12, height=rows)
+    made = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
+                 12, height=rows)
     height, width = (rows * len(X), 1) if gocator else (rows, len(X))
-    fields = [TYPES['sensor_msgs/msg/PointField'](**vars(f)) for f in made.fields]
-    time = TYPES['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
-    return bytes(STORE.serialize_cdr(TYPES[CLOUD](
-        TYPES['std_msgs/msg/Header'](time, 'laser'), height, width, fields, False, 12, 12 * width,
-        made.data, True), CLOUD))
+    fields = [STORE.types['sensor_msgs/msg/PointField'](**vars(f)) for f in made.fields]
+    time = STORE.types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
+    return bytes(STORE.serialize_cdr(STORE.types[CLOUD](
+        STORE.types['std_msgs/msg/Header'](time, 'laser'), height, width, fields, False, 12,
+        12 * width, made.data, True), CLOUD))
 
 
 def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfile]:
@@ -52,15 +49,24 @@ def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfil
 
 
 @pytest.mark.parametrize(('stamp', 'begin'), [('first', 0.0), ('middle', -4.5), ('last', -9.0)])
-def test_with_a_period_every_row_has_its_stamp(stamp: str, begin: float) -> None:
+def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: float) -> None:
     config = ProfileConfig(period=1e-3, stamp=stamp)
     found = profiles([batch(START + i * 10 * MS, 10, first=10 * i) for i in range(3)], config)
     assert [p.stamp for p in found] == [START + round((begin + i) * MS) for i in range(30)]
-    for index, profile in enumerate(found):
-        read = profile.read()
-        assert read.stamp == profile.stamp and profile.reach == (0, 0)
-        np.testing.assert_allclose(read.points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
-        np.testing.assert_allclose(read.points[:, 0], X, rtol=1e-6)
+    for index, one in enumerate(found):
+        same = STORE.deserialize_cdr(one.fetch(), CLOUD)
+        assert (same.height, same.width, len(same.data)) == (1, 60, 720)
+        again = ProfileReader(config).take(one.fetch())
+        assert (again.stamp, again.rows, one.reach) == (one.stamp, 1, (0, 0))
+        for profile in (one.read(), again.read()):
+            assert profile.stamp == one.stamp
+            np.testing.assert_allclose(profile.points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
+            np.testing.assert_allclose(profile.points[:, 0], X, rtol=1e-6)
+    for other in (batch(START, 4), batch(START, 10)[:-2], b''):  # the file has changed
+        row = split(ProfileReader(config).take(batch(START, 10), partial(bytes, other)), None,
+                    config)[-1]
+        with pytest.raises(UnusableMessageError, match='damaged message'):
+            row.read()
 
 
 def test_rows_that_part_the_line_are_points() -> None:
@@ -83,59 +89,20 @@ def test_without_a_period_it_is_known_about_when_a_row_was_taken(
     assert stamps == sorted(set(stamps))
 
 
-def robot(moves_at: float, end: float = 4.0) -> list[TimedPose]:
-    """Return poses of a robot that stands, moves at a time (s), and stands again."""
-    x = [min(max(t - moves_at, 0.0), 0.2) for t in np.arange(0, end, 0.01)]
-    return [TimedPose(START + i * 10 * MS, np.array([x, 0.0, 0.0]), np.array([0, 0, 0, 1.0]))
-            for i, x in enumerate(x)]
-
-
-def sampled(messages: Sequence[bytes], config: Config) -> list[int]:
-    """Return the stamps (ms) of the profiles that stops use."""
+@pytest.mark.parametrize(('stamp', 'used'), [
+    ('last', {1, 2, 3, 4, 6, 7}),  # that of 2.5 s began at 2 s, when the robot moved
+    ('first', {1, 2, 3, 5, 6})])  # that of 2.0 s went on to 2.5 s, the last one is not over
+def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[int]) -> None:
+    config = Config(profile=ProfileConfig(stamp=stamp), sampling=SamplingConfig(settle_time=0.0))
     session = Session(config)
-    for pose in robot(moves_at=2.0):
-        session.add_pose(pose)
-    for profile in profiles(messages, config.profile):
+    for i in range(400):  # stands, moves at 2 s, and stands again
+        x = min(max(i / 100 - 2.0, 0.0), 0.2)
+        session.add_pose(TimedPose(START + i * 10 * MS, np.array([x, 0, 0]),
+                                   np.array([0, 0, 0, 1.0])))
+    for profile in profiles([batch(START + i * 500 * MS, 4) for i in range(8)], config.profile):
         session.add_profile(profile)
-    return [round((p.stamp - START) / MS) for stop in session.rest()
-            for p in stop.load(config).profiles]
-
-
-def test_a_batch_during_which_the_robot_moved_is_not_used() -> None:
-    messages = [batch(START + i * 500 * MS, 4) for i in range(8)]
-    sampling = SamplingConfig(settle_time=0.0)
-    used = {t // 500 for t in sampled(messages, Config(
-        profile=ProfileConfig(stamp='last'), sampling=sampling))}
-    assert used == {1, 2, 3, 4, 6, 7}, 'that of 2.5 s began at 2 s, when the robot moved'
-    used = {t // 500 for t in sampled(messages, Config(
-        profile=ProfileConfig(stamp='first'), sampling=sampling))}
-    assert used == {1, 2, 3, 5, 6}, 'that of 2.0 s went on to 2.5 s, the last one is not over'
-
-
-def test_ranges_that_mean_no_return() -> None:
-    z = np.where(np.arange(60) % 3 == 0, -327.68, 200.0)
-    z[1] = 0.0
-    made = cloud({'x': X * 1e3, 'y': 0 * X, 'z': z}, LAYOUT, 12)
-    config = ProfileConfig(unit='mm', invalid=(0.0, -327.68))
-    lost = np.isnan(points(made, config)[:, 1])
-    assert lost.sum() == 21 and lost[1] and lost[::3].all()
-    flipped = replace(config, axes=('x', '-z'))
-    assert np.isnan(points(made, flipped)[:, 1]).sum() == 21
-
-
-def test_a_row_is_a_message_of_its_own() -> None:
-    config = ProfileConfig(period=1e-3)
-    for index, one in enumerate(split(ProfileReader(config).take(batch(START, 5)), None, config)):
-        same = STORE.deserialize_cdr(one.fetch(), CLOUD)
-        assert (same.height, same.width, len(same.data)) == (1, 60, 720)
-        got = ProfileReader(config).take(one.fetch())
-        assert (got.stamp, got.rows) == (one.stamp, 1)
-        np.testing.assert_allclose(got.read().points[:, 1], 0.2 + 1e-5 * index, rtol=1e-6)
-    for other in (batch(START, 4), batch(START, 5)[:-2], b''):  # the file has changed
-        lost = replace(one, fetch=partial(one.fetch.func, partial(bytes, other),
-                                          *one.fetch.args[1:]))
-        with pytest.raises(UnusableMessageError, match='damaged message'):
-            lost.read()
+    assert used == {round((p.stamp - START) / MS) // 500 for stop in session.rest()
+                    for p in stop.load(config).profiles}
 
 
 def test_a_bag_of_batches(good_bag, tmp_path) -> None:
@@ -144,21 +111,16 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
               for i, p in enumerate(poses())]
     raws += [Raw('/flange_pose', p.stamp, serialised(p, LAYOUTS['xyz'], 'm')) for p in stands]
-    types = {'/profile': CLOUD, '/flange_pose': POSE}
-    file = rewrite(good_bag, tmp_path / 'batches.mcap', raws, types)
+    file = rewrite(good_bag, tmp_path / 'batches.mcap', raws,
+                   {'/profile': CLOUD, '/flange_pose': POSE})
     config = Config(profile=ProfileConfig(period=0.01))
     recording = bag.read(file, config)
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
-    scanned = list(recording.returns())
-    assert [p.stamp for p in scanned] == [p.stamp for p in recording.profiles]
+    live = [p.stamp for message in data for p in returns_of(message, config.profile)]
+    assert [p.stamp for p in recording.returns()] == live
     with pytest.raises(InputError, match='hold several profiles, .*: set profile.period'):
         list(bag.read(file, Config()).returns())
-
-
-def test_wrong_settings_are_refused() -> None:
-    for key, value in (('profile.rows', 'columns'), ('profile.period', -1.0),
-                       ('profile.stamp', 'end'), ('profile.invalid', [1.0] * 5)):
-        with pytest.raises(BadValueError, match=key):
-            with_values(Config(), {key: value}, 'test')
+    with pytest.raises(UnusableMessageError, match='it holds 5 profiles, .*: set profile.period'):
+        list(returns_of(data[0], ProfileConfig()))

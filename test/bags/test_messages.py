@@ -1,81 +1,227 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Profiles from clouds: the layouts of real drivers and of none, any order of the points."""
+"""Serialised messages: read like other readers do, in every layout; no bytes break it."""
 from __future__ import annotations
 
+from pathlib import Path
+import re
 from types import SimpleNamespace
 
-from handeye_ros.bags.messages import DATATYPES
+from command import ROOT
+from handeye_ros import config as configs
+from handeye_ros.bags.messages import (
+    DATATYPES,
+    pose_from_cdr,
+    PROBE,
+    profile_from_cdr,
+    ProfileReader,
+    rows_of,
+    transforms_from_cdr,
+)
 from handeye_ros.config import ProfileConfig
+from handeye_ros.data import EdgePoint
 from handeye_ros.errors import UnusableMessageError
-from hypothesis import given
+from handeye_ros.profiles.faces import face_features
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from ros_clouds import cloud, expected, field, header, points, profile
+from recordings import TYPES as STORE
+from ros_clouds import cloud, expected, field, header, points, profile, read
 
+CLOUD, POSE = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
+TF = 'tf2_msgs/msg/TFMessage'
+STAMP = 3_000_000_005
+METRES = ProfileConfig()
+F32, U8, U16, U32 = 7, 2, 4, 6
+XZ, XYZ = {'x': (0, F32), 'z': (8, F32)}, {'x': (0, F32), 'y': (4, F32), 'z': (8, F32)}
 X = np.array([-0.02, -0.01, 0.0, 0.01, 0.02, 0.03])
 Z = np.array([0.171, 0.172, np.nan, 0.174, np.inf, -np.inf])
-XZ = {'x': (0, 7), 'z': (8, 7)}
+
+
+# -- serialised
+
+
+def new(kind: str, *values: object) -> object:
+    return STORE.types[kind if '/' in kind else f'geometry_msgs/msg/{kind}'](*values)
+
+
+def serialised(msg: object, kind: str = CLOUD, little_endian: bool = True) -> bytes:
+    return bytes(STORE.serialize_cdr(msg, kind, little_endian=little_endian))
+
+
+def head(stamp: int = STAMP, frame_id: str = 'laser') -> object:
+    time = new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    return new('std_msgs/msg/Header', time, frame_id)
+
+
+def message(z: object = 0.17, stamp: int = STAMP, frame_id: str = 'laser', width: int = 50,
+            names: tuple[str, ...] = ('x', 'a long name', 'z')) -> object:
+    x = np.linspace(-0.02, 0.02, width)
+    columns = {'x': x, 'a long name': 0 * x, 'z': z + 0 * x}
+    made = cloud(columns, {'x': (0, F32), 'a long name': (4, U8), 'z': (8, F32)}, 12)
+    fields = [new('sensor_msgs/msg/PointField', *vars(f).values()) for f in made.fields
+              if f.name in names]
+    return new(CLOUD, head(stamp, frame_id), 1, width, fields, False, 12, 12 * width, made.data,
+               True)
+
+
+QUATERNION = (0.0, 0.6, 0.0, -0.8)
+
+
+def pose(position: object = (1.0, -2.0, 3.0), quaternion: object = QUATERNION,
+         frame_id: str = 'base') -> object:
+    return new(POSE, head(frame_id=frame_id), new(
+        'Pose', new('Point', *position), new('Quaternion', *quaternion)))
+
+
+def transform(child: str, quaternion: object = QUATERNION) -> object:
+    return new('TransformStamped', head(frame_id='/base'), child, new(
+        'Transform', new('Vector3', 1.0, -2.0, 3.0), new('Quaternion', *quaternion)))
+
+
+@pytest.mark.parametrize('little_endian', [True, False])
+@pytest.mark.parametrize('frame_id', ['', 'a', 'ab', 'abc', '/abcd', 'frame/é'])
+def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
+    got = profile_from_cdr(serialised(message(frame_id=frame_id), CLOUD, little_endian), METRES)
+    assert (got.stamp, got.frame_id) == (STAMP, frame_id.lstrip('/'))
+    np.testing.assert_allclose(got.points, expected(np.linspace(-0.02, 0.02, 50), np.full(
+        50, 0.17)), rtol=1e-6)
+    posed = pose_from_cdr(serialised(pose(frame_id=frame_id), POSE, little_endian))
+    both = new(TF, [transform(frame_id), transform('other')])
+    found = transforms_from_cdr(serialised(both, TF, little_endian))
+    assert [child for child, _ in found] == [frame_id.lstrip('/'), 'other']
+    for one in (posed, *(placed for _, placed in found)):
+        assert one.stamp == STAMP
+        np.testing.assert_array_equal(one.translation, [1.0, -2.0, 3.0])
+        np.testing.assert_allclose(one.quaternion, [0.0, -0.6, 0.0, 0.8], rtol=1e-15)
+    assert posed.parent_frame == frame_id.lstrip('/') and found[0][1].parent_frame == 'base'
+
+
+@pytest.mark.parametrize(('position', 'quaternion', 'reason'), [
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5, 1.0), 'quaternion of length 1.118, expected 1'),
+    ((0.0, 0.0, 0.0), (0.0, 0.0, np.nan, 1.0), 'not finite'),
+    ((0.0, 3e12, 0.0), (0.0, 0.0, 0.0, 1.0), 'the position reaches 3e.12 m')])
+def test_malformed_poses(position: object, quaternion: object, reason: str) -> None:
+    with pytest.raises(UnusableMessageError, match=reason):
+        pose_from_cdr(serialised(pose(position, quaternion), POSE))
+
+
+def test_an_invalid_transform_does_not_affect_the_others() -> None:
+    bad = transform('camera', (0.0, 0.0, 0.0, 0.0))
+    found = transforms_from_cdr(serialised(new(TF, [bad, transform('flange')]), TF))
+    assert [child for child, _ in found] == ['flange']
+    with pytest.raises(UnusableMessageError, match='TransformStamped .* quaternion of length 0'):
+        transforms_from_cdr(serialised(new(TF, [bad]), TF))
+
+
+@given(st.lists(st.floats(), min_size=7, max_size=7))
+def test_any_pose_is_unit_or_refused(values: list[float]) -> None:
+    try:
+        got = pose_from_cdr(serialised(pose(values[:3], values[3:]), POSE))
+    except UnusableMessageError:
+        return
+    assert np.isfinite(got.translation).all()
+    assert np.linalg.norm(got.quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert got.quaternion[3] >= 0
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=300), st.integers(0, 300), st.booleans())
+def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool) -> None:
+    reader, goods = ProfileReader(METRES), [
+        serialised(message()), serialised(pose(), POSE), serialised(new(TF, [transform('a')]), TF)]
+    if known:
+        reader.take(goods[0])
+    for good, take in zip(goods, (lambda d: reader.take(d).read(), pose_from_cdr,
+                                  transforms_from_cdr), strict=True):
+        for data in (good[:keep] + junk + good[keep + len(junk):], good[:keep]):
+            try:
+                take(data)
+            except UnusableMessageError as error:
+                assert 'message not used: ' in str(error)
+
+
+def test_drivers_whose_clouds_change_their_size_and_layout() -> None:
+    reader = ProfileReader(METRES)
+    for i in range(20):
+        names = ('x', 'z') if i % 3 else ('x', 'a long name', 'z')
+        made = message(stamp=10**18 + i, width=50 - i % 2 * i, names=names)
+        assert len(reader.take(serialised(made)).read().points) == made.width
+    made.point_step = 11
+    with pytest.raises(UnusableMessageError, match='1 x .* points of 11 bytes, .* do not fit'):
+        reader.take(serialised(made)).read()
+
+
+def test_the_points_of_most_profiles_are_not_looked_at() -> None:
+    reader, step = ProfileReader(METRES), PROBE // 100
+    for i in range(5):  # profiles without returns tell nothing of the unit
+        reader.take(serialised(message(np.nan, stamp=10**18 - 5 + i)))
+    refused = []
+    for i in range(700):
+        wrong = i % 7 == 3 or 300 <= i < 500
+        try:
+            reader.take(serialised(message(170.0 if wrong else 0.17, stamp=10**18 + i * step)))
+        except UnusableMessageError as error:
+            assert 'set profile.unit to mm' in str(error)
+            refused.append(i)
+    assert refused == [*range(300, 501)], 'once in PROBE, and all after a wrong one'
+
+
+# -- clouds
 
 
 @pytest.mark.filterwarnings('error')
-def test_signalling_nan_is_no_return():
-    msg = cloud({'x': X, 'z': X}, XZ, 12)
-    msg.data.view('<u4')[2::3] = 0x7f800001
-    assert np.isnan(points(msg)).all()
+def test_signalling_nan_is_no_return() -> None:
+    made = cloud({'x': X, 'z': X}, XZ, 12)
+    made.data.view('<u4')[2::3] = 0x7f800001
+    assert np.isnan(points(made)).all()
 
 
 @pytest.mark.parametrize('height', [1, 2])
-def test_a_row_step_that_was_left_unset(height):
-    msg = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
-    msg.row_step = 0
-    np.testing.assert_allclose(points(msg), expected(X, Z), rtol=1e-6)
+def test_a_row_step_that_was_left_unset(height: int) -> None:
+    made = cloud({'x': X, 'z': Z}, XZ, 12, height=height)
+    made.row_step = 0
+    np.testing.assert_allclose(points(made), expected(X, Z), rtol=1e-6)
 
 
 @pytest.mark.parametrize(('changes', 'reason'), [
     *((change, 'points of .* bytes, in rows of .* do not fit into') for change in (
-        {'data': np.zeros(71, np.uint8)}, {'width': 2**31},
+        {'data': np.zeros(71, np.uint8)}, {'width': 2**31}, {'point_step': 0},
         {'height': 2**32 - 1, 'row_step': 2**32 - 1},
         {'width': 2**32 - 1, 'height': 2**32 - 1, 'row_step': 2**32 - 1},
-        {'height': 2, 'width': 3, 'row_step': 35}, {'point_step': 0},
-        {'point_step': 11, 'width': 2}, {'fields': [field('x', 2**32 - 1), field('z', 8)]})),
+        {'height': 2, 'width': 3, 'row_step': 35}, {'point_step': 11, 'width': 2},
+        {'fields': [field('x', 2**32 - 1), field('z', 8)]})),
     ({'fields': []}, r'no fields are named "x" \(fields: none\)'),
     ({'fields': [field('x', 0, 9), field('z', 8)]}, 'has datatype 9 and 1 values'),
-    ({'fields': [field('x', 0, 0), field('z', 8)]}, 'has datatype 0 and 1 values'),
     ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'datatype 7 and 3 values for each point'),
-    ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"'),
-])
-def test_malformed_clouds(changes, reason):
-    msg = cloud({'x': X, 'z': Z}, XZ, 12)
-    vars(msg).update(changes)
+    ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"')])
+def test_malformed_clouds(changes: dict[str, object], reason: str) -> None:
+    made = cloud({'x': X, 'z': Z}, XZ, 12)
+    vars(made).update(changes)
     with pytest.raises(UnusableMessageError, match=reason):
-        points(msg)
+        points(made)
 
 
 @pytest.mark.parametrize(('factor', 'unit', 'words'), [
     (1e3, 'm', 'reach 172 m: set profile.unit to mm'),
     (1e6, 'mm', '172 m, but profile.unit is m or mm'),
     (1.0, 'mm', 'larger than 0.172 mm: set profile.unit to m')])
-def test_a_wrong_unit_is_named(factor, unit, words):
-    msg = cloud({'x': X * factor, 'z': np.full(6, 0.172 * factor)}, XZ, 12)
+def test_a_wrong_unit_is_named(factor: float, unit: str, words: str) -> None:
+    made = cloud({'x': X * factor, 'z': np.full(6, 0.172 * factor)}, XZ, 12)
     with pytest.raises(UnusableMessageError, match=words):
-        points(msg, ProfileConfig(unit=unit))
+        points(made, ProfileConfig(unit=unit))
 
 
 layouts = st.fixed_dictionaries({
     'datatypes': st.lists(st.sampled_from(sorted(DATATYPES)), min_size=3, max_size=3),
     'order': st.permutations(['x', 'z', 'intensity']),
     'gaps': st.lists(st.integers(0, 9), min_size=4, max_size=4),
-    'height': st.integers(1, 4),
-    'width': st.integers(1, 20),
-    'row_padding': st.integers(0, 30),
-    'bigendian': st.booleans(),
-    'seed': st.integers(0, 2**31),
-})
+    'height': st.integers(1, 4), 'width': st.integers(1, 20), 'row_padding': st.integers(0, 30),
+    'bigendian': st.booleans(), 'seed': st.integers(0, 2**31)})
 
 
-def values_of(datatype, n, rng):
+def values_of(datatype: int, n: int, rng: np.random.Generator) -> np.ndarray:
     """Return n values that the datatype can hold, within the reach of a profiler in mm."""
     kind = np.dtype(DATATYPES[datatype])
     if kind.kind == 'f':
@@ -87,7 +233,7 @@ def values_of(datatype, n, rng):
 
 
 @given(layouts, st.sampled_from([('x', 'z'), ('-x', 'z'), ('z', '-x'), ('-z', '-x')]))
-def test_any_layout_round_trips(what, axes):
+def test_any_layout_round_trips(what: dict, axes: tuple[str, str]) -> None:
     rng = np.random.default_rng(what['seed'])
     n, position, layout, columns = what['height'] * what['width'], 0, {}, {}
     for name, datatype, gap in zip(what['order'], what['datatypes'], what['gaps'], strict=False):
@@ -98,10 +244,10 @@ def test_any_layout_round_trips(what, axes):
         columns[name][0] = 100
     columns[axes[0][-1]].sort()  # other orders, and the origin itself, are other tests'
     columns[axes[1][-1]][columns[axes[1][-1]] == 0] = 1
-    msg = cloud(columns, layout, position + what['gaps'][3], height=what['height'],
-                row_padding=what['row_padding'], bigendian=what['bigendian'])
+    made = cloud(columns, layout, position + what['gaps'][3], height=what['height'],
+                 row_padding=what['row_padding'], bigendian=what['bigendian'])
     signed = [columns[a[-1]].astype(float) * (-1 if a[0] == '-' else 1) for a in axes]
-    got = points(msg, ProfileConfig(unit='mm', axes=axes))
+    got = points(made, ProfileConfig(unit='mm', axes=axes))
     np.testing.assert_allclose(got, expected(*signed) * 1e-3, rtol=1e-12)
 
 
@@ -113,13 +259,12 @@ garbage_fields = st.builds(field, st.sampled_from(['x', 'y', 'z', '', 'X']), siz
 @given(fields=st.lists(garbage_fields, max_size=4), height=sizes, width=sizes, point_step=sizes,
        row_step=sizes, data=st.binary(max_size=300), bigendian=st.booleans(),
        unit=st.sampled_from(['m', 'mm']))
-def test_garbage_raises_message_error_and_nothing_else(fields, height, width, point_step,
-                                                       row_step, data, bigendian, unit):
-    msg = SimpleNamespace(header=header(), fields=fields, height=height, width=width,
-                          point_step=point_step, row_step=row_step, data=data,
-                          is_bigendian=bigendian, is_dense=False)
+def test_garbage_raises_message_error_and_nothing_else(unit: str, bigendian: bool, height: int,
+                                                       width: int, **content: object) -> None:
+    made = SimpleNamespace(header=header(), height=height, width=width, is_bigendian=bigendian,
+                           is_dense=False, **content)
     try:
-        got = points(msg, ProfileConfig(unit=unit))
+        got = points(made, ProfileConfig(unit=unit))
     except UnusableMessageError as error:
         assert str(error).startswith('PointCloud2 message not used: ')
     else:
@@ -127,52 +272,43 @@ def test_garbage_raises_message_error_and_nothing_else(fields, height, width, po
         assert (np.isfinite(got).all(axis=1) | np.isnan(got).all(axis=1)).all()
 
 
+# -- order, axes, lost points
+
 LINE = np.linspace(-0.03, 0.03, 200)
 EDGE = np.where(LINE < 0.004, 0.17 + 0.1 * LINE, 0.19)
 NOISY = EDGE + 5e-5 * np.sin(9.7 * np.arange(200))
 LOST = np.where((LINE > 0.004) & (LINE < 0.012), np.nan, EDGE)
-ORDERS = {
-    'backwards': np.arange(200)[::-1],
-    'shuffled': np.random.default_rng(1).permutation(200),
-    'a ring that starts in the middle': np.roll(np.arange(200), 77),
-    'even columns, then odd ones': np.r_[0:200:2, 1:200:2],
-    'blocks': np.arange(200).reshape(4, 50)[::-1].ravel(),
-}
+SHUFFLED = np.random.default_rng(1).permutation(200)
 
 
-def layered(x, z, y=None, **options):
-    layout = {'x': (0, 7), 'y': (4, 7), 'z': (8, 7)}
-    return cloud({'x': x, 'y': 0 * x if y is None else y, 'z': z}, layout, 12, **options)
+def layered(x: np.ndarray, z: np.ndarray, y: np.ndarray | None = None, **options: int) -> object:
+    return cloud({'x': x, 'y': 0 * x if y is None else y, 'z': z}, XYZ, 12, **options)
 
 
-@pytest.mark.parametrize('order', ORDERS)
-@pytest.mark.parametrize('z', [EDGE, LOST], ids=['all returns', 'some lost'])
-def test_points_come_in_any_order(order, z):
-    got = points(layered(LINE[ORDERS[order]], z[ORDERS[order]]))
-    want = expected(LINE, z)
-    np.testing.assert_allclose(got[::-1] if order == 'backwards' else got, want, rtol=1e-6)
+@pytest.mark.parametrize('order', [
+    np.arange(200)[::-1], SHUFFLED, np.roll(np.arange(200), 77), np.r_[0:200:2, 1:200:2],
+    np.arange(200).reshape(4, 50)[::-1].ravel()])
+@pytest.mark.parametrize('z', [EDGE, LOST])
+def test_points_come_in_any_order(order: np.ndarray, z: np.ndarray) -> None:
+    got, want = points(layered(LINE[order], z[order])), expected(LINE, z)
+    np.testing.assert_allclose(got[::-1] if order[0] == 199 and order[1] == 198 else got, want,
+                               rtol=1e-6)
 
 
-def test_lost_points_without_a_place_leave_the_others_in_order():
-    order = ORDERS['shuffled']
-    lost = np.isnan(LOST[order])
-    got = points(layered(np.where(lost, np.nan, LINE[order]), LOST[order]))
+def test_what_stays_as_the_sensor_has_it() -> None:
+    lost = np.isnan(LOST[SHUFFLED])
+    got = points(layered(np.where(lost, np.nan, LINE[SHUFFLED]), LOST[SHUFFLED]))
     np.testing.assert_allclose(got, expected(LINE, LOST)[~np.isnan(LOST)], rtol=1e-6)
-
-
-def test_columns_that_run_back_behind_a_step_stay_as_the_sensor_has_them():
     x = LINE.copy()
     x[110:] -= 0.004  # rays that fan out hit what is behind the step further inside
     np.testing.assert_allclose(points(layered(x, EDGE)), expected(x, EDGE), rtol=1e-6)
 
 
-@pytest.mark.parametrize('height', [2, 5])
-def test_several_profiles_in_one_organised_cloud_are_one(height):
-    rng = np.random.default_rng(3)
-    z = EDGE + rng.normal(0, 3e-5, (height, 200))
+def test_several_profiles_in_one_organised_cloud_are_one() -> None:
+    z = EDGE + np.random.default_rng(3).normal(0, 3e-5, (5, 200))
     z[:, 20:30] = np.nan
     z[0, 40] = np.nan
-    got = points(layered(np.tile(LINE, height), z.ravel(), height=height))
+    got = points(layered(np.tile(LINE, 5), z.ravel(), height=5))
     want = np.nanmean(z[:, [*range(20), *range(30, 200)]], axis=0)
     np.testing.assert_allclose(got[~np.isnan(got[:, 1]), 1], want, rtol=1e-6)
     assert len(got) == 200 and np.isnan(got[20:30]).all()
@@ -183,15 +319,14 @@ def test_several_profiles_in_one_organised_cloud_are_one(height):
     ((0 * LINE, LINE, EDGE), ('x', 'z'), r'their y spans 60.0 mm, their x nothing: .*\[y, z]'),
     ((LINE, EDGE, 0 * LINE), ('x', 'z'), r'their y spans 23.0 mm, their z nothing: .*\[x, y]'),
     ((LINE, 0.5 * LINE, EDGE), ('x', 'z'), 'spans 30.0 mm; a line profiler measures in one'),
-    ((LINE, 0 * LINE, EDGE), ('-y', 'z'), r'their x spans 60.0 mm, their y nothing: .*\[x, z]'),
-])
-def test_wrong_axes_are_named(columns, axes, advice):
+    ((LINE, 0 * LINE, EDGE), ('-y', 'z'), r'their x spans 60.0 mm, their y nothing: .*\[x, z]')])
+def test_wrong_axes_are_named(columns: tuple, axes: tuple[str, str], advice: str) -> None:
     x, y, z = columns
     with pytest.raises(UnusableMessageError, match=advice):
         points(layered(x + 0, z + 1e-12, y), ProfileConfig(axes=axes))
 
 
-def test_what_lost_points_hold_does_not_matter():
+def test_what_lost_points_hold_does_not_matter() -> None:
     lost = np.isnan(LOST)
     empty = SimpleNamespace(header=header(), height=1, width=0, fields=[], is_bigendian=False,
                             point_step=0, row_step=0, data=b'', is_dense=True)
@@ -201,7 +336,55 @@ def test_what_lost_points_hold_does_not_matter():
         got = profile(layered(x, z, y))
         np.testing.assert_allclose(got.points, expected(LINE, LOST), rtol=1e-6)
         assert got.beside == pytest.approx(y[0])
-    surface = layered(np.tile(LINE, 10), np.tile(EDGE, 10), np.repeat(np.arange(10), 200) * 1e-3,
-                      height=10)
-    with pytest.raises(UnusableMessageError, match='spans 9.0 mm; a line profiler measures'):
-        points(surface)
+    millimetres = np.where(np.arange(200) % 3 == 0, -327.68, 200.0)
+    millimetres[1] = 0.0
+    config = ProfileConfig(unit='mm', invalid=(0.0, -327.68), axes=('x', '-z'))
+    marked = np.isnan(points(layered(LINE * 1e3, millimetres), config)[:, 1])
+    assert marked.sum() == 68 and marked[1] and marked[::3].all()
+
+
+# -- drivers: each read with the settings that docs/sensors.md gives for it
+
+PAGE = (ROOT / 'docs' / 'sensors.md').read_text(encoding='utf-8')
+WIDE = np.linspace(-0.02, 0.02, 640)
+FLAT = 0 * WIDE
+DEPTH = 0.2 + np.where(WIDE > 0.004, 0.1 * WIDE, 0.03)  # m; left of the edge 30 mm deeper
+HEIGHT = 0.2 - DEPTH
+
+
+def marked(values: np.ndarray, mark: float) -> np.ndarray:
+    return np.where(np.arange(640) // 20 == 5, mark, values)
+
+
+# name of the section -> columns, layout and point_step of its driver's messages
+MESSAGES: dict[str, tuple[dict[str, np.ndarray], dict[str, tuple[int, int]], int]] = {
+    'scancontrol': ({'x': WIDE, 'y': FLAT, 'z': marked(DEPTH, np.inf), 'intensity': FLAT + 1},
+                    {**XYZ, 'intensity': (16, F32)}, 32),
+    'scancontrol_lls': (
+        {'x': WIDE, 'y': FLAT, 'z': DEPTH, 'm0': FLAT, 'm1': FLAT, 'width': FLAT,
+         'intensity': FLAT, 'threshold': FLAT},
+        {**XYZ, 'm0': (12, U32), 'm1': (16, U32), 'width': (20, U16), 'intensity': (22, U16),
+         'threshold': (24, U16)}, 26),
+    'keyence': ({'x': WIDE, 'y': FLAT, 'z': marked(HEIGHT, np.inf)}, XYZ, 16),
+    'Gocator': ({'x': WIDE * 1e3, 'y': FLAT, 'z': marked(HEIGHT, np.nan) * 1e3}, XYZ, 12),
+    'wenglor wecat3d': ({'x': WIDE, 'y': FLAT + 0.37, 'z': DEPTH}, XYZ, 16),
+    'Mech-Mind': ({'x': WIDE, 'y': FLAT, 'z': marked(HEIGHT, np.nan), 'intensity': FLAT + 9},
+                  {**XYZ, 'intensity': (12, U8)}, 16)}
+
+
+@pytest.mark.parametrize('name', MESSAGES)
+def test_the_edge_is_found_in_the_messages_of_a_driver(name: str, tmp_path: Path) -> None:
+    section = PAGE.split(f'\n## {name}\n')[1].split('\n## ')[0]
+    (tmp_path / 'sensor.yaml').write_text(
+        re.findall(r'^```yaml\n(.*?)^```', section, flags=re.MULTILINE | re.DOTALL)[0])
+    config = configs.load(tmp_path / 'sensor.yaml')
+    columns, layout, step = MESSAGES[name]
+    size = 1e-5 * (1e3 if config.profile.unit == 'mm' else 1.0)
+    noise = size * np.random.default_rng(1).normal(size=640)
+    noisy = {**columns, 'z': columns['z'] + noise}
+    features = face_features(points(cloud(noisy, layout, step), config.profile), config)
+    edges = [f.point[0] for f in features if isinstance(f, EdgePoint)]
+    assert min(abs(x - 0.004) for x in edges) < 2e-4
+    if name == 'Mech-Mind':  # which sends batches, stamped when they are complete
+        batch = cloud({key: np.tile(v, 5) for key, v in columns.items()}, layout, step, height=5)
+        assert (rows_of(read(batch), config.profile), config.profile.stamp) == (5, 'last')

@@ -11,98 +11,82 @@ import numpy as np
 import pytest
 
 RNG = np.random.default_rng(7)
+T_1, T_2, T_3 = (se3.transform(se3.exp_rotation(RNG.normal(size=3)), RNG.normal(size=3))
+                 for _ in range(3))
 
 
-def random_transform():
-    return se3.transform(se3.exp_rotation(RNG.normal(size=3)), RNG.normal(size=3))
+def shifted(*xyz):
+    return se3.transform(np.eye(3), np.array(xyz))
 
 
-def message(parent, child, T, stamp=0):
-    """Return a transform as it comes out of a message."""
-    return child, TimedPose(stamp, T[:3, 3], se3.quaternion(T), parent)
+def added(tracker, *links, stamp=0, static=False):
+    """Return the poses after a message of links (parent, child, T), as stamps and matrices."""
+    return [(pose.stamp, se3.from_quaternion(pose.translation, pose.quaternion))
+            for pose in tracker.add([
+                (child, TimedPose(stamp, T[:3, 3], se3.quaternion(T), parent))
+                for parent, child, T in links], static)]
 
 
-def matrix(pose):
-    return se3.from_quaternion(pose.translation, pose.quaternion)
-
-
-def test_chain_of_joints_and_a_static_tool_flange():
+def test_a_chain_of_joints_a_static_tool_and_a_base_below_a_common_frame():
+    tracker = FlangeTracker('/base', 'flange')
+    assert added(tracker, ('b', 'flange', T_3), static=True) == []
+    (stamp, T), = added(tracker, ('a', 'b', T_2), ('base', 'a', T_1), stamp=9)
+    assert stamp == 9
+    np.testing.assert_allclose(T, T_1 @ T_2 @ T_3, atol=1e-12)
     tracker = FlangeTracker('base', 'flange')
-    T_base_a, T_a_b, T_b_flange = (random_transform() for _ in range(3))
-    assert tracker.add([message('b', 'flange', T_b_flange)], static=True) == []
-    (pose,) = tracker.add([message('a', 'b', T_a_b, 9), message('base', 'a', T_base_a, 9)],
-                          static=False)
-    assert pose.stamp == 9
-    np.testing.assert_allclose(matrix(pose), T_base_a @ T_a_b @ T_b_flange, atol=1e-12)
-
-
-def test_base_below_a_common_frame():
-    tracker = FlangeTracker('base', 'flange')
-    T_world_base, T_world_flange = random_transform(), random_transform()
-    tracker.add([message('world', 'base', T_world_base)], static=True)
-    (pose,) = tracker.add([message('world', 'flange', T_world_flange, 1)], static=False)
-    np.testing.assert_allclose(matrix(pose), se3.inverse(T_world_base) @ T_world_flange,
-                               atol=1e-12)
+    added(tracker, ('world', 'base', T_1), static=True)
+    (_, T), = added(tracker, ('world', 'flange', T_2), stamp=1)
+    np.testing.assert_allclose(T, se3.inverse(T_1) @ T_2, atol=1e-12)
 
 
 def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
-    tracker = FlangeTracker('base', 'flange')
-    rail = [se3.transform(np.eye(3), np.array([x, 0.0, 0.0])) for x in (1.0, 2.0)]
-    arm = se3.transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
-    assert tracker.add([message('base', 'carriage', rail[0], 100)], static=False) == []
-    assert tracker.add([message('carriage', 'flange', arm, 50)], static=False) == []
-    assert tracker.add([message('carriage', 'flange', arm, 125)], static=False) == []
-    (pose,) = tracker.add([message('base', 'carriage', rail[1], 200)], static=False)
-    assert pose.stamp == 125
-    np.testing.assert_allclose(pose.translation, [1.25, 0.0, 1.0], atol=1e-12)
+    tracker, arm = FlangeTracker('base', 'flange'), shifted(0.0, 0.0, 1.0)
+    assert added(tracker, ('base', 'carriage', shifted(1.0, 0.0, 0.0)), stamp=100) == []
+    assert added(tracker, ('carriage', 'flange', arm), stamp=50) == []
+    assert added(tracker, ('carriage', 'flange', arm), stamp=125) == []
+    (stamp, T), = added(tracker, ('base', 'carriage', shifted(2.0, 0.0, 0.0)), stamp=200)
+    assert stamp == 125
+    np.testing.assert_allclose(T[:3, 3], [1.25, 0.0, 1.0], atol=1e-12)
 
 
-def test_a_clock_that_is_set_back_goes_on():
-    tracker, T = FlangeTracker('base', 'flange'), random_transform()
+def test_clocks_that_are_set_back_wild_stamps_and_times_that_start_again():
     second, start = 10**9, 10**18
     stamps = [*range(start, start + second, second // 50),
               *range(start - 60 * second, start - 58 * second, second // 50)]
-    found = [pose.stamp for stamp in stamps
-             for pose in tracker.add([message('base', 'flange', T, stamp)], static=False)]
+    tracker = FlangeTracker('base', 'flange')
+    found = [s for stamp in stamps for s, _ in added(tracker, ('base', 'flange', T_1),
+                                                     stamp=stamp)]
     late = [stamp for stamp in found if stamp < start]
     assert found[0] == start and late[-1] == stamps[-1]
     assert 60 < len(late) < 80, 'half a second is lost'
-
-
-def test_a_wild_stamp_makes_no_other_late():
-    tracker, T = FlangeTracker('/base', 'flange'), random_transform()
-    stamps = [p.stamp for s in (3, 4, 4, 10**18, 6, 1, 7)
-              for p in tracker.add([message('base', 'flange', T, s)], static=False)]
-    assert stamps == [3, 4, 6, 7]
-
-
-def test_times_may_start_again_and_static_links_stay():
-    tracker, T = FlangeTracker('base', 'flange'), random_transform()
-    tracker.add([message('link_6', 'flange', T)], static=True)
+    tracker = FlangeTracker('base', 'flange')
+    assert [s for stamp in (3, 4, 4, 10**18, 6, 1, 7)
+            for s, _ in added(tracker, ('base', 'flange', T_1), stamp=stamp)] == [3, 4, 6, 7]
+    tracker = FlangeTracker('base', 'flange')
+    added(tracker, ('link_6', 'flange', T_1), static=True)
     for _ in range(2):
-        (pose,) = tracker.add([message('base', 'link_6', np.eye(4), 5)], static=False)
-        np.testing.assert_allclose(matrix(pose), T, atol=1e-12)
+        (_, T), = added(tracker, ('base', 'link_6', np.eye(4)), stamp=5)
+        np.testing.assert_allclose(T, T_1, atol=1e-12)
         tracker.restart()
 
 
 def test_missing_says_what_was_received():
     tracker = FlangeTracker('base', 'flange')
     assert tracker.missing().endswith('frames received: none')
-    tracker.add([message('base_link', 'tool0', random_transform(), 1)], static=False)
+    added(tracker, ('base_link', 'tool0', T_1), stamp=1)
     assert 'from "base" to "flange"; frames received: base_link, tool0' in tracker.missing()
-    tracker.add([message('base', 'flange', random_transform())], static=True)
+    added(tracker, ('base', 'flange', T_1), static=True)
     assert tracker.missing() == 'all transforms between "base" and "flange" are static'
-    tracker.add([message('base', 'flange', random_transform(), 1)], static=False)
+    added(tracker, ('base', 'flange', T_1), stamp=1)
     assert tracker.missing() == ''
-    loop = [message('a', 'flange', np.eye(4), 1), message('flange', 'a', np.eye(4), 1)]
-    assert FlangeTracker('base', 'flange').add(loop, static=False) == []
+    loop = [('a', 'flange', np.eye(4)), ('flange', 'a', np.eye(4))]
+    assert added(FlangeTracker('base', 'flange'), *loop, stamp=1) == []
 
 
 def test_frames_without_end_are_refused_and_those_known_go_on():
     tracker = FlangeTracker('base', 'flange')
-    tracker.add([message('base', 'flange', np.eye(4), 1)], static=False)
-    for number in range(MOST_FRAMES - 1):
-        tracker.add([message('base', f'f{number}', np.eye(4), 1)], static=False)
+    added(tracker, ('base', 'flange', T_1), stamp=1)
+    added(tracker, *(('base', f'f{number}', T_1) for number in range(MOST_FRAMES - 1)), stamp=1)
     with pytest.raises(UnusableMessageError, match='one more than the 1000 that are followed'):
-        tracker.add([message('base', 'more', np.eye(4), 1)], static=False)
-    assert len(tracker.add([message('base', 'flange', np.eye(4), 2)], static=False)) == 1
+        added(tracker, ('base', 'more', T_1), stamp=1)
+    assert len(added(tracker, ('base', 'flange', T_1), stamp=2)) == 1
