@@ -27,7 +27,6 @@ INWARDS = 0.3  # cosine between one sheet's normal and the direction into the ot
 NEXT_NEAREST = 1.15  # largest ratio of a partner's distance to that of the nearest partner
 LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
 SHORTEST = 0.01  # m: smallest length of a seam
-MINOR = 0.15  # of the longest seam's length: shorter ones are no seams
 HIGHEST_LAP = 8e-3  # m: a higher step is no lap
 NARROWEST = 4.0  # spacings: smallest gap
 TOUCHING = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
@@ -65,13 +64,10 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
     of_kind: dict[str, list[Pairs]] = {kind: [] for kind in (*KINDS, 'none')}
     sides = np.sort(rims.label[pairs], axis=1)
     for sheets in np.unique(sides, axis=0):
-        for _, part in _connected(rims, pairs[(sides == sheets).all(axis=1)], spacing):
+        for part in _connected(rims, pairs[(sides == sheets).all(axis=1)], spacing):
             of_kind[_kind(rims, part, points, spacing, up)].append(part)
-    lines = {kind: _connected(rims, np.concatenate([pairs[:0], *of_kind[kind]]), spacing)
+    seams = {kind: _connected(rims, np.concatenate([pairs[:0], *of_kind[kind]]), spacing)
              for kind in KINDS}
-    longest = max((length for parts in lines.values() for length, _ in parts), default=0.0)
-    seams = {kind: [part for length, part in parts if length >= MINOR * longest]
-             for kind, parts in lines.items()}
     kind = next((kind for kind in KINDS if seams[kind]), '')
     if not kind:
         raise DataError(
@@ -126,8 +122,8 @@ def _facing(rims: Rims, widest: float, spacing: float) -> Pairs:
     return np.stack([i[chosen], j[chosen]], axis=1)
 
 
-def _connected(rims: Rims, pairs: Pairs, spacing: float) -> list[tuple[float, Pairs]]:
-    """Return length and pairs, in order, of each connected line of sufficient length."""
+def _connected(rims: Rims, pairs: Pairs, spacing: float) -> list[Pairs]:
+    """Return the pairs, in order, of each connected line of sufficient length."""
     if not len(pairs):
         return []
     middle = rims.points[pairs].mean(axis=1)
@@ -143,7 +139,7 @@ def _connected(rims: Rims, pairs: Pairs, spacing: float) -> list[tuple[float, Pa
         end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
         along = dijkstra(inner, directed=False, indices=end)
         if along.max() >= SHORTEST:
-            found.append((float(along.max()), pairs[rows[np.argsort(along)]]))
+            found.append(pairs[rows[np.argsort(along)]])
     return found
 
 
@@ -156,7 +152,7 @@ def _kind(rims: Rims, pairs: Pairs, points: Array, spacing: float, up: Array) ->
         height = _height(rims, pairs)
         distance = np.linalg.norm(rims.points[j] - rims.points[i], axis=1)
         lateral = np.sqrt(max(float(np.median(distance)) ** 2 - height ** 2, 0.0))
-        if height > max(lateral - 2 * spacing, 0.5 * lateral):
+        if height > 0.5 * lateral:
             return 'lap' if height <= HIGHEST_LAP else 'step'
         is_gap = lateral > NARROWEST * spacing and not _covered(rims, pairs, points, spacing)
         return 'butt' if is_gap else 'none'

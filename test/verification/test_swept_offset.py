@@ -36,8 +36,7 @@ def swept(target, calibrated, knot, delay, **values):
     return seen.surface, verify(routine, [seen], found, config)
 
 
-@pytest.mark.parametrize('target', ['sphere', 'line'])
-@pytest.mark.parametrize('calibrated', [0.020, 0.017])
+@pytest.mark.parametrize(('target', 'calibrated'), [('sphere', 0.020), ('line', 0.017)])
 def test_a_sweep_without_turns_tells_whether_the_offset_has_changed(target, calibrated):
     said, result = swept(target, calibrated, 0.9, -0.020, motion='one_orientation')
     change = float(re.search(r'by ([-+.\d]+) ms|was: ([-+.\d]+) ms', said).expand(r'\1\2'))

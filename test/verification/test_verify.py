@@ -9,7 +9,7 @@ import re
 
 from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
-from handeye_ros.data import FaceLine, Sample
+from handeye_ros.data import Arc, FaceLine
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.verification_file import protocol
@@ -29,6 +29,20 @@ SEEDS = 12
 
 def of_lengths(*lengths):
     return Config(noise=bench.NOISE, verify=VerifyConfig(lengths=lengths))
+
+
+def with_features(made, change, k=None):
+    """Return an artefact of which other features are seen, at every stop or at one of them."""
+    bag = tuple(replace(s, features=change(s)) if k in (None, i) else s
+                for i, s in enumerate(made.bags[0]))
+    return replace(made, bags=(bag,))
+
+
+def with_poses(made, moves):
+    """Return an artefact with other poses; moves: twists by the numbers of the stops."""
+    bag = tuple(replace(s, T_base_flange=se3.perturb(s.T_base_flange, np.array(moves[k])))
+                if k in moves else s for k, s in enumerate(made.bags[0]))
+    return replace(made, bags=(bag,))
 
 
 @pytest.mark.thorough
@@ -64,25 +78,26 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
 
 def test_what_does_not_belong_to_the_artefact_takes_no_part():
     made, found = measured('sphere')
-    X, both = made.T_flange_sensor, []
-    for sample in made.bags[0]:  # another ball beside it, and a region of interest
-        arc = next(f for f in sample.features if hasattr(f, 'radius'))
-        away = replace(arc, points=arc.points + [0.05, 0], centre=arc.centre + [0.05, 0])
-        both.append(replace(sample, features=(away, arc)))
-    centre = np.mean([se3.apply(s.T_base_flange @ X, np.array([[a.centre[0], 0, a.centre[1]]]))[0]
-                      for s in made.bags[0] for a in s.features], axis=0)
+    arcs = [(s, f) for s in made.bags[0] for f in s.features if isinstance(f, Arc)]
+    centre = np.mean([se3.apply(s.T_base_flange @ made.T_flange_sensor, np.insert(
+        arc.centre, 1, 0.0)[None])[0] for s, arc in arcs], axis=0)
     config = with_values(Config(noise=bench.NOISE), {
         'verify.near': [*map(float, centre), 0.03]}, 'test')
-    assert result('sphere', replace(made, bags=(tuple(both),)), found, config=config
+
+    def with_another_ball(sample):
+        arc = next(f for f in sample.features if isinstance(f, Arc))
+        return replace(arc, points=arc.points + [0.05, 0], centre=arc.centre + [0.05, 0]), arc
+
+    assert result('sphere', with_features(made, with_another_ball), found, config=config
                   ).scatter == result('sphere', made, found).scatter
     made, found = measured('line')
-    mixed = []
-    for sample in made.bags[0]:  # edges of other lines
-        edge = sample.features[1]
+
+    def with_another_edge(sample):
+        face, edge = sample.features[:2]
         shift = np.random.default_rng(sample.stamp).uniform(0.004, 0.01, 2)
-        other = replace(edge, point=edge.point + shift)
-        mixed.append(replace(sample, features=(other, sample.features[0], edge)))
-    assert result('line', replace(made, bags=(tuple(mixed),)), found
+        return replace(edge, point=edge.point + shift), face, edge
+
+    assert result('line', with_features(made, with_another_edge), found
                   ).scatter == result('line', made, found).scatter
 
 
@@ -136,36 +151,33 @@ def test_a_point_without_a_reference_has_no_error_but_a_scatter():
 
 
 def test_a_protocol_says_what_an_inspector_asks_for():
-    made, found = measured('ball_bar')
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
     report = replace(
-        result('ball_bar', made, found, config, certificate=2e-6),
+        result('ball_bar', *measured('ball_bar'), config, certificate=2e-6),
         created='2026-11-24T13:00:00+00:00',
         calibration_file={'path': '/cell/calibration.yaml', 'sha256': 'ab12'})
     read = yaml.safe_load(yaml_text(report))
     assert read == json.loads(json.dumps(values(report)))
-    page, again, other = (protocol(yaml.safe_load(yaml_text(one))) for one in (
-        report, report, replace(report, verdict='insensitive')))
-    numbers = [re.search(r'Protocol <b>(\w+)</b>', text)[1] for text in (page, again, other)]
-    assert numbers[0] == numbers[1] != numbers[2]
+    page, other = (protocol(yaml.safe_load(yaml_text(one))) for one in (
+        report, replace(report, verdict='insensitive')))
     diameters = [f'{2e3 * (q["value"] - 0.02):.4f} mm' for q in read['quantities']
                  if q['characteristic'] == 'PS']
     for words in ('A. &lt;Nother&gt;', 'KB-17', 'ISO 14253-1', '0.0020 mm', 'PF', 'PS', 'SD',
                   '2026-11-24T13:00', '/cell/calibration.yaml', 'ab12', *diameters):
         assert words in page
     assert 'class="good"' in page and 'class="open"' in other and 'class="bad"' not in other
+    number = re.compile(r'Protocol <b>(\w+)</b>')
+    assert number.search(page)[1] == number.search(protocol(read))[1] != number.search(other)[1]
 
 
 def test_what_could_not_have_shown_is_no_pass():
     made, found = measured('plane')
-    first = made.bags[0][0]  # all with nearly one orientation: a shift of the sensor shows nowhere
-    T = np.array([first.T_base_flange] * 8)
-    T[:, :3, 3] += first.T_base_flange[:3, :3] @ found.T_flange_sensor[:3, 1] * np.linspace(
-        0, 0.02, 8)[:, None]
-    alike = tuple(Sample(k, T[k], first.features) for k in range(8))
-    report = result('plane', replace(made, bags=(alike,)), found, tolerance=1e-2)
-    assert report.verdict in ('insensitive', 'fail')
+    first = made.bags[0][0]  # all with one orientation: a shift of the sensor shows nowhere
+    alike = replace(made, bags=(tuple(replace(first, stamp=k) for k in range(8)),))
+    along = found.T_flange_sensor[:3, 1]
+    spread = with_poses(alike, {k: [*2.5e-3 * k * along, 0, 0, 0] for k in range(8)})
+    assert result('plane', spread, found, tolerance=1e-2).verdict in ('insensitive', 'fail')
     report = result('plane', *measured('plane', count=5))
     assert report.verdict == 'insensitive' and 'would show only from' in report.reasons[0]
     made, found = measured('step', count=12)
@@ -191,46 +203,39 @@ def test_the_calibration_s_claim_takes_no_part_in_the_decision():
 
 def test_stops_that_contradict_the_others_are_left_out_and_named_unless_they_are_many():
     made, found = measured('line')
-    samples = list(made.bags[0])
-    T = samples[4].T_base_flange.copy()
-    T[:3, 3] += 2e-3
-    samples[4] = replace(samples[4], T_base_flange=T)
-    judged = result('line', replace(made, bags=(tuple(samples),)), found)
-    assert judged.verdict == 'pass' and judged.stations == len(samples) - 1
+    judged = result('line', with_poses(made, {4: [2e-3, 2e-3, 2e-3, 0, 0, 0]}), found)
+    assert judged.verdict == 'pass' and judged.stations == len(made.bags[0]) - 1
     assert [s.name for s in judged.per_station if not s.used] == ['stop 5 of recording 1']
     assert judged.reasons[0].startswith('stop 5 of recording 1 is left out')
-    for k in range(0, 14, 2):  # half of them: no outliers, but a disagreement
-        samples[k] = replace(samples[k], T_base_flange=se3.perturb(
-            made.bags[0][k].T_base_flange, np.append(np.full(3, 6e-5 * (k - 6)), np.zeros(3))))
+    half = with_poses(made, {k: [*[6e-5 * (k - 6)] * 3, 0, 0, 0] for k in range(0, 14, 2)}
+                      | {5: [2e-3, 2e-3, 2e-3, 0, 0, 0]})  # no outliers, but a disagreement
     with pytest.raises(DataError, match='not what "line" measures'):
-        result('line', replace(made, bags=(tuple(samples),)), found)
+        result('line', half, found)
 
 
 @pytest.mark.parametrize(('std', 'used'), [(6e-4, True), (1e-5, False)])
 def test_a_point_is_judged_by_its_own_uncertainty(std, used):
     made, found = measured('line')
-    samples = list(made.bags[0])
-    face, edge = samples[3].features[:2]
-    moved = replace(edge, point=edge.point + 1.2e-3 * edge.direction, std=std)
-    samples[3] = replace(samples[3], features=(face, moved))
-    judged = result('line', replace(made, bags=(tuple(samples),)), found)
+
+    def moved(sample):
+        face, edge = sample.features[:2]
+        return face, replace(edge, point=edge.point + 1.2e-3 * edge.direction, std=std)
+
+    judged = result('line', with_features(made, moved, 3), found)
     assert judged.per_station[3].used == used
     assert not used or judged.verdict == 'pass'
 
 
 def test_what_cannot_be_verified_is_refused():
     made, found = measured('sphere')
-    ball = []
-    for sample in made.bags[0]:
-        arc = next(f for f in sample.features if hasattr(f, 'radius'))
-        line = FaceLine(arc.points.mean(axis=0), np.array([1.0, 0.0]), 4e-3, 1e-5)
-        ball.append(replace(sample, features=(line,)))
+    flat = with_features(made, lambda s: [FaceLine(
+        f.points.mean(axis=0), np.array([1.0, 0.0]), 4e-3, 1e-5) for f in s.features
+        if isinstance(f, Arc)])
     bar, of_bar = measured('ball_bar')
     plane, of_plane = measured('plane')
     bad = replace(of_plane, covariance=-of_plane.covariance)
     for name, given, calibration, error, words in (
-            ('plane', replace(made, bags=(tuple(ball),)), found, DataError,
-             'not what "plane" measures'),
+            ('plane', flat, found, DataError, 'not what "plane" measures'),
             ('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), of_bar, InputError,
              'the same stops'),
             ('plane', plane, bad, InputError, 'negative variance'),

@@ -13,7 +13,6 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.errors import InputError
 from handeye_ros.results import verification_file
 from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.simulate.measuring import measuring_cell
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 import pytest
@@ -110,25 +109,3 @@ def test_the_verb_refuses_in_words(tmp_path, words, sentence):
     write_calibration(stated(np.eye(4)), tmp_path / 'c.yaml')
     run = handeye('verify', '--calibration', 'c.yaml', *words, cwd=tmp_path)
     assert_refused(run, 2, sentence)
-
-
-@pytest.mark.thorough
-def test_a_cell_is_calibrated_verified_and_measures_a_gauge(tmp_path):
-    cell = measuring_cell(np.random.default_rng(0), columns=640)
-    for name, recording in cell.recordings.items():
-        bag_write.write(tmp_path / name, recording.profiles, recording.poses)
-    passes = sorted(name for name in cell.recordings if name.startswith('pass_'))
-    run = handeye('solve', 'plate', '--out', 'cal', cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    gauge = cell.gauge
-    for name, bags, lengths, more, most in (
-            ('ball_bar', ('ball_1', 'ball_2'), [cell.bar], (f'radius={cell.ball_radius}',), 1e-4),
-            ('tooth', passes, [gauge.pitch, gauge.height], (), 2e-5)):
-        given = [word for key in (f'lengths={lengths}', *more) for word in (
-            '--set', f'verify.{key}')]
-        run = handeye('verify', name, *bags, '--calibration', 'cal/calibration.yaml', '--out',
-                      'v.yaml', *given, cwd=tmp_path)
-        assert run.returncode == 0, run.stderr
-        values = [q['value'] for q in yaml.safe_load((tmp_path / 'v.yaml').read_text())[
-            'quantities'] if q['nominal'] in lengths]
-        assert np.abs(np.subtract(values, lengths)).max() < most
