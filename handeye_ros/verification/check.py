@@ -114,8 +114,10 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     target_axes, target_shows = _smallest_shifts(rows.target, rows.covariance)
     sensor_axes, sensor_shows = _smallest_shifts(rows.sensor, rows.covariance)
     if evidence < math.log(EVIDENCE):
-        verdict, sentence = 'unchanged', _unchanged(
-            target_axes, target_shows, sensor_axes, sensor_shows)
+        verdict, sentence = 'unchanged', (
+            'the calibration holds, and the target is where it was. A shift of the target would '
+            f'have shown from {_shown(target_axes, target_shows)} of the base on, one of the '
+            f'sensor from {_shown(sensor_axes, sensor_shows)} of the flange on')
     else:
         verdict, sentence = _changed(sorted(causes, key=lambda cause: -cause.likelihood), odds)
     if left_out:
@@ -334,17 +336,13 @@ def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[st
     return ' or '.join(cause.name for cause in named), sentence
 
 
-def _unchanged(axes: Array, shifts: Array, flange_axes: Array, sensor_shifts: Array) -> str:
-    """Return which changes were detectable, and which were not."""
-    visible = [f'{mm(size)} along {_axis(axis)}' for size, axis in zip(shifts, axes, strict=True)
-               if size < UNSEEN]
-    invisible = [_axis(axis) for size, axis in zip(shifts, axes, strict=True) if size >= UNSEEN]
-    text = ('the calibration holds, and the target is where it was. Shifts of the target would '
-            f'have shown from {", ".join(visible)} of the base on')
-    text += f'; a slide along {" or ".join(invisible)} cannot be seen' if invisible else ''
-    return text + ('; those of the sensor ' + (
-        f'from {mm(sensor_shifts[-1])} on in every direction' if sensor_shifts[-1] < UNSEEN else
-        f'from {mm(sensor_shifts[0])} on, but none along {_axis(flange_axes[-1])} of the flange'))
+def _shown(axes: Array, shifts: Array) -> str:
+    """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
+    seen = [f'{mm(size)} along {_axis(axis)}' for size, axis in zip(shifts, axes, strict=True)
+            if size < UNSEEN]
+    unseen = [_axis(axis) for size, axis in zip(shifts, axes, strict=True) if size >= UNSEEN]
+    return ', '.join(seen) + (
+        f' (a slide along {" or ".join(unseen)} cannot be seen)' if unseen else '')
 
 
 def _axis(axis: Array) -> str:
@@ -360,15 +358,13 @@ def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> 
     if previous is None:
         return result
     change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
-    result = replace(result, time_offset_changed=change, time_offset_changed_std=std)
     changed, sentence = compared(offset, previous)
-    if not changed:
-        return replace(result, sentence=f'{result.sentence}. {sentence[0].upper()}{sentence[1:]}')
-    if result.verdict == 'unchanged':
-        return replace(result, verdict='clock',
-                       sentence=f'{sentence}. Apart from it {result.sentence}')
-    return replace(result, verdict=f'{result.verdict} and clock',
-                   sentence=f'{result.sentence}; {sentence}')
+    verdict = result.verdict
+    if changed:
+        verdict = 'clock' if verdict == 'unchanged' else f'{verdict} and clock'
+    return replace(result, time_offset_changed=change, time_offset_changed_std=std,
+                   verdict=verdict,
+                   sentence=f'{result.sentence}. {sentence[0].upper()}{sentence[1:]}')
 
 
 def some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
