@@ -25,10 +25,9 @@ from handeye_ros.targets.common import edges_of
 import numpy as np
 from numpy.typing import NDArray
 
-TEMPLATES, DRAWN = 6, 300  # stations; candidates around each
+TEMPLATES, DRAWN = 6, 500  # stations; candidates around each
+STEPS = 3  # towards the target
 SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
-FAR = 1.0  # m: what is so far away has to be worth twice as much
-LEVER = 0.3  # m/rad: a rotation counts as a distance of so much
 ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
 REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
@@ -56,13 +55,13 @@ class Proposal:
 def propose(solution: Solution, samples: Sequence[Sample], config: Config, view: View,
             mapped: MappedPoints, refused: Sequence[Array] = ()) -> Proposal | None:
     """
-    Return the pose that is worth most for its distance, None if none keeps the target in view.
+    Return the pose that helps most, None if none keeps the target in view.
 
-    The limits of guidance.* are relative to the first of samples, the distance is from the last;
-    refused: poses of the flange (4, 4) at which stops gave no sample.
+    The limits of guidance.* are relative to the first of samples; refused: poses of the flange
+    (4, 4) at which stops gave no sample.
     """
     rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
-    taken, last = np.array([s.T_base_flange for s in samples]), samples[-1].T_base_flange
+    taken = np.array([sample.T_base_flange for sample in samples])
     most, best = 0.0, None
     for station in templates(problem):
         template = problem.subset(np.array([station]))
@@ -73,16 +72,15 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
-        flange = in_mount(seen.poses, config)
         gain = mapped.variance(solution.reported[:6, :6]) - mapped.variance(
             with_one_more(solution, seen))
-        distance = (np.linalg.norm(flange[:, :3, 3] - last[:3, 3], axis=1)
-                    + LEVER * se3.angle(last[:3, :3].T @ flange[:, :3, :3]))
-        worth = gain / (1 + distance / FAR)
-        i = int(np.argmax(worth))
-        if worth[i] > most:
-            most, best = worth[i], (flange[i], places[i], seen.subset(np.array([i])))
-    return best and Proposal(*best[:2], expected(solution, mapped, best[2]))
+        i = int(np.argmax(gain))
+        if gain[i] > most:
+            most, best = gain[i], (seen.subset(np.array([i])), places[i])
+    if best is None:
+        return None
+    one, place = best
+    return Proposal(in_mount(one.poses[0], config), place, expected(solution, mapped, one))
 
 
 def templates(problem: Problem) -> list[int]:
@@ -150,46 +148,47 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
 
     poses: (n, 4, 4) of the mount; places: (n, 2) of the anchor in the sensor plane.
     """
-    obs, n = template.observations, len(poses)
-    if not n:
-        return replace(template, poses=poses, observations=obs.select(obs.station < 0)), places
-    method, anchored = template.method, _anchored(template, obs)
+    obs = template.observations
+    anchored = _anchored(template, obs)
     together = (obs.points[:, None] == obs.points).all(axis=2).astype(float)  # one point's
 
-    def linear_at(points: Array, noise: float | Array = 1.0) -> Linear:
-        many = obs.repeated(n, points.reshape(-1, 2))
-        many = replace(many, noise=many.noise * noise)
-        return linearise(replace(template, poses=poses, observations=many), solution.estimate)
-
-    def on_target(points: Array) -> Array:
-        for _ in range(4):
-            linear = linear_at(points)
-            g, A = linear.residuals.reshape(n, -1), linear.by_point.reshape(n, -1, 2)
-            normal = np.einsum('cd,ndi,ndj->ncij', together, A, A) + 1e-6 * np.eye(2)
-            step = np.linalg.solve(normal, (together @ (A * g[..., None]))[..., None])[..., 0]
-            points = points - np.clip(step, -0.05, 0.05)
-        return points
-
     # move the template's points, and cut what is then outside the view
-    moved = on_target(obs.points - obs.points[anchored].mean(axis=0) + places[:, None])
-    anchors = moved[:, anchored].mean(axis=1, keepdims=True)
-    outward = np.maximum((moved - anchors) @ NORMALS.T, 1e-9)
+    points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]
+    points = _on_target(template, solution, poses, points, together)
+    anchors = points[:, anchored].mean(axis=1, keepdims=True)
+    outward = np.maximum((points - anchors) @ NORMALS.T, 1e-9)
     share = np.clip(((view.offsets - anchors @ NORMALS.T) / outward).min(axis=(1, 2)), 0.0, 1.0)
-    points = on_target(anchors + share[:, None, None] * (moved - anchors))
-    fewer = np.repeat(1 / np.sqrt(np.maximum(share, 1e-3)), len(obs))[:, None, None]
-    linear = linear_at(points, fewer)
+    points = anchors + share[:, None, None] * (points - anchors)
+    large = share > SMALLEST_SHARE
+    poses, points, share = poses[large], points[large], share[large]
+    if not len(poses):
+        none = obs.select(obs.station < 0)
+        return replace(template, poses=poses, observations=none), places[large]
+    points = _on_target(template, solution, poses, points, together)
+    linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
+    kept = np.flatnonzero(_seen_alike(linear, points, together,
+                                      linearise(template, solution.estimate), view))
+    return linear.problem.subset(kept), points[kept][:, anchored].mean(axis=1)
 
-    sampling = template.config.sampling
+
+def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, view: View
+                ) -> NDArray[np.bool_]:
+    """
+    Return which stations see the target as the template does; before: the template's problem.
+
+    points: (n, c, 2) of the stations of linear; together: (c, c) 1 where conditions are of one.
+    """
+    problem, obs, method = linear.problem, before.problem.observations, linear.problem.method
+    sampling = problem.config.sampling
     strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1])
-    A = linear.by_point.reshape(n, -1, 2)
-    good = (share > SMALLEST_SHARE) & (view.room(points).min(axis=1) > -1e-4)
-    good &= np.abs(linear.residuals).reshape(n, -1).max(axis=1) < ON_TARGET
+    A = linear.by_point.reshape(points.shape)
+    good = view.room(points).min(axis=1) > -1e-4
+    good &= np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
     # steeply: moves along the laser line show at an edge, moves in the plane at a face
     of_edges = np.isin(obs.kind, method.essential_kinds) @ together > 0
     steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ together
     good &= (steep > np.sin(strict.min_crossing_angle) ** 2).all(axis=1)
     # from the same side as the template; the conditions of a point depend on the choice of axes
-    before = linearise(template, solution.estimate)
     seen = before.by_point[:, 1]
     size = np.sqrt(seen ** 2 @ together)
     towards = (A[..., 1] * seen) @ together > SMALLEST_COSINE * size
@@ -198,14 +197,33 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     if not method.essential and len(method.kinds) == 2:
         good &= _corner_seen(A, points, before, view)
     elif len(obs) == together[0].sum():  # an edge point alone
-        good &= _face_seen(poses @ solution.estimate.X, points[:, 0], before, view)
+        good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)
     # and with the same labels
-    labelled = method.relabel(
-        linear.problem.observations, linear.problem.points_in_base(solution.estimate.X),
-        solution.estimate.target, replace(template.config, sampling=strict))
-    good &= (labelled.kind.reshape(n, -1) == obs.kind).all(axis=1)
-    kept = np.flatnonzero(good)
-    return linear.problem.subset(kept), points[kept][:, anchored].mean(axis=1)
+    labelled = method.relabel(problem.observations, problem.points_in_base(linear.estimate.X),
+                              linear.estimate.target, replace(problem.config, sampling=strict))
+    return np.asarray(good & (labelled.kind.reshape(A.shape[:2]) == obs.kind).all(axis=1))
+
+
+def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
+            ) -> Linear:
+    """Return the stations at poses (n, 4, 4) with points (n, c, 2) and noise (n,) as factor."""
+    many = template.observations.repeated(len(poses), points.reshape(-1, 2))
+    factors = np.repeat(noise, len(template.observations))[:, None, None]
+    many = replace(many, noise=many.noise * factors)
+    return linearise(replace(template, poses=poses, observations=many), solution.estimate)
+
+
+def _on_target(template: Problem, solution: Solution, poses: Array, points: Array,
+               together: Array) -> Array:
+    """Return points (n, c, 2) moved onto the target by least steps, together: (c, c) same one."""
+    shape = points.shape[:2]
+    for _ in range(STEPS):
+        linear = _linear(template, solution, poses, points, np.ones(len(poses)))
+        g, A = linear.residuals.reshape(*shape, 1), linear.by_point.reshape(*shape, 2)
+        normal = np.einsum('cd,ndi,ndj->ncij', together, A, A) + 1e-6 * np.eye(2)
+        step = np.linalg.solve(normal, (together @ (A * g))[..., None])[..., 0]
+        points = points - np.clip(step, -0.05, 0.05)
+    return points
 
 
 def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArray[np.bool_]:

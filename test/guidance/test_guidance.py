@@ -215,7 +215,7 @@ def test_the_view_holds_what_was_seen() -> None:
 
 
 def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() -> None:
-    found = cell('plate', 2)  # 18 samples
+    found = cell(replace(SCENARIOS['plate'], stations=(15, 15)), 2)
     config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
     result = advise(found.samples, config, pipeline.answer(found.samples, (), config))
