@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, EdgePoint, FaceLine
-from handeye_ros.estimation.problem import Linear, Observations, Problem
+from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
 import numpy as np
 from numpy.typing import NDArray
 
@@ -120,13 +120,19 @@ def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: 
 
     piece: (m,) the piece of each observation; squares: (m,) its squared distance (m^2).
     """
-    count = int(piece.max()) + 1
-    group, size = observations.station * count + piece, (int(observations.station.max()) + 1)
-    number, total = (np.bincount(group, weights, size * count) for weights in (None, squares))
-    mean = np.divide(total, number, out=np.full(len(total), np.inf), where=number > 0)
-    away = np.sqrt(mean).reshape(-1, count)
+    number, total = (sums_by_piece(observations, piece, values)
+                     for values in (np.ones(len(piece)), squares))
+    mean = np.divide(total, number, out=np.full(total.shape, np.inf), where=number > 0)
+    away = np.sqrt(mean)
     near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
     return np.asarray(near.argmax(axis=1)[observations.station] == piece)
+
+
+def sums_by_piece(observations: Observations, piece: NDArray[np.intp], values: Array) -> Array:
+    """Return the sums (stations, pieces) of values (m,) over the pieces of each station."""
+    shape = int(observations.station.max()) + 1, int(piece.max()) + 1
+    group = observations.station * shape[1] + piece
+    return np.asarray(np.bincount(group, values, shape[0] * shape[1]).reshape(shape), float)
 
 
 def with_one_piece(problem: Problem, piece: NDArray[np.intp],
@@ -157,25 +163,53 @@ def hemisphere(count: int) -> Array:
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
-def best_linear(products: Array, rows: int, count: int) -> tuple[NDArray[np.intp], Array]:
-    """
-    Return the indices of the `count` best of k linear systems A x = b, and all x (k, u).
+def frames_along(x: Array) -> Array:
+    """Return rotations (k, 3, 3) with given unit vectors (k, 3) as x axes."""
+    helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    z = se3.cross(x, helper)
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    return np.stack([x, se3.cross(z, x), z], axis=2)
 
-    products: (k, u + 1, u + 1) of all pairs of columns of A and b; rows: number of rows of A. The
-    first six unknowns are r1 and r3 of the sensor. Systems with small residuals and with r1, r3
-    near orthonormal come first.
+
+def linear_candidates(problem: Problem, frames: Array, across: slice, count: int
+                      ) -> list[Estimate]:
     """
+    Return the best estimates of targets whose points lie at one place across given directions.
+
+    frames: (k, 3, 3) rotations of the target that are tried; across: which of its axes W the
+    points have a common coordinate along. Then W' (R (x r1 + z r3 + t) + a - c) = 0 is linear in
+    r1, r3, t and c. Solutions with small residuals, and with r1 and r3 near orthonormal, come
+    first.
+    """
+    obs, W = problem.observations, frames[:, :, across]
+    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
+    middle = problem.poses[:, :3, 3].mean(axis=0)
+    u, v = obs.points.T[:, :, None, None]
+    rows = np.concatenate([u * R, v * R, R, (middle - a)[:, :, None]], axis=2)
+    # sums over the observations are formed once, then multiplied by the axes of each frame
+    flat, q = rows.reshape(len(rows), -1), W.shape[2]
+    squares = (flat.T @ flat).reshape(3, 10, 3, 10).swapaxes(1, 2).reshape(9, 100)
+    own = (W @ np.swapaxes(W, 1, 2)).reshape(-1, 9) @ squares
+    products = np.empty((len(W), 10 + q, 10 + q))
+    unknown = np.append(np.arange(9), 9 + q)  # r1, r3, t, and the right-hand side
+    products[:, unknown[:, None], unknown] = own.reshape(-1, 10, 10)
+    mixed = -np.swapaxes(W, 1, 2) @ rows.sum(axis=0)
+    products[:, 9:9 + q, unknown], products[:, unknown, 9:9 + q] = mixed, np.swapaxes(mixed, 1, 2)
+    products[:, 9:9 + q, 9:9 + q] = len(rows) * np.eye(q)
     N, right = products[:, :-1, :-1], products[:, :-1, -1:]
     scale = np.sqrt(np.einsum('kii->ki', N))
     scaled = N / scale[:, None] / scale[..., None] + 1e-12 * np.eye(N.shape[1])
     x = np.linalg.solve(scaled, right / scale[..., None]) / scale[..., None]
     both = np.concatenate([x, np.full((len(x), 1, 1), -1.0)], axis=1)
-    squares = (np.swapaxes(both, 1, 2) @ products @ both)[:, 0, 0]
-    rms, x = np.sqrt(np.maximum(squares, 0.0) / rows), x[..., 0]
+    residual = (np.swapaxes(both, 1, 2) @ products @ both)[:, 0, 0]
+    rms, x = np.sqrt(np.maximum(residual, 0.0) / (len(rows) * q)), x[..., 0]
     r1, r3 = x[:, :3], x[:, 3:6]
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
-    return np.argsort(rms / 1e-3 + defect)[:count], x
+    best = np.argsort(rms / 1e-3 + defect)[:count]
+    T = se3.transform(frames[best], middle + (W[best] @ x[best, 9:, None])[..., 0])
+    return [Estimate(*each) for each in zip(nearest_transform(x[best]), T.reshape(-1, 16),
+                                            strict=True)]
 
 
 def nearest_transform(x: Array) -> Array:
@@ -183,3 +217,8 @@ def nearest_transform(x: Array) -> Array:
     U, _, Vt = np.linalg.svd(x[..., :6].reshape(*x.shape[:-1], 2, 3), full_matrices=False)
     r1, r3 = np.moveaxis(U @ Vt, -2, 0)
     return se3.transform(np.stack([r1, se3.cross(r3, r1), r3], axis=-1), x[..., 6:9])
+
+
+def xyz(point: Array) -> dict[str, float]:
+    """Return a point (3,) as plain values."""
+    return dict(zip('xyz', map(float, point), strict=True))

@@ -17,7 +17,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, Feature
+from handeye_ros.data import Array
 from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
@@ -27,16 +27,14 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.common import (
-    best_linear,
-    edge_noise,
     edges_of,
     ENDS,
     FACE,
+    frames_along,
     hemisphere,
-    nearest_transform,
-    ObservationRows,
+    linear_candidates,
     some_of,
-    SOURCES,
+    xyz,
 )
 from handeye_ros.targets.target import FaceTarget
 import numpy as np
@@ -79,40 +77,11 @@ def _away(p: Array, target: Array) -> Array:
     return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
 
 
-def linear_candidates(problem: Problem) -> list[Estimate]:
-    """
-    Return the best linear solutions over a sweep of the direction of the line.
-
-    For a known direction d, (I - d d') (R (x r1 + z r3
-    + t) + a - c) = 0 is linear in r1, r3, t and the two coordinates of c across d.
-    """
+def line_candidates(problem: Problem) -> list[Estimate]:
+    """Return the best linear solutions over a sweep of the direction of the line."""
     obs = problem.observations
-    obs = obs.select(obs.kind == EDGE_Y)
-    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
-    a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    frames = _frames(hemisphere(DIRECTIONS))
-    across = frames[:, :, 1:]
-    nR = np.einsum('kji,mjl->kmil', across, R)
-    u, v = obs.points.T[:, None, :, None, None]
-    offset = np.broadcast_to(-np.eye(2), (*nR.shape[:3], 2))
-    A = np.concatenate([u * nR, v * nR, nR, offset], axis=3).reshape(len(across), -1, 11)
-    b = -np.einsum('kji,mj->kmi', across, a - a_mean).reshape(len(across), -1, 1)
-    both = np.concatenate([A, b], axis=2)
-    best, x = best_linear(np.swapaxes(both, 1, 2) @ both, both.shape[1], CANDIDATES)
-    return [_estimate(x[k], frames[k], a_mean) for k in best]
-
-
-def _frames(x: Array) -> Array:
-    """Return rotations (k, 3, 3) with given unit vectors (k, 3) as x axes."""
-    helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    z = se3.cross(x, helper)
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    return np.stack([x, se3.cross(z, x), z], axis=2)
-
-
-def _estimate(x: Array, R: Array, a_mean: Array) -> Estimate:
-    """Return the estimate nearest to a linear solution x (11,) for the target's rotation."""
-    return Estimate(nearest_transform(x), se3.transform(R, a_mean + R[:, 1:] @ x[9:]).ravel())
+    part = replace(problem, observations=obs.select(obs.kind == EDGE_Y))
+    return linear_candidates(part, frames_along(hemisphere(DIRECTIONS)), slice(1, 3), CANDIDATES)
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
@@ -129,58 +98,38 @@ def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
 
 
-def same_kind(problem: Problem, fewest: int) -> list[Problem]:
+def one_end(problem: Problem) -> Iterator[list[Problem]]:
     """
-    Return problems with edge points of one group of kinds each, the most frequent first.
+    Yield problems with one end of a face per station, chosen in several ways.
 
-    Nearly all stations see a corner as a corner, whatever else ends a face (the sensor's reach, a
-    step). If a station shows several of a kind, those of either side follow.
+    If a face has several visible ends, it is unknown which one is the edge. Nearly all stations
+    see a corner as a corner, whatever else ends a face (the sensor's reach, a step): first there
+    are problems with one kind of end each, the most frequent first, then those with all. If a
+    station shows several of them, those of either side of the face follow.
     """
-    obs = problem.observations
-    group = np.where(obs.kind == FACE, 0, GROUPS[edges_of(obs).end])
-    stations = [len(np.unique(obs.station[group == k])) for k in range(GROUPS.max() + 1)]
-    present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
-    if len(present) < 2:
-        return []
-    left = _left(problem)
-    choices = [(group == k) & side for k in present for side in (True, left, ~left)]
-    parts = [_part(problem, chosen, fewest) for chosen in choices]
-    return [part for i, part in enumerate(parts) if part is not None and (
-        i % 3 == 0 or np.bincount(obs.station[choices[i - i % 3]]).max() > CONDITIONS)]
-
-
-def same_side(problem: Problem, fewest: int) -> list[Problem]:
-    """Return problems with all edge points, or the left or right ones where there are several."""
-    edge = problem.observations.kind != FACE
-    choices = [edge]
-    if _several(problem):
-        left = _left(problem)
-        choices += [edge & left, edge & ~left]
-    return [part for chosen in choices if (part := _part(problem, chosen, fewest)) is not None]
-
-
-def _several(problem: Problem) -> bool:
-    """Return whether any station shows several ends of a face."""
-    obs = problem.observations
-    return bool((obs.kind == FACE).any()
-                and np.bincount(obs.station[obs.kind != FACE]).max(initial=0) > CONDITIONS)
-
-
-def _left(problem: Problem) -> NDArray[np.bool_]:
-    """Return which observations (m,) are left of the centre of their station's face."""
     obs, n = problem.observations, len(problem.poses)
     face = obs.kind == FACE
-    total = np.bincount(obs.station[face], obs.points[face, 0], minlength=n)
-    middle = total / np.maximum(np.bincount(obs.station[face], minlength=n), 1)
-    return np.asarray(obs.points[:, 0] < middle[obs.station])
+    group = np.where(face, 0, GROUPS[edges_of(obs).end])
+    total, count = (np.bincount(obs.station[face], weights, n)
+                    for weights in (obs.points[face, 0], None))
+    left = obs.points[:, 0] < (total / np.maximum(count, 1))[obs.station]
+    stations = [len(np.unique(obs.station[group == k])) for k in range(GROUPS.max() + 1)]
+    present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
+    for choices in ([group == k for k in present] if len(present) > 1 else [], [~face]):
+        parts = []
+        for chosen in choices:
+            several = face.any() and np.bincount(obs.station[chosen]).max(initial=0) > CONDITIONS
+            parts += [_part(problem, chosen & side)
+                      for side in ((True, left, ~left) if several else (True,))]
+        yield [part for part in parts if part is not None]
 
 
-def _part(problem: Problem, chosen: NDArray[np.bool_], fewest: int) -> Problem | None:
+def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem | None:
     """Return the problem of chosen observations (m,), None if too few stations have any."""
     part = replace(problem, observations=problem.observations.select(chosen))
     stations = np.unique(part.observations.station)
     everything = chosen[problem.observations.kind != FACE].all()
-    return part.subset(stations) if len(stations) >= fewest or everything else None
+    return part.subset(stations) if len(stations) >= MINIMUM or everything else None
 
 
 class Line(FaceTarget):
@@ -192,30 +141,17 @@ class Line(FaceTarget):
     features = staticmethod(face_features)
     essential = ('edge',)
     minimum = MINIMUM
+    edge_kinds = (EDGE_Y, EDGE_Z)
 
     def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """
-        Yield starts, best first, from a sweep of the direction of the line.
-
-        If a face has several visible ends, it is unknown which one is the edge. First the same
-        kind of end is chosen in all stations, then the same side.
-        """
+        """Yield starts, best first, from a sweep of the direction of the line."""
         target = whole.config.target
         alone = replace(whole.config, target=replace(target, use_face=False))
         problem = some_of(replace(whole, config=alone), rng)
-        for parts in (same_kind, same_side):
-            found = (e for part in parts(problem, MINIMUM)
-                     for e in best_of(part, linear_candidates(part)))
+        for parts in one_end(problem):
+            found = (e for part in parts for e in best_of(part, line_candidates(part)))
             for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
                 yield _with_face(whole, e) if target.use_face else e
-
-    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
-        """Append two conditions of an edge point, or those of a face line."""
-        super().add(rows, station, feature, number)
-        if isinstance(feature, EdgePoint):
-            for kind in (EDGE_Y, EDGE_Z):
-                rows.add(station, feature.point, kind, edge_noise(feature), SOURCES * number,
-                         feature)
 
     def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
                   ) -> tuple[Array, Array, Array]:
@@ -250,8 +186,7 @@ class Line(FaceTarget):
     def describe(self, target: Array, std: Array) -> dict[str, Any]:
         """Return a point of the line and its direction."""
         T = target.reshape(4, 4)
-        return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
-                'direction': T[:3, 0].tolist()}
+        return {'point': xyz(T[:3, 3]), 'direction': T[:3, 0].tolist()}
 
 
 LINE = Line()

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.problem import (
@@ -26,12 +25,12 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import best_of, different
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.common import (
-    best_linear,
+    frames_along,
     hemisphere,
+    linear_candidates,
     nearest_piece,
-    nearest_transform,
     some_of,
-    SOURCES,
+    sums_by_piece,
     with_one_piece,
 )
 from handeye_ros.targets.target import FaceTarget
@@ -52,20 +51,17 @@ def one_surface(problem: Problem) -> list[Problem]:
 
     Only the problem itself if no station shows several surfaces.
     """
-    obs, sign = problem.observations, problem.config.profile.range_sign
+    obs = problem.observations
     if not PLANE.ambiguous(obs):
         return [problem]
-    surface = obs.source // SOURCES
-    count = int(surface.max()) + 1
-    shape, group = (len(problem.poses), count), obs.station * count + surface
-    x, z = obs.points.T
-    n, x, z, xx, xz = (np.bincount(group, values, shape[0] * count).reshape(shape)
+    surface, (x, z) = PLANE.pieces(obs), obs.points.T
+    n, x, z, xx, xz = (sums_by_piece(obs, surface, values)
                        for values in (np.ones_like(x), x, z, x * x, x * z))
     some = np.maximum(n, 1.0)
     slope = ((xz - x * z / some) / np.maximum(xx - x * x / some, TINY))[:, :1]
     # of tilted surfaces, the nearer one lies above the extended line of the longest
-    depth = sign * (z / some - slope * x / some)
-    order = np.broadcast_to(np.arange(count, dtype=float), shape)
+    depth = problem.config.profile.range_sign * (z / some - slope * x / some)
+    order = np.broadcast_to(np.arange(n.shape[1], dtype=float), n.shape)
     return with_one_piece(problem, surface, [(rank, n > 0) for rank in (depth, order, -depth)])
 
 
@@ -80,36 +76,10 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     return float(np.quantile(np.bincount(station, away ** 2, n) / count, BELIEVED_SHARE) ** 0.5)
 
 
-def linear_candidates(problem: Problem, more: int = 1) -> list[Estimate]:
-    """
-    Return the best linear solutions over a sweep of plane normals.
-
-    more: factor on the number of solutions. For a known normal n,
-    n . (R (x r1 + z r3 + t) + a) = d is linear in r1, r3, t, d.
-    """
-    obs = problem.observations
-    R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
-    a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    normals = hemisphere(NORMALS)
-    # each row of A and b is (n, 1) times these arrays: their products are summed only once
-    rows = np.zeros((len(R), 4, 11))
-    u, v = obs.points.T[:, :, None, None]
-    rows[:, :3, :9] = np.concatenate([u * R, v * R, R], axis=2)
-    rows[:, 3, 9], rows[:, :3, 10] = -1.0, a_mean - a
-    flat, by_normal = rows.reshape(-1, 44), np.column_stack([normals, np.ones(len(normals))])
-    sums = (flat.T @ flat).reshape(4, 11, 4, 11).swapaxes(1, 2).reshape(16, 121)
-    products = (by_normal[:, :, None] * by_normal[:, None]).reshape(-1, 16) @ sums
-    best, x = best_linear(products.reshape(-1, 11, 11), len(R), CANDIDATES * more)
-    return _estimates(x[best], normals[best], a_mean)
-
-
-def _estimates(x: Array, normal: Array, a_mean: Array) -> list[Estimate]:
-    """Return the estimates nearest to linear solutions x (c, 10) for normals (c, 3)."""
-    tangent = se3.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    R = np.stack([tangent, se3.cross(normal, tangent), normal], axis=2)
-    T = se3.transform(R, a_mean + x[:, 9:] * normal).reshape(-1, 16)
-    return [Estimate(*both) for both in zip(nearest_transform(x), T, strict=True)]
+def plane_candidates(problem: Problem, more: int = 1) -> list[Estimate]:
+    """Return the best linear solutions, many times `more`, over a sweep of plane normals."""
+    frames = frames_along(hemisphere(NORMALS))[:, :, [1, 2, 0]]
+    return linear_candidates(problem, frames, slice(2, 3), CANDIDATES * more)
 
 
 class Plane(FaceTarget):
@@ -117,6 +87,7 @@ class Plane(FaceTarget):
 
     name = 'plane'
     kinds = ('face',)
+    many = True
     labels, moves = ('z', 'rx', 'ry'), (2, 3, 4)
     features = staticmethod(plane_features)
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
@@ -129,7 +100,7 @@ class Plane(FaceTarget):
         for more in (1, NORMALS // CANDIDATES) if whole.few else (1,):
             known = len(found)
             for part in one_surface(problem):
-                found += best_of(part, linear_candidates(part, more), more)
+                found += best_of(part, plane_candidates(part, more), more)
             fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
             if self.ambiguous(problem.observations):
                 away = {i: _typical_distance(problem, found[i]) for i in fresh}
@@ -159,14 +130,9 @@ class Plane(FaceTarget):
         """Return the observations with one surface per station: the longest of the near ones."""
         if not self.ambiguous(observations):
             return observations
-        surface = observations.source // SOURCES
         squares = self.conditions(p, observations.kind, target, config).g ** 2
-        chosen = nearest_piece(observations, surface, squares)
+        chosen = nearest_piece(observations, self.pieces(observations), squares)
         return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
-
-    def ambiguous(self, observations: Observations) -> bool:
-        """Return whether a station shows several surfaces."""
-        return bool(observations.source.max(initial=0) >= SOURCES)
 
     def describe(self, target: Array, std: Array) -> dict[str, Any]:
         """Return the plane's normal and distance from the base."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, Feature
+from handeye_ros.data import Array, EdgePoint
 from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.common import edge_noise, FACE, ObservationRows, some_stations, SOURCES
+from handeye_ros.targets.common import FACE, some_stations, xyz
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.target import FaceTarget
 import numpy as np
@@ -172,6 +172,7 @@ class Plate(FaceTarget):
     moves = range(6)
     features = staticmethod(face_features)
     essential = KINDS[1:]
+    edge_kinds = (P,)  # until an edge is found for it
 
     def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts: first the plane, then the two edges in it."""
@@ -182,13 +183,9 @@ class Plate(FaceTarget):
             if problem.config.target.size:  # edge p may run along either of the two
                 yield _turned_around_corner(estimate)
 
-    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
-        """Append the condition of an edge point, or those of a face line."""
-        super().add(rows, station, feature, number)
-        if isinstance(feature, EdgePoint):
-            # the wall below is as far out as the edge, for any crossing angle
-            rows.add(station, feature.point + feature.drop, P, edge_noise(feature),
-                     SOURCES * number, feature)
+    def edge_place(self, edge: EdgePoint) -> Array:
+        """Return the lowest point of the end: the wall is there, for any crossing angle."""
+        return edge.point + edge.drop
 
     def axes(self, R: Array) -> Array:
         """Return the axes of the base: along them are the covariances of stored answers."""
@@ -240,8 +237,8 @@ class Plate(FaceTarget):
         """Return the target's pose and edge angle as plain values."""
         T = target[:16].reshape(4, 4)
         x, y, z, w = map(float, se3.quaternion(T))
-        translation = dict(zip('xyz', map(float, T[:3, 3]), strict=True))
-        return {'pose': {'translation': translation, 'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
+        return {'pose': {'translation': xyz(T[:3, 3]),
+                         'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
                 'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
 
     def relax(self, config: Config) -> Config | None:

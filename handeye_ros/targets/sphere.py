@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features, fit_circle
-from handeye_ros.targets.common import ObservationRows, some_of
+from handeye_ros.targets.common import ObservationRows, some_of, xyz
 from handeye_ros.targets.target import ProfileTarget
 import numpy as np
 from numpy.typing import NDArray
@@ -77,33 +77,20 @@ def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
 
     R (n, 3, 3), a (n, 3): of the poses, about their mean position. Returned: centre in the base
     (k, 3); sensor position (k, 3), 0 across its plane; RMS (k,) of the residuals in the plane;
-    coordinates (k, n) of the centre across it (m). Sums over the stations are formed first, and
-    then multiplied by the axes of each rotation.
+    coordinates (k, n) of the centre across it (m).
     """
-    n, turns, own = len(R), R.transpose(2, 1, 0).reshape(9, -1), np.einsum('nlj,nl->jn', R, a)
-    x, y, z = np.moveaxis(R_sensor, 2, 0)
-
-    def coordinate(axis: Array, centre: Array) -> Array:
-        return np.asarray(_outer(axis, centre) @ turns - axis @ own)
-    normal = (n + REGULAR) * np.eye(3) - (_outer(y, y) @ np.einsum(
-        'nlj,nqm->jmlq', R, R).reshape(9, 9)).reshape(-1, 3, 3)
-    right = -_outer(y, y) @ np.einsum('nlj,mn->jml', R, own).reshape(9, 3)
-    for axis, predicted_covariance in ((x, circles[:, 0]), (z, circles[:, 1])):
-        mean = axis @ R.mean(axis=0).T
-        normal -= n * mean[:, :, None] * mean[:, None]
-        right += axis @ np.einsum('nlj,n->jl', R, predicted_covariance) - mean * (
-            predicted_covariance.sum() + axis @ own.sum(axis=1))[:, None]
-    centre = np.linalg.solve(normal, right[..., None])[..., 0]
-    left = [coordinate(x, centre) - circles[:, 0], coordinate(z, centre) - circles[:, 1]]
+    axes = np.einsum('nij,kja->kani', R, R_sensor)  # of the sensor in the base
+    flange = np.einsum('kani,ni->kan', axes, a)
+    # axis . (centre - flange) - offset is the centre of the circle, in x and in z
+    A, b = axes[:, ::2], flange[:, ::2] + circles[:, :2].T
+    A_free, b_free = A - A.mean(axis=2, keepdims=True), b - b.mean(axis=2, keepdims=True)
+    normal = np.einsum('kani,kanj->kij', A_free, A_free) + REGULAR * len(R) * np.eye(3)
+    centre = np.linalg.solve(normal, np.einsum('kani,kan->ki', A_free, b_free)[..., None])[..., 0]
+    left = (A @ centre[:, None, :, None])[..., 0] - b
     t = np.zeros((len(centre), 3))
-    t[:, 0], t[:, 2] = left[0].mean(axis=1), left[1].mean(axis=1)
-    rms = np.sqrt((left[0].var(axis=1) + left[1].var(axis=1)) / 2)
-    return centre, t, rms, coordinate(y, centre)
-
-
-def _outer(a: Array, b: Array) -> Array:
-    """Return the products (k, 9) of all pairs of components of vectors (k, 3)."""
-    return np.asarray((a[:, :, None] * b[:, None]).reshape(-1, 9))
+    t[:, ::2] = left.mean(axis=2)
+    rms = np.sqrt(left.var(axis=2).mean(axis=1))
+    return centre, t, rms, (axes[:, 1] @ centre[..., None])[..., 0] - flange[:, 1]
 
 
 def _side(y: Array, height: Array) -> tuple[Array, Array]:
@@ -184,8 +171,7 @@ class Sphere(ProfileTarget):
 
     def describe(self, target: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
-        return {'centre': dict(zip('xyz', map(float, target[:3]), strict=True)),
-                'radius': float(target[3]), 'radius_std': float(std[3])}
+        return {'centre': xyz(target[:3]), 'radius': float(target[3]), 'radius_std': float(std[3])}
 
     def relax(self, config: Config) -> Config | None:
         """Return the configuration with a free radius, None if it is free already."""

@@ -14,12 +14,13 @@ from typing import ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Feature, Sample
+from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.estimation.blocks import Blocks
-from handeye_ros.estimation.problem import Conditions, Linear, Target
+from handeye_ros.estimation.problem import Conditions, Linear, Observations, Target
 from handeye_ros.targets import blocks
 from handeye_ros.targets.common import (
     add_face,
+    edge_noise,
     EdgeObservations,
     ObservationRows,
     out_of_face,
@@ -50,10 +51,9 @@ class ProfileTarget(Target):
                 self.add(rows, station, feature, i)
         return rows.observations()
 
+    @abstractmethod
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of a feature, number: its index in the sample."""
-        if isinstance(feature, FaceLine):
-            add_face(rows, station, feature, SOURCES * number)
 
     def stated(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return value and 1 sigma of the parameters that are not free, by label."""
@@ -80,10 +80,36 @@ class FaceTarget(ProfileTarget):
     A target of faces and edges: a pose, followed by measures in its state (..., 16 + j).
 
     moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
-    it the same. The measures are parameters after them.
+    it the same. The measures are parameters after them. edge_kinds: of the conditions of one edge
+    point; faces: how many lines one view of the target has; many: whether a profile may show
+    several surfaces, or pairs of them, of which one is the target.
     """
 
     moves: ClassVar[Sequence[int]]
+    edge_kinds: tuple[int, ...] = ()
+    faces = 1
+    many = False
+
+    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
+        """Append the conditions of a face line or an edge point."""
+        if isinstance(feature, FaceLine):
+            add_face(rows, station, feature, SOURCES * number, number % self.faces)
+        elif isinstance(feature, EdgePoint):
+            for kind in self.edge_kinds:
+                rows.add(station, self.edge_place(feature), kind, edge_noise(feature),
+                         SOURCES * number, feature)
+
+    def edge_place(self, edge: EdgePoint) -> Array:
+        """Return the point (2,) that is on the edge."""
+        return edge.point
+
+    def pieces(self, observations: Observations) -> NDArray[np.intp]:
+        """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
+        return observations.source // (self.faces * SOURCES)
+
+    def ambiguous(self, observations: Observations) -> bool:
+        """Return whether a station shows several surfaces or pairs of them."""
+        return self.many and bool(self.pieces(observations).any())
 
     @abstractmethod
     def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array

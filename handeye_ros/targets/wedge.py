@@ -16,7 +16,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, FaceLine, Feature
+from handeye_ros.data import Array
 from handeye_ros.estimation.problem import (
     Estimate,
     linearise,
@@ -29,12 +29,12 @@ from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
 from handeye_ros.targets.common import (
-    add_face,
     nearest_piece,
     ObservationRows,
     some_of,
-    SOURCES,
+    sums_by_piece,
     with_one_piece,
+    xyz,
 )
 from handeye_ros.targets.target import FaceTarget
 import numpy as np
@@ -46,11 +46,6 @@ MINIMUM = 6  # samples
 SWEEP = 24  # angles tried for the pair of faces about a known edge
 
 
-def _pair(observations: Observations) -> NDArray[np.intp]:
-    """Return for each observation (m,) the pair of lines that it belongs to."""
-    return observations.source // (len(KINDS) * SOURCES)
-
-
 def one_corner(problem: Problem) -> list[Problem]:
     """
     Return problems with one pair of lines per station, chosen in several ways.
@@ -59,21 +54,16 @@ def one_corner(problem: Problem) -> list[Problem]:
     step or stand beside another; a concave one, as a block and the table that it stands on make a
     groove, where the faces meet on the other side; or any, that of the longest faces.
     """
-    obs, pair = problem.observations, _pair(problem.observations)
+    obs, pair = problem.observations, WEDGE.pieces(problem.observations)
     if not WEDGE.ambiguous(obs):
         return [problem]
-    shape = (len(problem.poses), int(pair.max()) + 1)
-    depth = np.full(shape, np.nan)  # of the corners over the range axis
-    middle = depth.copy()
-    for k in range(shape[1]):
-        of_pair = obs.select(pair == k)
-        corner = crossings(of_pair)
+    n, z = (sums_by_piece(obs, pair, values) for values in (np.ones(len(pair)), obs.points[:, 1]))
+    middle, depth = z / np.maximum(n, 1), np.full(n.shape, np.nan)  # of pairs and their corners
+    for k in range(n.shape[1]):
+        corner = crossings(obs.select(pair == k))
         depth[corner.station[::2], k] = corner.points[::2, 1]
-        count = np.bincount(of_pair.station, minlength=len(depth))
-        z = np.bincount(of_pair.station, of_pair.points[:, 1], len(depth))
-        middle[:, k] = z / np.maximum(count, 1)
     depth, middle = (problem.config.profile.range_sign * each for each in (depth, middle))
-    order = np.broadcast_to(np.arange(shape[1]), shape)
+    order = np.broadcast_to(np.arange(float(n.shape[1])), n.shape)
     convex = middle > depth
     choices = [(order, convex), (depth, convex), (-depth, convex), (order, middle <= depth),
                (order, ~np.isnan(depth))]
@@ -91,14 +81,14 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
     corners = crossings(problem.observations)
     edges = replace(problem, method=edge_line.LINE, observations=corners)
     yield from _refined(problem, [_with_faces(problem, e) for e in best_of(
-        edges, edge_line.linear_candidates(edges))])
+        edges, edge_line.line_candidates(edges))])
     for side in range(len(KINDS)):
         lines = problem.observations.select(problem.observations.kind == side)
         lines = replace(lines, kind=np.zeros_like(lines.kind))
         faces = replace(problem, method=plane.PLANE, observations=lines)
         yield from _refined(problem, [
             _with_faces(problem, _edge_in(corners, problem.poses, e))
-            for e in best_of(faces, plane.linear_candidates(faces))])
+            for e in best_of(faces, plane.plane_candidates(faces))])
 
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
@@ -172,6 +162,7 @@ class Wedge(FaceTarget):
     labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     features = staticmethod(corner_features)
     minimum = MINIMUM
+    faces, many = 2, True
 
     def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""
@@ -182,11 +173,6 @@ class Wedge(FaceTarget):
                     choices.remove(choice)
                 else:
                     yield start
-
-    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
-        """Append the conditions of a face line; the left one counts as face 1 for now."""
-        if isinstance(feature, FaceLine):
-            add_face(rows, station, feature, SOURCES * number, kind=number % len(KINDS))
 
     def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
                   ) -> tuple[Array, Array, Array]:
@@ -206,7 +192,7 @@ class Wedge(FaceTarget):
     def relabel(self, observations: Observations, p: Array, target: Array, config: Config
                 ) -> Observations:
         """Return two lines per station, the best fitting ones, assigned to the two faces."""
-        kind, pair = observations.kind, _pair(observations)
+        kind, pair = observations.kind, self.pieces(observations)
         group = observations.station * (int(pair.max()) + 1) + pair
         as_is, swapped = (self.conditions(p, k, target, config).g ** 2 for k in (kind, 1 - kind))
         better = (np.bincount(group, swapped) < np.bincount(group, as_is))[group]
@@ -214,15 +200,11 @@ class Wedge(FaceTarget):
         chosen = nearest_piece(observations, pair, np.where(better, swapped, as_is))
         return replace(observations, kind=np.where(chosen, kind, UNUSED))
 
-    def ambiguous(self, observations: Observations) -> bool:
-        """Return whether a station shows several edges."""
-        return bool(_pair(observations).any())
-
     def describe(self, target: Array, std: Array) -> dict[str, Any]:
         """Return the edge's point and direction, the faces' normals and their angle (rad)."""
         T, (first, second) = target[:16].reshape(4, 4), target[16:]
         between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
-        return {'point': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+        return {'point': xyz(T[:3, 3]),
                 'direction': T[:3, 0].tolist(),
                 **{f'normal_{k}': (np.cos(turn) * T[:3, 1] + np.sin(turn) * T[:3, 2]).tolist()
                    for k, turn in enumerate((first, second), 1)}, 'face_angle': between,
