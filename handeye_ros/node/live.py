@@ -62,8 +62,9 @@ from handeye_ros.node.pool import answer_of, Pool, PoolEndedError, trim_memory, 
 from handeye_ros.node.state import calibration_summary, MessageCount
 from handeye_ros.output import folder_name, write_whole
 from handeye_ros.results import calibration_file, exports
+from handeye_ros.sampling.collector import silent_poses
 from handeye_ros.sampling.features import features_of, result_of
-from handeye_ros.sampling.session import Outcome, Session, silent_poses
+from handeye_ros.sampling.session import Outcome, Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.verification.session import VerificationSession

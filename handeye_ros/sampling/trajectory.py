@@ -28,7 +28,7 @@ DEGREE = 3
 # spacings of knots that are tried (s)
 SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 FEWEST = 8  # fewest poses of a piece
-REACH = 10  # coefficients to either side that matter to the variance of the spline at a time
+AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
 AVERAGED = 0.004  # time over which many poses are averaged (s)
 GROSS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
@@ -115,15 +115,15 @@ class _Piece:
     """
     A spline of translation and quaternion over seconds since first.
 
-    std: (2,) 1 sigma of single poses (m, rad); bands: (4, k) diagonals of the information of the
-    spline coefficients, for poses of unit variance.
+    std: (2,) 1 sigma of single poses (m, rad); information: (k, k) of the spline coefficients, for
+    poses of unit variance, sparse.
     """
 
     first: int
     last: int
     spline: Any
     std: Array
-    bands: Array
+    information: Any
 
     def _time(self, stamps: NDArray[np.int64]) -> Array:
         return np.asarray((np.clip(stamps, self.first, self.last) - self.first) * 1e-9)
@@ -143,20 +143,12 @@ class _Piece:
     def std_at(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of positions and rotations, (n, 2)."""
         from scipy.interpolate import BSpline  # 0.09 s, only for sweeps
+        from scipy.sparse.linalg import splu
         rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE)
-        last, count = self.bands.shape[1] - 1, 2 * REACH + DEGREE + 1
-        columns = rows.indices.reshape(-1, DEGREE + 1)[:, :1] - REACH + np.arange(count)
-        inside = (columns >= 0) & (columns <= last)
-        local = np.zeros((len(columns), count, count))
-        for k, band in enumerate(self.bands):  # coefficients far away are taken as known
-            values = np.where(inside, band[np.clip(columns, 0, last)], float(k == 0))
-            at = np.arange(count - k)
-            local[:, at, at + k] = local[:, at + k, at] = np.where(
-                inside[:, k:], values[:, :count - k], float(k == 0))
-        basis = np.zeros((len(columns), count))
-        basis[:, REACH:REACH + DEGREE + 1] = rows.data.reshape(-1, DEGREE + 1)
-        leverage = (basis * np.linalg.solve(local, basis[..., None])[..., 0]).sum(axis=1)
-        return np.asarray(np.sqrt(leverage)[:, None] * self.std)
+        solve = splu(self.information).solve
+        parts = (rows[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
+        leverage = [part.multiply(solve(part.T.toarray()).T).sum(axis=1) for part in parts]
+        return np.asarray(np.sqrt(np.concatenate(leverage).reshape(-1, 1)) * self.std)
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
@@ -215,19 +207,19 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
     t, values = _averaged(t, values)
-    spline, best, bands = _smoothed(t, values)
+    spline, best, information = _smoothed(t, values)
     # in units of 1 mm and 5 mrad: smaller residuals are no outliers
     off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
     usual = 1.4826 * np.median(off, axis=0)
     good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
     if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses
-        spline, best, bands = _smoothed(t[good], values[good])
-    return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, bands)
+        spline, best, information = _smoothed(t[good], values[good])
+    return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, information)
 
 
-def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Array]:
-    """Return the spline with the best knots, the std (2,) of single poses, and its bands."""
+def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Any]:
+    """Return the spline with the best knots, the std (2,) of single poses, and its information."""
     from scipy.interpolate import BSpline
     from scipy.sparse.linalg import splu
     least, best = np.inf, None
@@ -246,8 +238,7 @@ def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Array]:
             least, best = error, (spline, np.sqrt(sums / max(free, 1)), information)
     assert best is not None
     spline, std, information = best
-    bands = [np.append(information.diagonal(k), np.zeros(k)) for k in range(DEGREE + 1)]
-    return spline, std, np.array(bands)
+    return spline, std, information
 
 
 def _knots(t: Array, spacing: float) -> Array:
