@@ -3,6 +3,7 @@
 """Sessions on the disk: what is told to be there is there, and gives the same answer."""
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 import re
@@ -13,7 +14,6 @@ import sys
 
 from cells import recorded
 from command import assert_refused, handeye, ROOT
-from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session import (
@@ -34,7 +34,6 @@ from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.evidence import verdict
 from live_sessions import changed, Inline, new
-from mcap.reader import make_reader
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -81,25 +80,17 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
     folder = Path(live.path)
     assert folder.parent == tmp_path / 'sphere'
     found = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    assert found['relative_file_paths'] == [file.name for file in files_of(folder)]
     assert found['message_count'] == sum(file['message_count'] for file in found['files'])
-    files = files_of(folder)
-    assert [file.name for file in files] == [f'{folder.name}_{i}.mcap' for i in range(3)]
-    for file in files:
-        with file.open('rb') as stream:
-            assert make_reader(stream).get_summary().statistics.message_count > 10
+    assert found['relative_file_paths'] == [file.name for file in files_of(folder)] == [
+        f'{folder.name}_{i}.mcap' for i in range(3)]
     with AnyReader([folder]) as reader:
-        counts = {c.topic: c.msgcount for c in reader.connections}
         types = {c.topic: c.msgtype for c in reader.connections}
-        clouds = [reader.deserialize(raw, c.msgtype).header.frame_id
-                  for c, _, raw in reader.messages() if c.topic == '/profile']
-        texts = [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages()
-                 if c.topic == '/handeye_ros/session/outcome']
-    assert counts['/handeye_ros/session/outcome'] == 3 and len(texts) == 3
+        counts = Counter(c.topic for c, _, raw in reader.messages()
+                         if reader.deserialize(raw, c.msgtype))
+        assert counts == {c.topic: c.msgcount for c in reader.connections}
     assert types['/flange_pose'] == 'geometry_msgs/msg/PoseStamped'
-    assert len(clouds) == counts['/profile'] > 20
-    recording = read(folder, SPHERE.config)  # as any bag
-    assert len(recording.profiles) == counts['/profile']
+    assert counts['/handeye_ros/session/outcome'] == 3 and counts['/profile'] > 20
+    assert len(read(folder, SPHERE.config).profiles) == counts['/profile']  # as any bag
 
 
 def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
@@ -175,18 +166,14 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     live.remove_last_sample()
     other = again(live)
     assert [s['number'] for s in state_of(other)['samples']] == [1, 2, 3, 4]
-    later = replace(SPHERE, poses=SPHERE.poses, profiles=SPHERE.profiles)
-    feed(other, later)
+    feed(other)
     state = state_of(other)
     assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
     other.compute_calibration()
-    found = other.calibration
-    offline = read_session(Path(other.path))
-    expected = pipeline.calibrate_session(offline.session(offline.config), offline.config)
-    assert np.abs(found.T_flange_sensor - expected.T_flange_sensor).max() < 1e-9
+    found = other.calibration.T_flange_sensor
     third = again(other)
     assert state_of(third)['calibration']['state'] == 'current', 'it is solved without being asked'
-    assert np.abs(third.calibration.T_flange_sensor - found.T_flange_sensor).max() < 1e-9
+    assert np.abs(third.calibration.T_flange_sensor - found).max() < 1e-9
 
 
 def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
@@ -200,15 +187,11 @@ def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
     assert taken(state_of(third)) == shown
 
 
-def test_only_one_node_goes_on_with_a_session(tmp_path: Path) -> None:
-    live = feed(stored(tmp_path), stops=1)
-    with pytest.raises(InputError, match='in use by another node'):
-        SessionFiles(OutputFolders().folder, read_session(Path(live.path)))
-
-
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
     before = Path(live.path)
+    with pytest.raises(InputError, match='in use by another node'):
+        SessionFiles(OutputFolders().folder, read_session(before))
     assert f'they are kept in {before}' in live.clear_samples()
     assert len(read_session(before).stops) == 2
     assert next(sessions_in(tmp_path / 'sphere')) == Path(live.path) != before
