@@ -160,7 +160,7 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
     flat = (points - mean) @ basis[:2].T
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
     fit = least_squares(lambda c: np.linalg.norm(flat - c[:2], axis=1) - c[2], _round(flat),
-                        xtol=1e-15, ftol=1e-15, gtol=1e-15)
+                        xtol=1e-15, ftol=1e-15, gtol=1e-15, method='lm')
     spokes = flat - fit.x[:2]
     turn = np.sum(spokes[:-1, 0] * spokes[1:, 1] - spokes[:-1, 1] * spokes[1:, 0])
     return mean + fit.x[:2] @ basis[:2], np.sign(turn) * np.cross(basis[0], basis[1])
@@ -201,7 +201,7 @@ def fit_swept_ball(points: Array, q30: float,
 
     start = np.append(np.zeros(2), _round(swept(points, q30, direction)))
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
-    fit = least_squares(residuals, start, x_scale='jac', xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    fit = least_squares(residuals, start, x_scale='jac', xtol=1e-15, ftol=1e-15, gtol=1e-15, method='lm')
     return at(fit.x), fit.x[2:5], float(fit.x[5])
 
 
