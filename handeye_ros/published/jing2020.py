@@ -201,7 +201,8 @@ def fit_swept_ball(points: Array, q30: float,
 
     start = np.append(np.zeros(2), _round(swept(points, q30, direction)))
     from scipy.optimize import least_squares  # 0.1 s, only for trackers
-    fit = least_squares(residuals, start, x_scale='jac', xtol=1e-15, ftol=1e-15, gtol=1e-15, method='lm')
+    fit = least_squares(residuals, start, x_scale='jac', method='lm', xtol=1e-15, ftol=1e-15,
+                        gtol=1e-15)
     return at(fit.x), fit.x[2:5], float(fit.x[5])
 
 
