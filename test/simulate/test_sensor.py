@@ -1,0 +1,150 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensor sees of solids, and its own errors, are as stated; so are the robot's."""
+from __future__ import annotations
+
+import math
+
+from handeye_ros import se3
+from handeye_ros.data import Array
+from handeye_ros.simulate import SCENARIOS, simulate_samples
+from handeye_ros.simulate import sensor as sensors
+from handeye_ros.simulate.scenario import PlateTarget, SensorModel
+from handeye_ros.simulate.sensor import lift
+from handeye_ros.simulate.solids import Ball, box, slab, Solid
+import numpy as np
+import pytest
+from scenes import CLEAN, DOWN
+from scipy.spatial.transform import Rotation
+
+FLOOR = box((-1, -1, -1), (1, 1, 0))
+
+
+def seen(sensor: SensorModel, solids: list[Solid], T: Array = DOWN) -> tuple[Array, Array]:
+    """Return ranges and angles (columns,)."""
+    z, angle = sensors.render(sensor, solids, T[None])
+    return z[0], angle[0]
+
+
+def measured(solids: list[Solid], seed: int = 8, times: int = 50, **values: float
+             ) -> tuple[Array, Array]:
+    """Return exact and measured ranges (times, 640) of a sensor with only the faults given."""
+    sensor = SensorModel(columns=640, **{**CLEAN, **values})
+    z, angle = (np.tile(of, (times, 1)) for of in seen(sensor, solids))
+    return z, sensors.measure(sensor, z, angle, np.random.default_rng(seed))
+
+
+def test_a_wall_hides_from_the_camera_what_is_behind_it() -> None:
+    wall = box((-1, 0.010, 0), (1, 0.012, 0.02))  # along the light plane, 10 mm beside it
+    for y, visible in [(0.07, True), (-0.07, True), (0.1, True), (-0.1, False)]:
+        # the sensor looks down, so its y runs against the world's; from the light plane's foot a
+        # camera at 0.175 m is seen over the wall up to 0.0875 m beside the laser
+        sensor = SensorModel(columns=65, camera=(y, 0.0))
+        assert np.isfinite(seen(sensor, [FLOOR])[0]).all()
+        assert np.isfinite(seen(sensor, [FLOOR, wall])[0]).all() == visible
+
+
+def test_a_step_casts_a_shadow_where_the_geometry_says() -> None:
+    # a step of height h at y = x / 2: from the camera at +y (world: -y) points next to it are hid
+    step, floor = box((0.0, -1, -0.1), (1, 1, 0.0)), box((-1, -1, -0.2), (1, 1, -0.02))
+    turned = DOWN.copy()
+    turned[:3, :3] = Rotation.from_rotvec([0, 0, 0.5]).as_matrix() @ DOWN[:3, :3]
+    sensor = SensorModel(columns=2001, camera=(0.07, 0.0))
+    z, _ = seen(sensor, [step, floor], turned)
+    world = se3.apply(turned, lift(sensors.plane_points(sensor, z[None])[0][np.isfinite(z)]))
+    eye = se3.apply(turned, np.array([[0.0, 0.07, 0.0]]))[0]
+    # the line of sight over the top edge x = 0, z = 0 meets the floor at x = -0.02 eye_x / eye_z
+    shadow = -0.02 * eye[0] / eye[2]
+    assert eye[0] > 0.01 and shadow < -1e-3
+    assert world[world[:, 2] < -0.01][:, 0].max() == pytest.approx(shadow, abs=1e-4)
+    assert world[world[:, 2] > -0.01][:, 0].min() == pytest.approx(0.0, abs=1e-4)
+
+
+def test_rays_meet_the_ball_where_the_circle_is() -> None:
+    sensor = SensorModel(columns=201, range=(0.05, 0.5), half_width=0.3, max_incidence=1.0)
+    z, angle = seen(sensor, [Ball(0.04)])
+    hit = np.isfinite(z)
+    points = sensors.plane_points(sensor, z[None])[0][hit]
+    towards = points / np.linalg.norm(points, axis=1, keepdims=True)
+    outwards = (points - [0, 0.175]) / 0.04
+    assert np.allclose(np.linalg.norm(outwards, axis=1), 1)
+    assert np.allclose(np.cos(angle[hit]), -(towards * outwards).sum(axis=1))
+    assert 0.9 < angle[hit].max() < 1.0 and not hit.all()
+
+
+@pytest.mark.parametrize('shape', ['rounding', 'bevel'])
+def test_an_edge_of_the_plate_is_rounded_or_bevelled_as_stated(shape: str) -> None:
+    sensor = SensorModel(columns=2001)
+    T = DOWN.copy()
+    T[:2, 3] = [0.0, 0.075]
+    z, _ = seen(sensor, slab(PlateTarget(**{shape: 2e-3})), T)
+    points = sensors.plane_points(sensor, z[None])[0][np.isfinite(z)]
+    x, _, height = se3.apply(T, lift(points)).T
+    flat, height, x = x[x > 2e-3], height[x > 1e-5], x[x > 1e-5]
+    inwards = np.minimum(x - 2e-3, 0)  # from where the edge begins
+    expected = np.sqrt(2e-3 ** 2 - inwards ** 2) - 2e-3 if shape == 'rounding' else inwards
+    assert len(x) - len(flat) > 50 and np.allclose(height, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize('sampling', ['fan', 'x'])
+def test_the_field_of_view_is_a_trapezoid(sampling: str) -> None:
+    sensor, T = SensorModel(columns=801, sampling=sampling), DOWN.copy()
+    for range_ in (0.151, 0.199):
+        T[2, 3] = range_
+        points = sensors.plane_points(sensor, seen(sensor, [FLOOR], T)[0][None])[0]
+        assert np.nanmax(points[:, 0]) == pytest.approx(0.14 * range_, abs=8e-5)
+    T[2, 3] = 0.201
+    assert np.isnan(seen(sensor, [FLOOR], T)[0]).all()
+
+
+def test_noise_and_faults_are_as_large_and_as_many_as_stated() -> None:
+    exact, noisy = measured([FLOOR], noise=3e-5)
+    assert (noisy - exact).std() == pytest.approx(3e-5, rel=0.02)
+    assert abs((noisy - exact).mean()) < 1e-6
+    assert np.abs(np.subtract(*measured([FLOOR]))).max() < 1e-7
+    exact, faulty = measured([FLOOR], lost=0.01, outliers=0.02)
+    assert np.isnan(faulty).mean() == pytest.approx(0.01, rel=0.15)
+    assert (np.abs(faulty - exact) > 3e-4).mean() == pytest.approx(0.02, rel=0.15)
+
+
+def test_at_a_step_points_lie_between_the_levels_and_more_are_lost() -> None:
+    step = [FLOOR, box((0, -1, 0), (1, 1, 0.01))]
+    between = [(z > 0.1652) & (z < 0.1748) for _, z in (measured(step, mixed=1.0),
+                                                         measured(step))]
+    assert between[0].any(axis=1).mean() > 0.8 and between[0].sum(axis=1).max() == 1
+    assert not between[1].any()
+    exact, left = measured([box((0, -1, -1), (1, 1, 0))], lost_at_edge=0.5)
+    lost, first = np.isnan(left) & np.isfinite(exact), int(np.argmax(np.isfinite(exact[0])))
+    assert lost[:, first:first + 3].mean() == pytest.approx(0.5, abs=0.1)
+    assert not lost[:, first + 3:].any()
+
+
+def test_the_distortion_is_smooth_and_of_the_stated_size() -> None:
+    sensor, rms = SensorModel(columns=200, **{**CLEAN, 'distortion': 1e-4}), []
+    z = np.tile(np.linspace(*sensor.range, 100)[:, None], (1, 200))
+    for seed in range(40):
+        error = sensors.draw_distortion(sensor, np.random.default_rng(seed)).ranges(z)
+        assert np.abs(np.diff(error, axis=1)).max() < 6e-5
+        rms.append(np.sqrt((error**2).mean()))
+    assert np.median(rms) == pytest.approx(1e-4, rel=0.1)
+
+
+def pose_errors(name: str, seed: int) -> Array:
+    _, truth = simulate_samples(SCENARIOS[name], np.random.default_rng(seed))
+    return np.array([se3.difference(s.T_base_flange_reported, s.T_base_flange)
+                     for s in truth.stations])
+
+
+def test_the_robot_errs_as_stated() -> None:
+    errors = np.concatenate([pose_errors('plate', seed) for seed in range(60)])
+    sigma = np.repeat(SCENARIOS['plate'].robot.repeatability, 3)
+    assert np.allclose(errors.std(axis=0) / sigma, 1, atol=0.1)
+    assert np.allclose(errors.mean(axis=0) / sigma, 0, atol=0.15)
+    recordings = [pose_errors('plate_real_robot', seed) for seed in range(100)]
+    errors = np.concatenate(recordings).reshape(-1, 2, 3)
+    rms = np.sqrt((errors**2).sum(axis=2).mean(axis=0))
+    assert rms == pytest.approx([1.5e-4, math.radians(0.02)], rel=0.15)
+    # each direction of the error is shared by the stations of a recording, in part
+    shared = [np.linalg.norm(of.mean(axis=0)[:3]) for of in recordings]
+    assert np.mean(shared) > 4e-5
+    assert (np.linalg.norm(pose_errors('bumped', 12)[:, :3], axis=1) > 1e-3).sum() == 1
