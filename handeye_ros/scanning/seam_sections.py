@@ -28,7 +28,8 @@ from scipy.special import log_ndtr
 FEWEST = 12  # points of a side of a section
 SHORT = 0.365  # mean bias of the most likely end for few points, times the density
 INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
-FREQUENCIES = np.linspace(0.5, 5.0, 226)  # of columns, per spacing
+BIN = 0.05  # spacings: width of a bin of the points beside the seam
+FREQUENCIES = np.fft.rfftfreq(1024, BIN)  # of columns, per spacing
 REGULAR = 0.25  # periodicity of columns, more than random points have
 WIDTH = 24.0  # spacings: width of a sheet's section, at least
 NARROWEST = 6e-3  # m: the same
@@ -291,14 +292,15 @@ def _column_resolution(b: Array, spacing: float) -> float:
     follow the seam, their distance is a period of b; else the position of the end between columns
     differs from profile to profile.
     """
-    inner = b[(b > MARGIN * spacing) & (b < INNER * spacing)] / spacing
-    if len(inner) < FEWEST:
+    counts, _ = np.histogram(b / spacing, round((INNER - MARGIN) / BIN), (MARGIN, INNER))
+    if counts.sum() < FEWEST:
         return 0.0
-    periodic = np.abs(np.exp(2j * np.pi * np.outer(FREQUENCIES, inner)).mean(axis=1))
+    periodic = np.abs(np.fft.rfft(counts, 1024)) / counts.sum()
+    periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
     if periodic.max() < REGULAR:
         return 0.0
     peak = int(np.argmax(periodic > 0.8 * periodic.max()))  # the first, not a multiple of it
-    while peak + 1 < len(periodic) and periodic[peak + 1] > periodic[peak]:
+    while periodic[peak + 1] > periodic[peak]:
         peak += 1
     return float(spacing / FREQUENCIES[peak] / np.sqrt(12))
 

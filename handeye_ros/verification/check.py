@@ -92,7 +92,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     reason: why other stations gave no sample. Raises DataError, and InputError for a calibration
     without a target to compare with.
     """
-    whole = _comparison(samples, calibration, config)
+    whole = _comparison(samples, calibration, config, reason)
 
     def without(left_out: Collection[int]) -> tuple[_Comparison, dict[int, float]]:
         rest = replace(whole, stations=whole.stations.without(left_out, reason))
@@ -209,7 +209,7 @@ class _Comparison:
         return self.config.target.setback_std * np.reshape(columns, (-1, len(out))).T
 
 
-def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config
+def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str
                 ) -> _Comparison:
     try:
         method, joint = METHODS[calibration.method], calibration.target['joint']
@@ -226,7 +226,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
     poses = (frames.mounted(samples, config) if samples else np.empty((0, 4, 4)))
     stations = StationSet(poses, method.observe(samples),
                           np.array([sample.stamp for sample in samples], dtype=np.int64),
-                          np.zeros(len(samples), dtype=np.intp))
+                          np.zeros(len(samples), dtype=np.intp)).without((), reason)
     X = calibration.T_flange_sensor @ frames.sensor_axes(config)
     obs = method.relabel(stations.observations, stations.points(X), state, config)
     stations = replace(stations, observations=obs.select(obs.kind != UNUSED))

@@ -140,7 +140,7 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
     bags: observations in the order that the routine expects; reason: why other stations gave
     none. Raises DataError, and InputError where two recordings are one.
     """
-    stations = stacked(bags)
+    stations = stacked([bag.without((), reason) for bag in bags])
     stops = np.column_stack([stations.stamps, stations.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '

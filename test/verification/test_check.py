@@ -93,7 +93,7 @@ def test_what_cannot_be_checked_is_refused(calibrated):
     scenario, config, solved, X, T = calibrated['sphere']
     seen = bench.samples(scenario, 8, X, T, np.random.default_rng(3))
     for samples, calibration, error, words in (
-            (seen[:3], solved, DataError, '3 usable'),
+            (seen[:3], solved, DataError, '3 usable'), ([], solved, DataError, '0 usable'),
             (seen, replace(solved, method='points'), InputError, 'points'),
             (seen, replace(solved, target={'centre': {}}), InputError, 'does not hold')):
         with pytest.raises(error, match=words):

@@ -239,7 +239,8 @@ def test_what_cannot_be_verified_is_refused():
             ('ball_bar', replace(bar, bags=(bar.bags[0],) * 2), of_bar, InputError,
              'the same stops'),
             ('plane', plane, bad, InputError, 'negative variance'),
-            ('sphere', *measured('sphere', count=3), DataError, '3 usable stations')):
+            ('sphere', *measured('sphere', count=3), DataError, '3 usable stations'),
+            ('ball_bar', replace(bar, bags=((), bar.bags[0])), of_bar, DataError, '0 usable')):
         with pytest.raises(error, match=words):
             result(name, given, calibration)
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
