@@ -38,9 +38,8 @@ def session(seed: int, count: int = 3, noise: float = 0.0
             ) -> tuple[Array, Array, tuple[patent.View, ...], Array]:
     """Return T_flange_camera, poses, views and T_camera_target; the laser crosses the centre."""
     rng = np.random.default_rng(seed)
-    offset = rng.normal(size=3)
     X = se3.transform(Rotation.random(random_state=rng).as_matrix(),
-                      rng.uniform(0.1, 0.2) * offset / np.linalg.norm(offset))
+                      rng.uniform(-0.15, 0.15, 3))
     T_base_target = se3.transform(Rotation.from_euler('z', rng.uniform(0, 6)).as_matrix(),
                                   np.array([0.7, 0.1, 0.2]))
     targets = []

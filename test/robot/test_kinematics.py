@@ -189,23 +189,12 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
 
 
-@pytest.mark.parametrize('in_hand', [True, False])
-def test_a_fifth_of_wrong_rows_is_left_out(in_hand):
-    cell = bench.draw(bench.Case(on_flange=in_hand), 40, 6)
+def test_a_fifth_of_wrong_rows_is_left_out():
+    cell = bench.draw(bench.Case(on_flange=False), 40, 6)
     points = cell.data.points.copy()
     points[::5] += np.random.default_rng(0).normal(size=(8, 3)) * 0.1
     outcome = solve_rows(replace(cell.data, points=points), cell.arm.freed(()))
     assert np.flatnonzero(~outcome.chosen.fit.used).tolist() == list(range(0, 40, 5))
-
-
-def test_nothing_is_invented_of_a_robot_without_error():
-    cell = bench.draw(bench.CASES['none'], 62, 1)
-    first = np.arange(62) < 40
-    outcome = solve_rows(bench.selected(cell.data, first), cell.arm.freed(()))
-    before, after, nees, _ = bench.judged(cell, bench.CASES['none'], outcome,
-                                          bench.selected(cell.exact, ~first))
-    assert after < 1.05 * before
-    assert nees < 2
 
 
 def test_another_elbow_and_wrist_at_once_is_another_configuration():
@@ -234,9 +223,10 @@ COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
 
 @pytest.mark.parametrize(('words', 'joints', 'in_hand'), [
     ('joint_5 seems to turn the other way', np.diag([1, 1, 1, 1, -1, 1]), True),
-    ('radians stated as degrees', np.eye(6) * np.radians(1), True),
-    ('joint_3 seems to be counted from the horizontal', COUPLED, True),
-    ('set calibration_type to eye_in_hand', np.eye(6), False),
+    *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
+        ('radians stated as degrees', np.eye(6) * np.radians(1), True),
+        ('joint_3 seems to be counted from the horizontal', COUPLED, True),
+        ('set calibration_type to eye_in_hand', np.eye(6), False))),
 ])
 def test_joint_values_that_contradict_the_points_are_named(from_table, words, joints, in_hand):
     cell, rows = from_table[0], from_table[0].data
