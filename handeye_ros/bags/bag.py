@@ -9,7 +9,6 @@ file, from which it is read again when a stop uses it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import accumulate
@@ -22,7 +21,7 @@ from handeye_ros.bags.messages import (
     joints_from_cdr,
     pose_from_cdr,
     ProfileReader,
-    returns_from_cdr,
+    returns_of,
     split,
     transforms_from_cdr,
 )
@@ -64,14 +63,15 @@ class Recording:
         """
         Yield the profiles: only returns, in message order, with intensity.
 
-        What cannot be used is left out. Raises InputError for profiles of an unknown time.
+        What cannot be used is left out. Raises UnusableMessageError for profiles of an unknown
+        time.
         """
         for raw in self.profiles:
-            if raw.reach != (0, 0):
-                raise InputError('the messages hold several profiles, and do not say when each '
-                                 'was taken: set profile.period')
-            with suppress(UnusableMessageError):
-                yield replace(returns_from_cdr(raw.fetch(), raw.config), stamp=raw.stamp)
+            try:
+                yield returns_of(raw)
+            except UnusableMessageError:
+                if raw.reach != (0, 0):
+                    raise
 
 
 def read(path: Path, config: Config, progress: Callable[[float], None] = lambda share: None,

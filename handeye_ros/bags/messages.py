@@ -10,7 +10,7 @@ The few types are read here: rosbags takes 0.2 s to import them, and twice as lo
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import math
@@ -281,22 +281,6 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
                    beside=beside)
 
 
-def returns_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
-    """
-    Return only the returns of a serialised cloud, in message order.
-
-    With the intensity if there is a field of that name. The order along the line, which takes most
-    of the time, is not determined. Raises UnusableMessageError.
-    """
-    cloud = cloud_from_cdr(data)
-    if cloud.width * cloud.height == 0:
-        return _empty(cloud, config)
-    points, good = _points(cloud, config)
-    intensity = (cloud.column(INTENSITY)[good]
-                 if INTENSITY in [field.name for field in cloud.fields] else None)
-    return replace(_empty(cloud, config), points=points[good, :2], intensity=intensity)
-
-
 def _empty(cloud: Cloud, config: ProfileConfig) -> Profile:
     return Profile(cloud.stamp, cloud.frame, np.empty((0, 2)), (config.axes[0], config.axes[1]))
 
@@ -522,20 +506,21 @@ def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
     return bytes(head) + bytes(row.data) + b'\1'
 
 
-def returns_of(data: bytes, config: ProfileConfig) -> Iterator[Profile]:
+def returns_of(raw: RawProfile) -> Profile:
     """
-    Yield the profiles of one serialised message: only returns, with intensity.
+    Return only the returns of a profile, in message order.
 
-    The robot may move between several profiles. Raises UnusableMessageError.
+    With the intensity if there is a field of that name. The order along the line, which takes most
+    of the time, is not determined. Raises UnusableMessageError, also for an uncertain stamp.
     """
-    cloud = cloud_from_cdr(data)
-    rows = rows_of(cloud, config)
-    if rows == 1:
-        yield returns_from_cdr(data, config)
-        return
-    if not config.period:
-        raise _unusable(f'it holds {rows} profiles, and does not say when each was taken: set '
+    if raw.reach != (0, 0):
+        raise _unusable('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
-    raw = RawProfile(cloud.stamp, '', partial(bytes, data), profile_from_cdr, config, rows=rows)
-    for row in split(raw, None, config):
-        yield returns_from_cdr(row.fetch(), config)
+    cloud, config = cloud_from_cdr(raw.fetch()), raw.config
+    if cloud.width * cloud.height == 0:
+        return _empty(cloud, config)
+    points, good = _points(cloud, config)
+    intensity = (cloud.column(INTENSITY)[good]
+                 if INTENSITY in [field.name for field in cloud.fields] else None)
+    return replace(_empty(cloud, config), stamp=raw.stamp, points=points[good, :2],
+                   intensity=intensity)

@@ -21,7 +21,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from handeye_ros.bags.messages import returns_of
+from handeye_ros.bags.messages import ProfileReader, returns_of, split
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, TimedPose
@@ -55,8 +55,9 @@ class ScanNode(Node):
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
-        self._listen(PointCloud2, config.profile_topic,
-                     lambda data: self._profiles.extend(returns_of(data, config.profile)))
+        self._reader = ProfileReader(config.profile)
+        self._last_stamp: int | None = None  # ns, of the last message of profiles
+        self._listen(PointCloud2, config.profile_topic, self._on_profile)
         tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         for message, name, read_poses in pose_topics(config, tracker):
             self._listen(message, name, partial(self._on_poses, read_poses),
@@ -72,6 +73,11 @@ class ScanNode(Node):
             except UnusableMessageError as error:
                 self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
         self.create_subscription(kind, topic, on_message, qos, raw=True)
+
+    def _on_profile(self, data: bytes) -> None:
+        message = self._reader.take(data)
+        previous, self._last_stamp = self._last_stamp, message.stamp
+        self._profiles.extend(map(returns_of, split(message, previous, self._config.profile)))
 
     def _on_poses(self, read_poses: Callable[[bytes], list[TimedPose]], data: bytes) -> None:
         for pose in read_poses(data):

@@ -214,3 +214,8 @@ def require_trusted(method: FileMethod, answer: Answer, config: Config) -> None:
     """Raise DataError for an answer beyond the limits."""
     require_certain(answer.covariance, config, method.advice)
     require_left_out(answer.holdout_rms, answer.residual_rms, config.limits.residual)
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt((values ** 2).mean()))

@@ -14,7 +14,15 @@ from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.estimation.least_squares import adjust, BELIEVED_SHARE, Rows, System
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.method import Answer, FileMethod, Index, Input, Misreading, Values
+from handeye_ros.tabulated.method import (
+    Answer,
+    FileMethod,
+    Index,
+    Input,
+    Misreading,
+    rms,
+    Values,
+)
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -65,7 +73,7 @@ class Pairs(Values):
         off = SIGMA * np.linalg.norm(fit.residuals, axis=1)
         left_out = SIGMA * np.linalg.norm(fit.left_out, axis=1)
         return Answer(fit.state, fit.covariance, np.isin(every, fit.used), off,
-                      _rms(off[fit.used]), _rms(left_out), self.subset(fit.used),
+                      rms(off[fit.used]), rms(left_out), self.subset(fit.used),
                       target={'point_noise': SIGMA * max(fit.variance_factor, 1.0) ** 0.5})
 
     def rigid(self) -> Array:
@@ -92,10 +100,6 @@ class Pairs(Values):
                          Pairs(1e-3 * self.in_camera, self.in_base))
         yield Misreading('the points of the base 1000 times smaller', remedy,
                          Pairs(self.in_camera, 1e-3 * self.in_base))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values ** 2).mean()))
 
 
 def _read(path: Path, config: Config) -> Input:

@@ -25,6 +25,7 @@ from handeye_ros.tabulated.method import (
     Index,
     Input,
     LARGEST_DROPPED_SHARE,
+    rms,
     Values,
 )
 from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
@@ -132,7 +133,7 @@ class Session(Values):
             agreed = self.select(good)
             chain = agreed.chain()
         X, off = chain.T_flange_sensor, self.distances(chain.T_flange_sensor, agreed)
-        excess = agreed.by_part(off[good] / sigma[good], _rms)
+        excess = agreed.by_part(off[good] / sigma[good], rms)
         agreed._require_agreement(excess / LARGEST_RMS)
         # generalised cross-validation: each point predicted by a fit without it
         share = agreed.by_part(np.ones(len(agreed.part)), lambda ones: 1 / len(ones))
@@ -144,7 +145,7 @@ class Session(Values):
         used = 2 * believed >= total
         squares = np.bincount(self.sample, off ** 2, minlength=count)
         return Answer(X, agreed.covariance(X, excess, config.tracker.noise), used,
-                      np.sqrt(squares / np.maximum(total, 1)), _rms(off[good]), _rms(left_out),
+                      np.sqrt(squares / np.maximum(total, 1)), rms(off[good]), rms(left_out),
                       agreed.subset(np.flatnonzero(used)),
                       target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
 
@@ -201,10 +202,6 @@ class Session(Values):
 
     def field(self) -> Array:
         return field_points()
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values ** 2).mean()))
 
 
 def _require_directions(chain: jing2020.Result) -> None:
