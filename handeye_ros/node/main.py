@@ -13,14 +13,13 @@ from contextlib import contextmanager, suppress
 import os
 import signal
 import sys
-import threading
 from typing import Any
 
 from handeye_ros.errors import HandeyeError, InputError
 
 THREADS = 6  # of the executor: three groups of services, two timers, the parameters
-LONGEST_END = 10.0  # s from a signal to the end, whatever hangs
-LONGEST_WAIT = 1.0  # s until the executor looks whether ROS was shut down
+LONGEST_END = 1.0  # s until what runs is left alone
+LONGEST_WAIT = 0.2  # s until a signal is seen
 SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 USAGE = 'calibrate [-h] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]'
@@ -57,22 +56,12 @@ def main() -> int:
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     # an exception in the import of an extension module would be lost
     _on_signals(lambda *_: os._exit(0))
-    try:
-        from handeye_ros.node.node import HandeyeNode
-        _on_signals(signal.default_int_handler)
-    except KeyboardInterrupt:
-        return 0
-
-    def stop(node: Any) -> None:
-        # Python waits for all threads; what was acknowledged is on the disk
-        end = threading.Timer(LONGEST_END, os._exit, (0,))
-        end.daemon = True
-        end.start()
-        working = node.live.working
-        node.stop()
-        if working:
-            os._exit(0)
-    return exit_code(lambda: spin(HandeyeNode, THREADS, stop))
+    from handeye_ros.node.node import HandeyeNode
+    code = exit_code(lambda: spin(HandeyeNode, THREADS, HandeyeNode.stop))
+    sys.stderr.flush()
+    # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
+    # the disk
+    os._exit(code)
 
 
 def spin(make: Callable[[], Any], threads: int = 1,
@@ -80,40 +69,29 @@ def spin(make: Callable[[], Any], threads: int = 1,
     """
     Run the node that make() returns until Ctrl-C or SIGTERM, then stop(node).
 
-    Raises InputError if ROS does not start, or a topic cannot be used.
+    Raises InputError if ROS does not start, or a topic cannot be used, and KeyboardInterrupt for a
+    signal while the node is made.
     """
-    import rclpy
     from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
-    from rclpy.executors import (
-        ExternalShutdownException,
-        MultiThreadedExecutor,
-        SingleThreadedExecutor,
-    )
+    from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
     with ros():
+        runner = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
         try:
-            # first: a signal while the node is made must find what it can wake
-            runner = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
             node = make()
-        except (InvalidHandle, RCLError) as error:
-            if not rclpy.ok():  # ended by a signal
-                return
+        except RCLError as error:
             reason = ' '.join(str(error).split())[:120]
             raise InputError(f'the node cannot use its topics ({reason}): check pose_topic and '
                              'profile_topic; each needs its own') from error
         try:
             runner.add_node(node)
-            while rclpy.ok():
+            while True:
                 with suppress(InvalidHandle):  # an entity that another thread destroyed: go on
-                    # with a timeout: a signal may have come before it could wake the executor
+                    # with a timeout: a signal does not wake the executor
                     runner.spin_once(timeout_sec=LONGEST_WAIT)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
-        except RCLError:
-            if rclpy.ok():  # else ended by a signal
-                raise
-        finally:
+        except KeyboardInterrupt:
+            _on_signals(lambda *_: os._exit(0))  # who asks again waits no longer
             stop(node)
-            runner.shutdown()
+            runner.shutdown(LONGEST_END)
             node.destroy_node()
 
 
@@ -130,32 +108,28 @@ def exit_code(run: Callable[[], None]) -> int:
 
 
 @contextmanager
-def ros(args: Sequence[str] | None = None, *, interruptible: bool = False) -> Iterator[None]:
+def ros(args: Sequence[str] | None = None) -> Iterator[None]:
     """
-    Start rclpy and shut it down in the end.
+    Start rclpy and shut it down in the end; Ctrl-C and SIGTERM raise KeyboardInterrupt.
 
-    args: those of the command line (None: sys.argv). interruptible: Ctrl-C and SIGTERM raise
-    KeyboardInterrupt, for a main thread that does not spin. Raises InputError for arguments
-    and parameter files that ROS cannot read.
-
+    args: those of the command line (None: sys.argv). Raises InputError for arguments and parameter
+    files that ROS cannot read.
     """
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
     from rclpy.signals import SignalHandlerOptions
-    options = SignalHandlerOptions.NO if interruptible else SignalHandlerOptions.ALL
+    _on_signals(signal.default_int_handler)
     try:
-        rclpy.init(args=None if args is None else list(args), signal_handler_options=options)
+        rclpy.init(args=None if args is None else list(args),
+                   signal_handler_options=SignalHandlerOptions.NO)
     except RCLError as error:
         # without positions in the source of rcl
         text = str(error).removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]
         raise InputError(f'ROS does not start: {text}') from error
-    if interruptible:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
-        with suppress(RCLError):  # a signal has shut it down meanwhile
-            rclpy.try_shutdown()
+        rclpy.try_shutdown()
 
 
 def _on_signals(handler: Callable[[int, Any], Any]) -> None:

@@ -3,7 +3,7 @@
 """The node `handeye`: topics, services and parameters around a running session."""
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 import re
@@ -19,8 +19,6 @@ from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
 from handeye_ros.node.streams import Streams
 from rcl_interfaces.msg import SetParametersResult
-import rclpy
-from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -45,7 +43,7 @@ class HandeyeNode(Node):
         self._folders = folders = OutputFolders(self.get_namespace())
         config, stored = params.declare(self, folders)
         self.live = LiveSession(config, folders, SessionFiles(folders.folder, stored), Pool(),
-                                partial(self._quietly, self._show))
+                                self._show)
         self._outputs = Outputs(self, self.live)
         self._streams = Streams(self, self.live)
         self._changing = Lock()  # the page sets parameters from its own thread
@@ -54,19 +52,19 @@ class HandeyeNode(Node):
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
         if stored:
-            self._inform(self.live.restore(stored.session(config), stored.config))
+            self.get_logger().info(self.live.restore(stored.session(config), stored.config))
         elif config.session:
-            self._warn(f'there is no session in {folders.parent(config)}: a new one begins')
+            self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
+                                      'one begins')
         self._outputs.show()
         self.live.start()
         self._streams.start()
         self._serve()
-        self._inform(f'waiting for profiles on {config.profile_topic}, poses on '
-                     f'{self.live.pose_topic}')
-        self._page = None
+        self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
+                               f'{self.live.pose_topic}')
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
-            self._page = serve(self)
+            serve(self)
 
     def _serve(self) -> None:
         quick = MutuallyExclusiveCallbackGroup()
@@ -79,17 +77,13 @@ class HandeyeNode(Node):
         self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)
         # steady time: the state is published even while a simulated clock is paused
         for period, work in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
-            self.create_timer(period, partial(self._quietly, work),
-                              MutuallyExclusiveCallbackGroup(),
+            self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
-        """Stop the page, publishing, and all computations."""
+        """Stop publishing, and all computations."""
         self._outputs.close()
         self.live.stop()
-        if self._page:
-            self._page.stop()
-            self._page = None
 
     def topics_of(self, kind: str) -> list[str]:
         """Return the topics with publishers of a message type."""
@@ -100,24 +94,16 @@ class HandeyeNode(Node):
         """Return the current state of the session."""
         return state_of(self.live, self._streams.obstacles(), self._streams.trouble())
 
-    def _quietly(self, work: Callable[..., object], *args: Any) -> None:
-        """Run work that publishes; its failure while the node ends is ignored."""
-        try:
-            work(*args)
-        except (InvalidHandle, RCLError):
-            if rclpy.ok():
-                raise
-
     def _show(self) -> None:
         """Log a new attempt to take a sample, and publish what has changed."""
         attempt = self.live.attempt
         if attempt and attempt is not self._logged:
             self._logged = attempt
             if attempt.sample:
-                self._inform(attempt.text)
+                self.get_logger().info(attempt.text)
                 self._outputs.show_features(attempt.sample)
             else:
-                self._warn(attempt.text)
+                self.get_logger().warning(attempt.text)
         self._outputs.show()
 
     def _diagnose(self) -> None:
@@ -127,16 +113,8 @@ class HandeyeNode(Node):
         warnings = {re.sub(r'[-+.\d]+', '#', sentence): sentence
                     for sentence in (*troubles_of(state), *state['session']['notes'])}
         for kind in warnings.keys() - self._warned:
-            self._warn(warnings[kind])
+            self.get_logger().warning(warnings[kind])
         self._warned = set(warnings)
-
-    def _inform(self, text: str) -> None:
-        if rclpy.ok():  # once a signal has shut ROS down, rcl would print an error of its own
-            self.get_logger().info(text)
-
-    def _warn(self, text: str) -> None:
-        if rclpy.ok():
-            self.get_logger().warning(text)
 
     # services, which the page calls too
 
@@ -150,7 +128,8 @@ class HandeyeNode(Node):
             self._streams.restart()
         text = with_trouble(self.state, text, success, name)
         if name != 'take_sample':  # which is in the log as an attempt
-            self._inform(text) if success else self._warn(f'{name}: {text}')
+            log = self.get_logger()
+            log.info(text) if success else log.warning(f'{name}: {text}')
         return success, text
 
     def open_session(self, name: str) -> str:
@@ -175,15 +154,11 @@ class HandeyeNode(Node):
 
     def _answer(self, name: str, _: Trigger.Request, response: Trigger.Response
                 ) -> Trigger.Response:
-        try:
-            response.success, response.message = self.call_service(name)
-        except (InvalidHandle, RCLError):
-            if rclpy.ok():  # else the node ends
-                raise
+        response.success, response.message = self.call_service(name)
         return response
 
     def _on_take(self, _: Empty) -> None:
-        self._quietly(self.call_service, 'take_sample')
+        self.call_service('take_sample')
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:

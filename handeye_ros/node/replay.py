@@ -44,7 +44,7 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0,
     received = list(reader.messages())
     for warning in reader.warnings:
         print(warning, file=sys.stderr)
-    with ros(ros_args, interruptible=True):
+    with ros(ros_args):
         node = Node('handeye_replay')
         clock = node.create_publisher(Clock, '/clock', 10)
         publishers = _publishers(node, reader.types)

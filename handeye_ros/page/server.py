@@ -51,18 +51,17 @@ HEADERS = {
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-def serve(node: Served) -> PageServer | None:
-    """Serve the page of a node; None and a warning in the log if it cannot be served."""
+def serve(node: Served) -> None:
+    """Serve the page of a node; a warning in the log if it cannot be served."""
     config, log = node.live.config, node.get_logger()
     try:
         token_file = node.live.folders.parent(config) / '.page_token'
         page = PageServer(source(node), config.page.address, config.page.port, token_file)
     except InputError as error:
         log.warning(str(error))
-        return None
+        return
     log.info(f'page for a browser: {page.url}' + (
         f'; it asks for the token in {token_file}' if page.token else ''))
-    return page
 
 
 class PageServer:
