@@ -76,7 +76,7 @@ def test_vanishing_point_is_the_harmonic_conjugate() -> None:
 
 
 def test_rotation_is_the_nearest_to_both_directions() -> None:
-    _, _, views, _ = session(0, 3, 2.0)
+    _, _, views, _ = session(1, 3, 2.0)
     a, b, c, d, o = views[0].points
     raw = [np.linalg.solve(CAMERA.matrix, patent.vanishing_point(p, q, o))
            for p, q in ((a, b), (c, d))]
