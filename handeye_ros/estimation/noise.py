@@ -160,29 +160,7 @@ def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], befor
     prior = np.where(single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
     for_estimate = _matched(MAP_PRIOR[:, None] + evidence, fitted)
     for_report = _matched(prior + evidence, square)
-    waiting = _waiting(single & (for_report > 2.0 * before), prior, evidence, before)
-    return (np.where(waiting, np.minimum(for_estimate, before), for_estimate),
-            np.where(waiting, before, for_report))
-
-
-def _waiting(growing: NDArray[np.bool_], prior: Array, evidence: Array, before: Array
-             ) -> NDArray[np.bool_]:
-    """
-    Return which single-parameter blocks (d,) wait while another one grows.
-
-    Two of them may explain the same residuals; if both were large, neither would seem needed.
-    So the one that explains most grows first. growing: whose variance more than doubles.
-    """
-    if growing.sum() < 2:
-        return np.zeros(len(growing), dtype=bool)
-    # log likelihood over all scales minus that at the previous scale
-    present = np.array([np.interp(np.log(own), np.log(VARIANCES), of_block)
-                        for own, of_block in zip(before, evidence.T, strict=True)])
-    posterior = prior - np.logaddexp.reduce(prior) + evidence
-    gain = np.logaddexp.reduce(posterior) - present
-    waiting = growing.copy()
-    waiting[np.argmax(np.where(growing, gain, -np.inf))] = False
-    return waiting
+    return for_estimate, for_report
 
 
 def _matched(posterior: Array, moment: Array) -> Array:
