@@ -1,10 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of measured values in files: CSV, or YAML with the same columns and rows.
+Tables of measured values in CSV files.
 
 The header names each column and, where it has one, its unit: `base_x [mm]`. What is returned is
-in SI units. YAML: `columns: [...]` and `rows: [[...], ...]`.
+in SI units.
 """
 from __future__ import annotations
 
@@ -16,12 +16,10 @@ import re
 from typing import Any
 
 from handeye_ros import orientations, se3
-from handeye_ros.config import yaml_content
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest
 import numpy as np
 from scipy.spatial.transform import Rotation
-import yaml
 
 LENGTH, ANGLE, NUMBER, TEXT = 'length', 'angle', 'number', 'text'
 UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
@@ -43,16 +41,16 @@ class TableError(InputError):
 
 
 class Table:
-    """The columns of a file by name, as text or numbers of the file."""
+    """The columns of a file by name."""
 
     def __init__(self, path: Path) -> None:
-        """Read a .csv file, or else YAML; raises TableError."""
+        """Read a CSV file; raises TableError."""
         self.path = path
         if path.is_dir():
             raise TableError(path, 'is a folder; give the file in it, or, if it is a '
                              'recording, set target.type to the target that it shows')
-        header, rows = _csv(path) if path.suffix.lower() == '.csv' else _yaml(path)
-        names = [_HEADER.fullmatch(str(cell)) for cell in header]
+        header, rows = _content(path)
+        names = [_HEADER.fullmatch(cell) for cell in header]
         for cell, match in zip(header, names, strict=True):
             if match is None:
                 raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
@@ -84,7 +82,7 @@ class Table:
 
     def text(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""
-        return [str(value).strip() for value in self._column(name)]
+        return [value.strip() for value in self._column(name)]
 
     def values(self, names: Sequence[str], kind: str, unit: str | None = None) -> Array:
         """
@@ -133,11 +131,11 @@ class Table:
                              'unit quaternion')
         return q
 
-    def _column(self, name: str) -> Sequence[Any]:
+    def _column(self, name: str) -> Sequence[str]:
         if name not in self._columns:
             raise TableError(self.path, f'has no column {name}'
                              f'{nearest(name, list(self._columns))}')
-        column: Sequence[Any] = self._columns[name]
+        column: Sequence[str] = self._columns[name]
         return column
 
     def _values(self, name: str, kind: str, default: str | None) -> Array:
@@ -156,41 +154,24 @@ class Table:
                              'beyond all measure')
         return np.asarray(values)
 
-    def _number(self, name: str, row: int, value: Any) -> float:
+    def _number(self, name: str, row: int, value: str) -> float:
         try:
             number = float(value)
-        except (TypeError, ValueError, OverflowError):
+        except ValueError:
             number = math.nan
         if not math.isfinite(number):
             raise TableError(self.path, f'row {row}: {name} is "{value}", expected a number')
         return number
 
 
-def _csv(path: Path) -> tuple[list[str], list[list[str]]]:
+def _content(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the header and the rows of a CSV file; commas or semicolons separate the values."""
     try:
         text = path.read_text(encoding='utf-8-sig')
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(path, f'cannot be read: {error}') from error
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith('#')]
-    if not lines:
-        raise TableError(path, 'is empty')
-    delimiter = ';' if ';' in lines[0] else ','
-    try:
-        header, *rows = csv.reader(lines, delimiter=delimiter)
-    except csv.Error as error:
-        raise TableError(path, f'is no CSV: {error}') from error
+        lines = [line for line in text.splitlines() if line.strip() and not line.startswith('#')]
+        if not lines:
+            raise TableError(path, 'is empty')
+        header, *rows = csv.reader(lines, delimiter=';' if ';' in lines[0] else ',')
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TableError(path, f'cannot be read as CSV: {error}') from error
     return header, rows
-
-
-def _yaml(path: Path) -> tuple[list[str], list[list[Any]]]:
-    try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
-    except (OSError, ValueError, yaml.YAMLError) as error:  # ValueError: an invalid date
-        raise TableError(path, f'cannot be read: {error}') from error
-    header, rows = (content.get(key) if isinstance(content, dict) else None
-                    for key in ('columns', 'rows'))
-    if not isinstance(header, list) or not isinstance(rows, list) or not all(
-            isinstance(row, list) for row in rows):
-        raise TableError(path, 'expected "columns:", a list of names with units, and "rows:", a '
-                         'list of lists')
-    return [str(cell) for cell in header], rows

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
 Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
-    'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV or YAML '
+    'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV '
     'file.'))]
 ConfigFile = Annotated[NoPath, typer.Option(
     help='A ROS parameter file, such as config/plate.yaml; without it, the defaults.')]
@@ -48,7 +48,7 @@ CalibrationFile = Annotated[Path, typer.Option(
 MeasureConfig = Annotated[NoPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
 OutFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
-TABLES = ('.csv', '.yaml', '.yml')  # files of measured values
+TABLES = ('.csv',)  # files of measured values
 INTERRUPTED = 130
 ORDER = ('solve', 'calibrate', 'samples', 'report', 'export', 'compare', 'verify', 'check',
          'trend', 'kinematics', 'scan', 'seam', 'batch', 'replay', 'simulate')  # as help lists

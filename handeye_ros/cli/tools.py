@@ -97,7 +97,7 @@ def batch(
 def kinematics(
     sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
         'A bag with profiles and joint values, a session, or a table of joint values and measured '
-        'points (CSV or YAML). Several bags or sessions, each with a target at another place, are '
+        'points (CSV). Several bags or sessions, each with a target at another place, are '
         'solved together.'))],
     urdf: Annotated[Path, typer.Option(metavar='FILE', help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '

@@ -50,7 +50,7 @@ class PointRows:
 
 def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, tuple[str, ...]]:
     """
-    Return the contents of a table, CSV or YAML, and a sentence for each peculiarity.
+    Return the contents of a table, and a sentence for each peculiarity.
 
     A row for each configuration. Columns: the joints of the URDF with their unit
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
