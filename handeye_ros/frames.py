@@ -29,7 +29,7 @@ def mounted(samples: Sequence[Sample], config: Config) -> Array:
 
     That is T_base_flange with eye_in_hand, and T_flange_base with eye_on_base.
     """
-    return in_mount(np.array([sample.T_base_flange for sample in samples]), config)
+    return in_mount(np.array([s.T_base_flange for s in samples]).reshape(-1, 4, 4), config)
 
 
 def in_mount(T_base_flange: Array, config: Config) -> Array:

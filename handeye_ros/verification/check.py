@@ -223,10 +223,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
             'with: the target with its covariance. Solve its recording again with this version, '
             f'as one of {", ".join(METHODS)}, or measure a known object with "handeye verify"'
             ) from error
-    poses = (frames.mounted(samples, config) if samples else np.empty((0, 4, 4)))
-    stations = StationSet(poses, method.observe(samples),
-                          np.array([sample.stamp for sample in samples], dtype=np.int64),
-                          np.zeros(len(samples), dtype=np.intp)).without((), reason)
+    stations = StationSet.of(samples, method.observe(samples), config).without((), reason)
     X = calibration.T_flange_sensor @ frames.sensor_axes(config)
     obs = method.relabel(stations.observations, stations.points(X), state, config)
     stations = replace(stations, observations=obs.select(obs.kind != UNUSED))

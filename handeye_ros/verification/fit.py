@@ -19,10 +19,11 @@ from typing import TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf, Rows, System, White
 from handeye_ros.estimation.problem import Observations
+from handeye_ros.frames import mounted
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -61,6 +62,14 @@ class StationSet:
     bags: Numbers
     are_passes: bool = False
     surface: str = ''
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample], observations: Observations, config: Config,
+           surface: str = '') -> StationSet:
+        """Return the stations of the samples of one recording."""
+        return cls(mounted(samples, config), observations,
+                   np.array([sample.stamp for sample in samples], dtype=np.int64),
+                   np.zeros(len(samples), dtype=np.intp), surface=surface)
 
     @property
     def groups(self) -> Numbers:

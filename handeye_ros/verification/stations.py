@@ -35,7 +35,6 @@ from handeye_ros.targets.common import edge_noise, ObservationRows
 from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
-from numpy.typing import NDArray
 
 SURE = 4.0  # sigmas of a change
 SMALLEST = 1e-4  # s: a smaller change does not matter to a scan
@@ -61,14 +60,13 @@ def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibr
     X, offset_text, choice = calibration.T_flange_sensor @ sensor_axes(config), '', ''
     if config.sampling.moving and samples:
         samples, offset_text = _at_offset(routine, samples, X, calibration, config)
-    T = mounted(samples, config) if samples else np.empty((0, 4, 4))
-    if config.verify.near and samples:
-        samples = _in_region(samples, T @ X, config.verify.near)
+    T = mounted(samples, config) @ X
+    if config.verify.near:
+        samples = _in_region(samples, T, config.verify.near)
     if routine.target == 'plane':
-        samples, choice = _on_nearest_surface(samples, T @ X, config.profile.range_sign)
-    return StationSet(T, _observed(routine, samples, T @ X), _stamps(samples),
-                      np.zeros(len(T), dtype=np.intp),
-                      surface='; '.join(filter(None, (choice, offset_text))))
+        samples, choice = _on_nearest_surface(samples, T, config.profile.range_sign)
+    return StationSet.of(samples, _observed(routine, samples, T), config,
+                         '; '.join(filter(None, (choice, offset_text))))
 
 
 def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> StationSet:
@@ -95,10 +93,6 @@ def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Con
                       np.zeros(len(seen), dtype=np.intp), are_passes=True)
 
 
-def _stamps(samples: Sequence[Sample]) -> NDArray[np.int64]:
-    return np.array([sample.stamp for sample in samples], dtype=np.int64)
-
-
 def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
     """
     Return the conditions of a routine; T: (n, 4, 4) sensor planes in the base.
@@ -123,11 +117,11 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
 
 def _common(points: Array, stop: Numbers, dimension: int) -> Array:
     """
-    Return the distances (k,) of features from what they have in common, by random sampling.
+    Return the distances (k,) of features from the one point, line or plane that they share.
 
-    points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0, 1 or 2: a
-    point, a line or a plane, through two features of different stops. The best is nearest to at
-    least one feature of most stops.
+    points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0, 1 or 2, of
+    the point, line or plane. Tried are those through two features of different stops; the best is
+    near at least one feature of most stops.
     """
     first = np.unique(stop, return_index=True)[1]
     best, lowest = np.full(len(stop), np.inf), np.inf
@@ -213,9 +207,9 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     """
     samples = single_samples(samples)
     samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
-    T, pairing = mounted(samples, config), Pairing.of(samples)
-    stations = StationSet(T, _observed(routine, samples, T @ X), _stamps(samples),
-                          np.zeros(len(T), dtype=np.intp))
+    pairing = Pairing.of(samples)
+    stations = StationSet.of(samples, _observed(routine, samples, mounted(samples, config) @ X),
+                             config)
     obs, shape = stations.observations, routine.shape(stations, X, config.verify)
 
     def distances(x: Array) -> Array:
