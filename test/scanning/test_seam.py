@@ -28,9 +28,9 @@ import yaml
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
-QUICK = ('butt 3, backing 1', 'butt 3 on a table, seen all round', 'lap 5, lean -20',
-         'lap 5, lean 20', 'vee 6, root 2', 'tee 30, lean 45', 'lap 5, spatter',
-         'corner of 135 degrees')  # lean 45: its rough course bends at the ends
+QUICK = ('butt 3 on a table, seen all round', 'lap 5, lean 20', 'vee 6, root 2',
+         'tee 30, lean 45', 'lap 5, spatter', 'corner of 135 degrees')
+# lean 45: its rough course bends at the ends
 
 
 def cloud_of(seed=0, **values):
@@ -132,23 +132,16 @@ def test_columns_at_the_same_places_in_all_profiles_limit_what_is_known_of_an_ed
 
 
 def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
-    truth = joint_of('vee 6, root 2')
-    seam = find_seam(truth.points)
-    last = seam.curve.position(seam.curve.last)
-    turned = find_seam(truth.points, line='first', start=last)
-    assert (seam.line, turned.line) == ('root', 'first')
-    away = np.linalg.norm(turned.curve.position(turned.curve.first) - seam.second[-1])
-    assert away < 2e-4
-    lap = joint_of('lap 5, lean -20').points  # seen from its other end, first and second change
-    second = find_seam(lap, line='second')
-    turned = find_seam(lap, line='first', start=second.curve.position(second.curve.last))
+    vee = find_seam(joint_of('vee 6, root 2').points)
+    assert vee.line == 'root'
+    assert measures(vee, tool_frames(vee, 5e-3))[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
+    points = joint_of('lap 5, lean -20').points
+    second = find_seam(points, line='second')
+    last = second.curve.position(second.curve.last)
+    turned = find_seam(points, line='first', start=last)  # from the other end, now the first
+    assert (second.line, turned.line) == ('second', 'first')
+    assert np.linalg.norm(turned.curve.position(turned.curve.first) - last) < 2e-4
     np.testing.assert_allclose(turned.std[::-1], second.std, rtol=0.01)
-    gap = measures(seam, tool_frames(seam, 5e-3))[:, 0]
-    assert gap == pytest.approx(2e-3, abs=1.5e-4)
-    truth = cloud_of(kind='butt', gap=4e-3, noise=5e-5)
-    seam = find_seam(truth.points)
-    for edge in (seam.first, seam.second):
-        assert off_line(truth, edge[3:-3]).mean() == pytest.approx(2e-3, abs=1e-4)
 
 
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
