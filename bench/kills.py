@@ -307,7 +307,10 @@ def run(kill: Kill, count: int, seed: int, output_dir: Path) -> None:
         for _ in range(min(KILLS_OF_A_SESSION, count - begun)):
             restored = kill(parent, rng, tally)
             starts += [restored] * bool(restored)
-            for folder in (parent / 'sphere').glob('*') if tally.taken else ():
+            # who is killed between making a folder and its first file leaves an empty one
+            folders = [path for path in (parent / 'sphere').glob('*') if files_of(path)]
+            assert folders or not tally.taken, f'{parent}: no session is left'
+            for folder in folders if tally.taken else ():
                 # the service of a node may be asked before all profiles came
                 check(folder, tally, config, 1 if of_node else 6)
         taken, removed = taken + len(tally.taken), removed + len(tally.removed)

@@ -13,7 +13,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, Sample, TimedPose
-from handeye_ros.simulate import robot
+from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.robot import perturbed
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
@@ -79,7 +79,7 @@ class Simulated:
             return []
         T = se3.from_quaternion(np.array([pose.translation for pose in self.poses]),
                                 np.array([pose.quaternion for pose in self.poses]))
-        values = np.unwrap(robot.inverse(T), axis=0)
+        values = np.unwrap(robots.inverse(T), axis=0)
         return [(pose.stamp, row) for pose, row in zip(self.poses, values, strict=True)]
 
 
@@ -107,7 +107,8 @@ class Cell:
 
     T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
     T_world_target: the target in the base, or in the flange. T_base_flange and the reported poses:
-    (n, 4, 4). T_mount_best: best-fit transform with the reported poses. arm: its errors.
+    (n, 4, 4). T_mount_best: best-fit transform with the reported poses. arm, distortion: errors of
+    arm and sensor, if there are any.
     """
 
     scenario: Scenario
@@ -117,7 +118,8 @@ class Cell:
     T_base_flange: Array
     T_base_flange_reported: Array
     T_mount_best: Array
-    arm: robot.ArmErrors | None = None
+    arm: robots.ArmErrors | None = None
+    distortion: sensors.Distortion | None = None
 
     def T_target_sensor(self, T_base_flange: Array) -> Array:
         """Return the sensor's poses (n, 4, 4) in the target at flange poses (n, 4, 4)."""
@@ -125,10 +127,9 @@ class Cell:
         T = se3.inverse(T_base_flange) if on_base else T_base_flange
         return np.asarray(se3.inverse(self.T_world_target) @ T @ self.T_mount_sensor)
 
-    def truth(self, spans: NDArray[np.int64], distortion: sensors.Distortion | None = None
-              ) -> Truth:
+    def truth(self, spans: NDArray[np.int64]) -> Truth:
         """Return the true values; spans (n, 2): stamps of the stops."""
-        T_true_standard = distortion.T_true_reported if distortion else np.eye(4)
+        T_true_standard = self.distortion.T_true_reported if self.distortion else np.eye(4)
         T = self.T_mount_best @ T_true_standard @ FRAMES[
             self.scenario.layout.frame].T_standard_sensor
         stations = tuple(Station(int(start), int(end), *values) for (start, end), *values in zip(
@@ -152,15 +153,15 @@ def cell_of(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
     X, Z = ((standing, mounted) if scenario.calibration_type == 'eye_on_base' else
             (mounted, standing))
     T = flange_poses(scenario, stops.T_target_sensor, X, Z)
-    reported = perturbed(T, robot.pose_error(scenario.robot, T, rng))
+    reported = perturbed(T, robots.pose_error(scenario.robot, T, rng))
     best, errors = X, None
     if scenario.robot.geometry:
-        errors = robot.draw_arm(scenario.robot.geometry, rng)
-        reported = perturbed(reported, robot.reported_error(T, errors))
+        errors = robots.draw_arm(scenario.robot.geometry, rng)
+        reported = perturbed(reported, robots.reported_error(T, errors))
         many = flange_poses(scenario, anywhere(scenario).T_target_sensor, X, Z)
-        best = _best_mount(many, robot.reported_error(many, errors), X, scenario)
+        best = _best_mount(many, robots.reported_error(many, errors), X, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
-    reported = robot.bumped(reported, scenario.bumped, rng)
+    reported = robots.bumped(reported, scenario.bumped, rng)
     return Cell(scenario, stops, X, Z, T, reported, best, errors)
 
 
@@ -236,23 +237,20 @@ def timed_profiles(times: Array, points: Array) -> tuple[Profile, ...]:
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
     """Return a recording of a robot that moves from stop to stop, or sweeps past them."""
     cell = draw(scenario, rng)
-    distortion = sensors.draw_distortion(scenario.sensor, rng)
-    if scenario.sweep:
-        return _sweeping(scenario, scenario.sweep, cell, distortion, rng)
-    return _stopping(scenario, cell, distortion, rng)
+    cell = replace(cell, distortion=sensors.draw_distortion(scenario.sensor, rng))
+    return _sweeping(cell, scenario.sweep, rng) if scenario.sweep else _stopping(cell, rng)
 
 
-def _stopping(scenario: Scenario, cell: Cell, distortion: sensors.Distortion | None,
-              rng: np.random.Generator) -> Simulated:
+def _stopping(cell: Cell, rng: np.random.Generator) -> Simulated:
     """Return the recording of a robot that stops for dwell, and moves on for move seconds."""
-    sensor, arm, stops = scenario.sensor, scenario.robot, len(cell.stops.labels)
-    period = arm.dwell + arm.move
-    duration, arrivals = stops * arm.dwell + (stops - 1) * arm.move, np.arange(stops) * period
+    sensor, robot, stops = cell.scenario.sensor, cell.scenario.robot, len(cell.stops.labels)
+    period, arrivals = robot.dwell + robot.move, np.arange(stops) * (robot.dwell + robot.move)
+    duration = stops * robot.dwell + (stops - 1) * robot.move
 
     def progress(times: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the last station (k,), and the fraction (k,) of the path to the next."""
         station = np.minimum((times / period).astype(np.int64), stops - 1)
-        s = np.clip((times - station * period - arm.dwell) / arm.move, 0.0, 1.0)
+        s = np.clip((times - station * period - robot.dwell) / robot.move, 0.0, 1.0)
         s = np.where(station == stops - 1, 0.0, s)
         return station, s**3 * (10 - 15 * s + 6 * s**2)  # smooth at start and end
 
@@ -263,18 +261,18 @@ def _stopping(scenario: Scenario, cell: Cell, distortion: sensors.Distortion | N
     places, row = np.unique(np.stack(progress(times), axis=1), axis=0, return_inverse=True)
     row = row.reshape(-1)  # numpy 2.0 alone returns it as a column
     T = _between(cell.T_base_flange, places[:, 0].astype(np.int64), np.asarray(places[:, 1]))
-    z, angle = _exact(scenario, cell.T_target_sensor(T), rng)
-    profiles = _profiles(scenario, z[row], angle[row], times + sensor.delay, distortion, rng)
+    z, angle = _exact(cell, cell.T_target_sensor(T), rng)
+    profiles = _profiles(cell, z[row], angle[row], times + sensor.delay, rng)
 
-    times = np.arange(0, duration, 1 / arm.rate)
+    times = np.arange(0, duration, 1 / robot.rate)
     T = _between(cell.T_base_flange_reported, *progress(times))
-    T = perturbed(T, rng.normal(size=(len(T), 6)) * arm.jitter)
+    T = perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
-    for name in scenario.convention_errors:
-        translation, quaternion = robot.CONVENTION_ERRORS[name](translation, quaternion)
-    spans = stamps(np.stack([arrivals, arrivals + arm.dwell], axis=1))
-    return Simulated(scenario, profiles, timed_poses(times, translation, quaternion),
-                     cell.truth(spans, distortion))
+    for name in cell.scenario.convention_errors:
+        translation, quaternion = robots.CONVENTION_ERRORS[name](translation, quaternion)
+    spans = stamps(np.stack([arrivals, arrivals + robot.dwell], axis=1))
+    return Simulated(cell.scenario, profiles, timed_poses(times, translation, quaternion),
+                     cell.truth(spans))
 
 
 def _between(T: Array, station: NDArray[np.int64], fraction: Array) -> Array:
@@ -286,11 +284,10 @@ def _between(T: Array, station: NDArray[np.int64], fraction: Array) -> Array:
     return se3.transform(R @ se3.exp_rotation(fraction[:, None] * turn), t)
 
 
-def _sweeping(scenario: Scenario, sweep: Sweep, cell: Cell,
-              distortion: sensors.Distortion | None, rng: np.random.Generator) -> Simulated:
+def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
     """Return the recording of a robot on a smooth path through all stops."""
-    sensor, knots = scenario.sensor, np.arange(len(cell.stops.labels)) * sweep.knot
-    T_target_sensor = cell.stops.T_target_sensor
+    scenario, T_target_sensor = cell.scenario, cell.stops.T_target_sensor
+    sensor, knots = scenario.sensor, np.arange(len(T_target_sensor)) * sweep.knot
     position = CubicSpline(knots, T_target_sensor[:, :3, 3], bc_type='natural')
     rotation = RotationSpline(knots, Rotation.from_matrix(T_target_sensor[:, :3, :3].copy()))
 
@@ -303,9 +300,9 @@ def _sweeping(scenario: Scenario, sweep: Sweep, cell: Cell,
     instants = times[:, None] + (np.linspace(-0.5, 0.5, INSTANTS) * sweep.exposure
                                  if sweep.exposure else np.zeros(1))
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1)
-                for values in _exact(scenario, path(instants.ravel()), rng))
+                for values in _exact(cell, path(instants.ravel()), rng))
     stamped = times + sensor.delay + rng.normal(size=len(times)) * sweep.stamp_jitter
-    profiles = _profiles(scenario, z, angle, np.maximum.accumulate(stamped), distortion, rng)
+    profiles = _profiles(cell, z, angle, np.maximum.accumulate(stamped), rng)
 
     times = np.arange(0.0, knots[-1], 1 / scenario.robot.rate)
     begins = (np.arange(sweep.gaps) + 0.5) * (times[-1] / max(sweep.gaps, 1))
@@ -314,23 +311,23 @@ def _sweeping(scenario: Scenario, sweep: Sweep, cell: Cell,
     T, late = (flange_poses(scenario, path(t), cell.T_mount_sensor, cell.T_world_target)
                for t in (times, times - sweep.rotation_lag))
     T = se3.transform(late[:, :3, :3], T[:, :3, 3])
-    error = robot.pose_error(scenario.robot, T, rng)
-    instants = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
-    drift = rng.normal(size=(len(instants), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
-    T = perturbed(T, error + CubicSpline(instants, drift)(times))
+    error = robots.pose_error(scenario.robot, T, rng)
+    turns = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
+    drift = rng.normal(size=(len(turns), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
+    T = perturbed(T, error + CubicSpline(turns, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
     if cell.arm:
-        T = perturbed(T, robot.reported_error(T, cell.arm))
+        T = perturbed(T, robots.reported_error(T, cell.arm))
     step = sweep.resolution
     poses = timed_poses(stamped, np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3],
                         se3.quaternion(T))
-    truth = cell.truth(np.zeros((len(knots), 2), dtype=np.int64), distortion)
+    truth = cell.truth(np.zeros((len(knots), 2), dtype=np.int64))
     return Simulated(scenario, profiles, poses, replace(truth, time_offset=-sensor.delay))
 
 
-def _exact(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
-           ) -> tuple[Array, Array]:
+def _exact(cell: Cell, T_target_sensor: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return ranges and incidences (m, n) at poses (m, 4, 4), with errors that do not change."""
+    scenario = cell.scenario
     sensor, solids = scenario.sensor, SCENES[scenario.scene].solids(scenario)
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
     if sensor.spot:
@@ -340,14 +337,14 @@ def _exact(scenario: Scenario, T_target_sensor: Array, rng: np.random.Generator
     return z, angle
 
 
-def _profiles(scenario: Scenario, z: Array, angle: Array, times: Array,
-              distortion: sensors.Distortion | None, rng: np.random.Generator
+def _profiles(cell: Cell, z: Array, angle: Array, times: Array, rng: np.random.Generator
               ) -> tuple[Profile, ...]:
     """Return profiles of exact ranges and incidences (m, n), stamped with times (m,)."""
-    sensor, frame = scenario.sensor, FRAMES[scenario.layout.frame]
-    ranges = sensors.measure(sensor, z, angle, rng, distortion)
-    points = frame.published(sensors.plane_points(sensor, ranges, distortion))
-    missing, mark = np.asarray(np.isnan(points).any(axis=2)), scenario.layout.no_return
+    sensor, layout = cell.scenario.sensor, cell.scenario.layout
+    frame, mark = FRAMES[layout.frame], layout.no_return
+    ranges = sensors.measure(sensor, z, angle, rng, cell.distortion)
+    points = frame.published(sensors.plane_points(sensor, ranges, cell.distortion))
+    missing = np.asarray(np.isnan(points).any(axis=2))
     points[missing] = np.inf if mark == 'inf' else np.nan
     return tuple(Profile(int(stamp), 'laser', p[~gone] if mark == 'omit' else p, frame.axes)
                  for stamp, p, gone in zip(stamps(times), points, missing, strict=True))
