@@ -290,11 +290,6 @@ class LiveSession:
         self.pool.start()
         self.wake()
 
-    def stop(self) -> None:
-        """End the worker and the processes."""
-        self.worker.stop()
-        self.pool.stop()
-
     def wake(self) -> None:
         """Have the worker look for what is due."""
         if self.worker.runs and not self._woken:

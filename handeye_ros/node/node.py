@@ -81,9 +81,8 @@ class HandeyeNode(Node):
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
-        """Stop publishing, and all computations."""
+        """Publish nothing more: the process ends, and what computes with it."""
         self._outputs.close()
-        self.live.stop()
 
     def topics_of(self, kind: str) -> list[str]:
         """Return the topics with publishers of a message type."""
@@ -97,7 +96,7 @@ class HandeyeNode(Node):
     def _show(self) -> None:
         """Log a new attempt to take a sample, and publish what has changed."""
         attempt = self.live.attempt
-        if attempt and attempt is not self._logged:
+        if attempt and attempt is not self._logged and not self._outputs.closed:
             self._logged = attempt
             if attempt.sample:
                 self.get_logger().info(attempt.text)

@@ -61,7 +61,7 @@ class Outputs:
     def __init__(self, node: Node, live: LiveSession) -> None:
         """Advertise all topics."""
         self._node, self._live = node, live
-        self._lock, self._closed = threading.Lock(), False
+        self._lock, self.closed = threading.Lock(), False
         self._shown: Calibration | None = None
         self._published: dict[str, Any] = {}
         self._texts = {name: node.create_publisher(String, f'~/{name}', LATCHED)
@@ -90,7 +90,7 @@ class Outputs:
     def show(self) -> None:
         """Publish all changes."""
         with self._lock:
-            if self._closed:
+            if self.closed:
                 return
             live, state = self._live, state_of(self._live)
             calibration = live.calibration
@@ -112,7 +112,7 @@ class Outputs:
         A publisher that is created after the executor has ended would end the process.
         """
         with self._lock:
-            self._closed = True
+            self.closed = True
 
     def _is_new(self, name: str, content: Any) -> bool:
         """Return whether a content differs from the last one of this name."""

@@ -72,19 +72,13 @@ class Worker:
         """Start the thread."""
         self._executor = ThreadPoolExecutor(1, 'worker')
 
-    def stop(self) -> None:
-        """Do nothing more."""
-        if self._executor:
-            self._executor.shutdown(wait=False, cancel_futures=True)
-
     def later(self, work: Callable[..., object], *args: Any) -> None:
         """Do something, and then call changed."""
         if self._executor is None:
             work(*args)
             self._changed()
         else:
-            with suppress(RuntimeError):  # it has ended
-                self._executor.submit(self._report, work, *args)
+            self._executor.submit(self._report, work, *args)
 
     def _report(self, work: Callable[..., object], *args: Any) -> None:
         try:
@@ -99,14 +93,10 @@ class Worker:
                 print(traceback.format_exc(), file=sys.stderr, flush=True)
 
     def ask(self, work: Callable[..., Result], *args: Any) -> Result:
-        """Return the result of something; raises its exceptions, PoolEndedError at the end."""
+        """Return the result of something; raises its exceptions."""
         if self._executor is None:
             return work(*args)
-        try:
-            answered = self._executor.submit(work, *args)
-        except RuntimeError as error:
-            raise PoolEndedError from error
-        return answer_of(answered)
+        return self._executor.submit(work, *args).result()
 
 
 class Pool:
@@ -117,7 +107,6 @@ class Pool:
         # a node that ends at once leaves the semaphores of its processes to Python's tracker: it
         # removes them, and nobody needs to hear of it
         sys.warnoptions.append('ignore::UserWarning:multiprocessing.resource_tracker')
-        self._stopped = False
         self._executor = self._new()
 
     def _new(self) -> ProcessPoolExecutor:
@@ -129,9 +118,7 @@ class Pool:
             self.submit(trim_memory)
 
     def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
-        """Return the future of a call, for answer_of; raises PoolEndedError after stop()."""
-        if self._stopped:
-            raise PoolEndedError
+        """Return the future of a call, for answer_of."""
         try:
             return self._executor.submit(_call, function, args)
         except BrokenProcessPool:
@@ -147,13 +134,6 @@ class Pool:
         with suppress(PoolEndedError):
             return answer_of(self.submit(function, *args))
         return answer_of(self.submit(function, *args))
-
-    def stop(self) -> None:
-        """End the processes, also running functions."""
-        self._stopped = True
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.kill()
 
 
 def _begin() -> None:

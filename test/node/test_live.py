@@ -388,7 +388,6 @@ def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
     gate.open.set()
     thread.join(PATIENCE)
     assert 'cleared while the calibration was computed' in str(report[0])
-    live.stop()
 
 
 def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
@@ -419,7 +418,6 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
     live.configure(set_to(live.config, noise__sensor=3e-5))
     while state_of(live)['session']['trouble']:
         changed.wait(0.01)
-    live.stop()
 
 
 # -- verification

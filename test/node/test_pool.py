@@ -3,7 +3,6 @@
 """The processes for long computations: what they answer, and what a killed one costs."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 import os
 import signal
 import subprocess
@@ -18,10 +17,8 @@ import pytest
 
 
 @pytest.fixture
-def pool() -> Iterator[Pool]:
-    found = Pool()
-    yield found
-    found.stop()
+def pool() -> Pool:
+    return Pool()
 
 
 def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
@@ -44,9 +41,6 @@ def test_one_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> Non
     with pytest.raises(PoolEndedError):
         answer_of(pool.submit(os._exit, 1))
     assert pool.run(divmod, 7, 2) == (3, 1)
-    pool.stop()
-    with pytest.raises(PoolEndedError):
-        pool.run(os.getpid)
 
 
 PARENT = """
