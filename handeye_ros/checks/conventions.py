@@ -1,15 +1,15 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Tests common errors of conventions where an answer does not fit.
+Common errors of conventions in the poses, as hypotheses where an answer does not fit.
 
-Each error is a map from the published poses (n, 4, 4) to the poses without this error. The map
-with which the samples agree names the mistake.
+Each error can be undone: a function of the published poses T (n, 4, 4) gives the poses without it,
+of some errors in one of two ways. The one with which the samples agree names the mistake.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 from handeye_ros import se3
@@ -27,18 +27,16 @@ INVERSE = 'inverse poses'
 
 def convention_errors(problem: Problem, stated: Fit) -> list[Hypothesis]:
     """Return the hypotheses that the poses contain one of the known errors."""
-    return [_undone(problem, name, undo, stated) for name, change in CONVENTION_ERRORS.items()
-            for undo in (change.undo, change.other) if undo]
+    return [_undone(problem, name, T, advice, stated) for name, undo, advice in CONVENTION_ERRORS
+            for T in undo(problem.robot_poses)]
 
 
-def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], stated: Fit
-            ) -> Hypothesis:
-    """Return the hypothesis that the poses contain an error; undo removes it."""
-    on_base = problem.config.calibration_type == 'eye_on_base'
-    poses = se3.inverse(undo(se3.inverse(problem.poses))) if on_base else undo(problem.poses)
+def _undone(problem: Problem, name: str, T: Array, advice: str, stated: Fit) -> Hypothesis:
+    """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
+    on_base = not problem.in_hand
 
     def refusal(fit: Fit) -> DataError:
-        advice = CONVENTION_ERRORS[name].advice
+        remedy = advice
         if name == INVERSE:
             other = 'eye_in_hand' if on_base else 'eye_on_base'
             if _mounted_on_base(fit.parts[0]) != on_base:
@@ -48,11 +46,12 @@ def _undone(problem: Problem, name: str, undo: Callable[[Array], Array], stated:
                     f'{fit.compared(stated, f"calibration_type {other}")}: set it if the sensor '
                     f'is fixed {where} and the target in the frame of the {on}; otherwise the '
                     'poses are published inverted', reason='settings')
-            advice += f'; or set calibration_type to {other}, if the sensor is mounted so'
+            remedy += f'; or set calibration_type to {other}, if the sensor is mounted so'
         return DataError(f'the poses contradict the samples: '
-                         f'{fit.compared(stated, f"{name} undone")}; {advice}',
+                         f'{fit.compared(stated, f"{name} undone")}; {remedy}',
                          reason='convention')
-    return Hypothesis(partial(Fit.of, replace(problem, poses=poses)), refusal)
+    return Hypothesis(partial(Fit.of, replace(problem, poses=se3.inverse(T) if on_base else T)),
+                      refusal)
 
 
 def _mounted_on_base(agreed: Solution) -> bool:
@@ -77,71 +76,53 @@ def orientations_scatter(poses: Array) -> bool:
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < 0.6
 
 
-@dataclass(frozen=True)
-class PoseMap:
-    """
-    undo: maps poses (n, 4, 4) to poses without the error; advice: what to do, in words.
-
-    other: a second such map if the error can be undone in two ways, else None.
-    """
-
-    undo: Callable[[Array], Array]
-    advice: str
-    other: Callable[[Array], Array] | None = None
+def _inverse(T: Array) -> list[Array]:
+    return [se3.inverse(T)]
 
 
-def _wxyz(T: Array) -> Array:
+def _wxyz(T: Array) -> list[Array]:
     """Undo quaternions x y z w read as w x y z."""
     w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
-    return se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))
+    return [se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))]
 
 
-def _scaled(T: Array, factor: float) -> Array:
-    return se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)
+def _scaled(factor: float, T: Array) -> list[Array]:
+    return [se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)]
 
 
-def _composed(T: Array, read_as: str, meant: str) -> Array:
+def _composed(read_as: str, meant: str, T: Array) -> list[Array]:
     """Undo angles about the axes `meant` that were composed as `read_as`."""
     angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(read_as)
-    return se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])
+    return [se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])]
 
 
-def _radians_as_degrees(T: Array) -> Array:
+def _radians_as_degrees(T: Array) -> list[Array]:
     """Undo roll, pitch, yaw in radians read as degrees."""
     angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
-    return se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])
+    return [se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])]
 
 
-def _rotation_inverted(T: Array) -> Array:
-    return se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])
+def _transposed(T: Array) -> list[Array]:
+    return [se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])]
 
 
-def _in_order(T: Array, first: int, order: list[int]) -> Array:
+def _in_order(order: list[int], T: Array) -> list[Array]:
     """Undo roll, pitch, yaw in another order; order: the position of each."""
-    angles = _both_rpy(T)[..., order]
-    return se3.transform(_chained(_rotations('xyz', angles), first), T[:, :3, 3])
+    return _two_ways(T, _rotations('xyz', _both_rpy(T)[..., order]))
 
 
-def _rotation_vectors(T: Array, first: int) -> Array:
+def _rotation_vectors(T: Array) -> list[Array]:
     """Undo rotation vectors of at most half a turn read as roll, pitch, yaw."""
     both = _both_rpy(T)
-    valid = np.linalg.norm(both, axis=2) <= np.pi
-    return se3.transform(_chained(se3.exp_rotation(both), first, valid), T[:, :3, 3])
+    return _two_ways(T, se3.exp_rotation(both), np.linalg.norm(both, axis=2) <= np.pi)
 
 
-def _rpy_as_vectors(T: Array, first: int) -> Array:
+def _rpy_as_vectors(T: Array) -> list[Array]:
     """Undo roll, pitch, yaw read as rotation vectors."""
     short = se3.log_rotation(T[:, :3, :3])
     length = np.maximum(np.linalg.norm(short, axis=1, keepdims=True), 1e-9)
     both = np.stack([short, short * (1 - 2 * np.pi / length)])
-    valid = np.abs(both[..., 1]) <= np.pi / 2
-    return se3.transform(_chained(_rotations('xyz', both), first, valid), T[:, :3, 3])
-
-
-def _two_ways(undo: Callable[..., Array], advice: str, **values: object) -> PoseMap:
-    """Return the PoseMap of an error that can be undone in two ways, chosen at the first pose."""
-    one, other = (partial(undo, first=first, **values) for first in range(2))
-    return PoseMap(one, advice, other)
+    return _two_ways(T, _rotations('xyz', both), np.abs(both[..., 1]) <= np.pi / 2)
 
 
 def _rotations(axes: str, angles: Array) -> Array:
@@ -156,59 +137,55 @@ def _both_rpy(T: Array) -> Array:
     return np.stack([one, (other + np.pi) % (2 * np.pi) - np.pi])
 
 
-def _chained(R: Array, first: int, valid: NDArray[np.bool_] | None = None) -> Array:
+def _two_ways(T: Array, R: Array, valid: NDArray[np.bool_] | None = None) -> list[Array]:
     """
-    Return rotations (n, 3, 3), for each pose one of its c candidates (c, n, 3, 3).
+    Return the poses with one of two rotations R (2, n, 3, 3) each; either way for the first pose.
 
-    first: the candidate of the first pose; valid: (c, n) which candidates are possible, None: all.
-    The pose with a candidate nearest to a decided pose is decided next.
+    valid: (2, n) which of them are possible, None: all. The pose with a rotation nearest to that
+    of a decided pose is decided next.
     """
-    n = R.shape[1]
-    chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
+    n, found = R.shape[1], []
     able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
-    nearness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
-    for _ in range(n):
-        chosen[pose], undecided[pose] = pick, False
-        nearness = np.maximum(nearness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
-        best = int(np.argmax(np.where(undecided & able, nearness, -np.inf)))
-        pick, pose = divmod(best, n)
-    return np.asarray(R[chosen, np.arange(n)])
+    for first in range(2):
+        chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
+        nearness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
+        for _ in range(n):
+            chosen[pose], undecided[pose] = pick, False
+            nearness = np.maximum(nearness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
+            best = int(np.argmax(np.where(undecided & able, nearness, -np.inf)))
+            pick, pose = divmod(best, n)
+        found.append(se3.transform(R[chosen, np.arange(n)], T[:, :3, 3]))
+    return found
 
 
-CONVENTION_ERRORS: dict[str, PoseMap] = {
-    INVERSE: PoseMap(
-        se3.inverse, 'publish the pose of the flange in the base (p_base = T p_flange), not its '
-        'inverse'),
-    'quaternions read as w x y z': PoseMap(
-        _wxyz, 'fill x, y, z, w of the message by name, not in the order w x y z'),
-    'positions in millimetres': PoseMap(partial(_scaled, factor=1e-3),
-                                        'publish positions in metres'),
-    'positions a thousand times larger': PoseMap(
-        partial(_scaled, factor=1e3), 'publish positions in metres: these were divided by 1000 '
-        'once too often'),
-    'extrinsic Euler angles': PoseMap(
-        partial(_composed, read_as='XYZ', meant='xyz'), 'the angles were composed as intrinsic '
-        'x-y-z; compose them as extrinsic x-y-z (Rz Ry Rx)'),
-    'intrinsic Euler angles': PoseMap(
-        partial(_composed, read_as='xyz', meant='XYZ'), 'the angles were composed as extrinsic '
-        'x-y-z; compose them as intrinsic x-y-z (Rx Ry Rz)'),
-    'angles in radians': PoseMap(
-        _radians_as_degrees, 'the angles are radians but were converted as degrees; convert them '
-        'once only'),
-    'transposed rotations': PoseMap(
-        _rotation_inverted, 'publish the rotation of the flange in the base, not its transpose'),
-    'roll and yaw exchanged': _two_ways(
-        _in_order, order=[2, 1, 0], advice='the angles came in the order yaw, pitch, roll, as '
-        'the A, B, C of KUKA do (about z, y, x), but were taken as roll, pitch, yaw; compose '
-        'them as Rz(A) Ry(B) Rx(C)'),
-    'roll and pitch exchanged': _two_ways(
-        _in_order, 'take the angles in the order roll, pitch, yaw', order=[1, 0, 2]),
-    'pitch and yaw exchanged': _two_ways(
-        _in_order, 'take the angles in the order roll, pitch, yaw', order=[0, 2, 1]),
-    'rotation vectors': _two_ways(
-        _rotation_vectors, 'the orientations are rotation vectors, as Universal Robots gives '
-        'them, but were read as roll, pitch, yaw; turn by their length about their direction'),
-    'roll, pitch, yaw': _two_ways(
-        _rpy_as_vectors, 'the orientations are roll, pitch, yaw but were read as rotation '
-        'vectors; compose them as extrinsic x-y-z (Rz Ry Rx)'),
-}
+# Name, function that undoes it, and what to do.
+CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
+    (INVERSE, _inverse,
+     'publish the pose of the flange in the base (p_base = T p_flange), not its inverse'),
+    ('quaternions read as w x y z', _wxyz,
+     'fill x, y, z, w of the message by name, not in the order w x y z'),
+    ('positions in millimetres', partial(_scaled, 1e-3), 'publish positions in metres'),
+    ('positions a thousand times larger', partial(_scaled, 1e3),
+     'publish positions in metres: these were divided by 1000 once too often'),
+    ('extrinsic Euler angles', partial(_composed, 'XYZ', 'xyz'),
+     'the angles were composed as intrinsic x-y-z; compose them as extrinsic x-y-z (Rz Ry Rx)'),
+    ('intrinsic Euler angles', partial(_composed, 'xyz', 'XYZ'),
+     'the angles were composed as extrinsic x-y-z; compose them as intrinsic x-y-z (Rx Ry Rz)'),
+    ('angles in radians', _radians_as_degrees,
+     'the angles are radians but were converted as degrees; convert them once only'),
+    ('transposed rotations', _transposed,
+     'publish the rotation of the flange in the base, not its transpose'),
+    ('roll and yaw exchanged', partial(_in_order, [2, 1, 0]),
+     'the angles came in the order yaw, pitch, roll, as the A, B, C of KUKA do (about z, y, x), '
+     'but were taken as roll, pitch, yaw; compose them as Rz(A) Ry(B) Rx(C)'),
+    ('roll and pitch exchanged', partial(_in_order, [1, 0, 2]),
+     'take the angles in the order roll, pitch, yaw'),
+    ('pitch and yaw exchanged', partial(_in_order, [0, 2, 1]),
+     'take the angles in the order roll, pitch, yaw'),
+    ('rotation vectors', _rotation_vectors,
+     'the orientations are rotation vectors, as Universal Robots gives them, but were read as '
+     'roll, pitch, yaw; turn by their length about their direction'),
+    ('roll, pitch, yaw', _rpy_as_vectors,
+     'the orientations are roll, pitch, yaw but were read as rotation vectors; compose them as '
+     'extrinsic x-y-z (Rz Ry Rx)'),
+)
