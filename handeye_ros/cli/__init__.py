@@ -5,6 +5,7 @@ The command `handeye`: one module per group of verbs.
 
 A verb reads its arguments, calls one function of the library and prints what it returns.
 """
+from importlib import import_module
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
 
 def command() -> 'Typer':
     """Return the command; importing a module adds its verbs."""
-    from handeye_ros.cli import common, measure, scan, solve, tools  # noqa: F401
-    return common.app
+    from handeye_ros.cli.common import app
+    for group in ('solve', 'measure', 'scan', 'tools'):  # as help lists them
+        import_module(f'handeye_ros.cli.{group}')
+    return app
 
 
 def main() -> None:

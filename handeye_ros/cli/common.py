@@ -7,25 +7,28 @@ The slow imports are inside functions, here and in the verbs, so that help and w
 at once. No `from __future__ import annotations`, here and in the verbs: the typer of Jazzy (0.9)
 does not evaluate such annotations.
 """
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import __version__
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import HandeyeError, InputError
 import typer
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
+    from handeye_ros.arm import Arm
     from handeye_ros.bags.bag import Recording
     from handeye_ros.bags.session import Stored
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
     from handeye_ros.sampling.trajectory import Trajectory
+    from handeye_ros.tabulated.method import FileMethod
+    from handeye_ros.tabulated.method import Input as TableInput
 
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
@@ -50,42 +53,70 @@ MeasureConfig = Annotated[NoPath, typer.Option(
 OutFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
 TABLES = ('.csv',)  # files of measured values
 INTERRUPTED = 130
-ORDER = ('solve', 'calibrate', 'samples', 'report', 'export', 'compare', 'verify', 'check',
-         'trend', 'kinematics', 'scan', 'seam', 'batch', 'replay', 'simulate')  # as help lists
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """
+    The input of a verb, and the settings it is read with.
+
+    session: the samples of a recording or a session; for a table of measured values instead its
+    method and its content. inputs: for the provenance of an answer.
+    """
+
+    settings: 'Config'
+    inputs: 'Sequence[Any]'
+    session: 'Session | None' = None
+    method: 'FileMethod | None' = None
+    table: 'TableInput | None' = None
+
+
+def opened(path: Path, config: Path | None, assignments: list[str], angles: str = '',
+           kinematics: Path | None = None) -> Opened:
+    """Return what a bag, a session's folder or a table holds; print warnings about it."""
+    stored = stored_session(path)
+    settings = configuration(config, assignments, stored.config if stored else None, angles,
+                             kinematics)
+    if method := _method_of_table(path, settings):
+        with doing('reading the files'):
+            table = method.read(path, settings)
+        warn(*table.warnings)
+        return Opened(settings, table.inputs, method=method, table=table)
+    if stored:
+        return Opened(settings, [{'path': str(path.absolute())}], stored.session(settings))
+    recording = read_bag(path, settings)
+    return Opened(settings, list(recording.inputs), gathered(recording, settings))
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
-                  angles: str = '') -> 'Config':
+                  angles: str = '', kinematics: Path | None = None) -> 'Config':
     """
     Return the base (default: the defaults) with the keys of a file, and those set by hand.
 
-    angles: the notation of a table of poses.
+    angles: the notation of a table of poses; kinematics: a kinematics.yaml, with its frames.
     """
     from handeye_ros.config import Config, load, with_assignments
     from handeye_ros.units import assigned
     base = base or Config()
-    assignments = [*assignments, f'target.angles={angles}'] if angles else assignments
-    return with_assignments(load(file, base) if file else base, map(assigned, assignments))
+    given = [assigned(text) for text in assignments]
+    if angles:
+        given.append(f'target.angles={angles}')
+    if kinematics:
+        from handeye_ros.arm import read_arm
+        arm = read_arm(kinematics)
+        given = [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
+                 f'robot_effector_frame={arm.flange}', *given]
+    return with_assignments(load(file, base) if file else base, given)
 
 
-def calibrated(file: Path, config: Path | None, assignments: list[str]
-               ) -> 'tuple[Calibration, Config]':
+def calibrated(file: Path, config: Path | None, assignments: list[str],
+               kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import read_calibration, use_config
     calibration = read_calibration(file)
     settings = use_config(calibration, load(config) if config else None)
-    return calibration, configuration(None, assignments, settings)
-
-
-def with_kinematics(assignments: list[str], file: Path | None) -> list[str]:
-    """Return assignments, preceded by those of a kinematics.yaml."""
-    if file is None:
-        return assignments
-    from handeye_ros.arm import read_arm
-    arm = read_arm(file)
-    return [f'kinematics={file.absolute()}', f'robot_base_frame={arm.base}',
-            f'robot_effector_frame={arm.flange}', *assignments]
+    return calibration, configuration(None, assignments, settings, kinematics=kinematics)
 
 
 def stored_session(path: Path) -> 'Stored | None':
@@ -96,19 +127,38 @@ def stored_session(path: Path) -> 'Stored | None':
     return read_session(path) if is_session(path) else None
 
 
-def read_bag(bag: Path, settings: 'Config') -> 'Recording':
-    """Return the contents of a bag; print its warnings."""
-    with advancing('reading the recording') as progress:
+def is_table(path: Path) -> bool:
+    """Return whether a path is a file of measured values."""
+    return path.suffix in TABLES and path.is_file()
+
+
+def _method_of_table(path: Path, settings: 'Config') -> 'FileMethod | None':
+    """Return the method of a target that is solved from files, None for one of profiles."""
+    from handeye_ros.targets import METHODS
+    if settings.target.type in METHODS and not is_table(path):
+        return None
+    from handeye_ros import tabulated
+    method = tabulated.of(settings)
+    if method is None and is_table(path):
+        fitting = list(tabulated.FILE_METHODS)
+        raise InputError(f'{path} is a table of measured values, but target.type '
+                         f'{settings.target.type} is seen by the profiles of a recording: set '
+                         f'target.type to {" or ".join(fitting)}, as in --set '
+                         f'target.type={fitting[0]}')
+    return method
+
+
+def read_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
+    """Return the contents of a bag, the poses those of an arm if given; print its warnings."""
+    with doing('reading the recording') as progress:
         from handeye_ros.bags.bag import read
-        recording = read(bag, settings, progress)
-    for warning in recording.warnings:
-        warn(warning)
+        recording = read(bag, settings, progress, arm)
+    warn(*recording.warnings)
     return recording
 
 
-def gathered(bag: Path, settings: 'Config') -> 'Session':
-    """Return the samples of a bag; print its warnings."""
-    recording = read_bag(bag, settings)
+def gathered(recording: 'Recording', settings: 'Config') -> 'Session':
+    """Return the samples of a recording."""
     with doing('finding the samples'):
         from handeye_ros import pipeline
         return pipeline.gather(recording.profiles, recording.poses, settings)
@@ -124,37 +174,32 @@ def flowing(bag: Path, settings: 'Config', task: str
         # what uses the profiles adds the offset itself
         recording = read(bag, replace(settings, time_offset=0.0))
         yield recording, track_of(recording.poses, settings.sampling.max_pose_gap), update
-    for warning in recording.warnings:
-        warn(warning)
+    warn(*recording.warnings)
 
 
-def warn(text: str) -> None:
-    """Print a warning."""
-    typer.echo(f'warning: {text}', err=True)
+def warn(*warnings: str) -> None:
+    """Print warnings."""
+    for warning in warnings:
+        typer.echo(f'warning: {warning}', err=True)
 
 
 @contextmanager
-def doing(task: str) -> Iterator[Callable[[str], None]]:
-    """Show a task on a terminal, quiet in a pipe; yields a function that changes its name."""
+def doing(task: str) -> Iterator[Callable[[str | float], None]]:
+    """Show a task on a terminal; gives a function of its name, or of the fraction that is done."""
     if not sys.stderr.isatty():
         yield lambda now: None
         return
     from rich.console import Console
-    with Console(stderr=True).status(task) as status:
-        yield status.update
-
-
-@contextmanager
-def advancing(name: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on a terminal; yields a function of the completed fraction."""
-    if not sys.stderr.isatty():
-        yield lambda share: None
-        return
-    from rich.console import Console
     from rich.progress import Progress
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+        shown = bar.add_task(task, total=None)
+
+        def update(now: str | float) -> None:
+            if isinstance(now, str):
+                bar.update(shown, description=now)
+            else:
+                bar.update(shown, total=1.0, completed=now)
+        yield update
 
 
 def show(renderable: Any) -> None:
@@ -167,11 +212,7 @@ def show(renderable: Any) -> None:
 
 
 class Verbs(TyperGroup):
-    """Turns errors into a sentence and an exit code; orders the verbs in the help."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the verbs."""
-        return sorted(super().list_commands(ctx), key=ORDER.index)
+    """Turns errors into a sentence and an exit code."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a verb."""
@@ -182,6 +223,15 @@ class Verbs(TyperGroup):
             raise typer.Exit(error.exit_code) from None
         except KeyboardInterrupt:
             raise typer.Exit(INTERRUPTED) from None
+
+
+def one_of(*names: str) -> Callable[[str], str]:
+    """Return a callback of an option that has one of some names as value."""
+    def known(name: str) -> str:
+        if name not in names:
+            raise typer.BadParameter(f'{name!r} is not one of {", ".join(names)}')
+        return name
+    return known
 
 
 app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,

@@ -11,7 +11,6 @@ from handeye_ros.cli.common import (
     Assignments,
     calibrated,
     CalibrationFile,
-    doing,
     flowing,
     gathered,
     KinematicsFile,
@@ -21,7 +20,6 @@ from handeye_ros.cli.common import (
     read_bag,
     show,
     warn,
-    with_kinematics,
 )
 import typer
 
@@ -68,7 +66,7 @@ def verify(
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
-    answer, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
+    answer, settings = calibrated(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
     measured, reasons = zip(*(_stations(routine, bag, answer, settings) for bag in bags),
                             strict=True)
@@ -98,7 +96,7 @@ def _stations(routine: 'Routine', bag: Path, calibration: 'Calibration', config:
     if routine.target == TEETH:
         with flowing(bag, config, 'reading the recording') as (source, track, _):
             return stations_of_pass(list(source.returns()), track, config), ''
-    session = gathered(bag, config)
+    session = gathered(read_bag(bag, config), config)
     used = {report.stamp for report in calibration.samples if report.used}
     if any(sample.stamp in used for sample in session.samples):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
@@ -126,7 +124,7 @@ def check(
     from handeye_ros.output import write_whole
     from handeye_ros.verification.check import values
     import yaml
-    calibration, settings = calibrated(against, config, with_kinematics(assignments, kinematics))
+    calibration, settings = calibrated(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
         result = _checked(bag, calibration, settings)
@@ -148,14 +146,13 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
     from handeye_ros.errors import DataError
     from handeye_ros.verification import check
     recording = read_bag(bag, settings)
-    with doing('finding the stations'):
-        try:
-            session = pipeline.gather(recording.profiles, recording.poses, settings)
-        except DataError as error:
-            if error.reason != 'no_stops' or not calibration.time_offset:
-                raise
-            settings = replace(settings, sampling=replace(settings.sampling, mode='moving'))
-            session = pipeline.gather(recording.profiles, recording.poses, settings)
+    try:
+        session = gathered(recording, settings)
+    except DataError as error:
+        if error.reason != 'no_stops' or not calibration.time_offset:
+            raise
+        settings = replace(settings, sampling=replace(settings.sampling, mode='moving'))
+        session = gathered(recording, settings)
     reason = next((reject.reason for reject in session.rejects), '')
     if not settings.sampling.moving:
         return check.check(session.samples, calibration, settings, reason)
@@ -183,8 +180,7 @@ def trend(
     from handeye_ros.output import write_whole
     from handeye_ros.results.calibration_file import read_calibration
     entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
-    for warning in warnings:
-        warn(warning)
+    warn(*warnings)
     show(trends.table(entries))
     typer.echo(trends.since_when(entries))
     if csv:

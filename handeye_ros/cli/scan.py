@@ -16,7 +16,7 @@ from handeye_ros.cli.common import (
     KinematicsFile,
     MeasureConfig,
     NoPath,
-    with_kinematics,
+    one_of,
 )
 import typer
 
@@ -52,7 +52,7 @@ def scan(
     from handeye_ros.scanning.cloud import cloud_writer, require_format
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)
-    answer, settings = calibrated(calibration, config, with_kinematics(assignments, kinematics))
+    answer, settings = calibrated(calibration, config, assignments, kinematics)
     scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
     with (flowing(bag, settings, 'reading the poses') as (source, track, update),
@@ -68,12 +68,6 @@ def scan(
     typer.echo(f'{count.profiles} profiles, {count.returns} returns' + (
         f'; left out: {", ".join(dropped)}' if dropped else ''))
     typer.echo(f'wrote {out.absolute()}: {writer.count} points in {scanner.frame}')
-
-
-def _known_line(name: str) -> str:
-    if name not in LINES:
-        raise typer.BadParameter(f'{name!r} is not one of {", ".join(LINES)}')
-    return name
 
 
 @app.command()
@@ -99,7 +93,7 @@ def seam(
     ] = (0.0, 0.0, -1.0),
     travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
     work: Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')] = 0.0,
-    line: Annotated[str, typer.Option(callback=_known_line, help=(
+    line: Annotated[str, typer.Option(callback=one_of(*LINES), help=(
         'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
         'centre, root, first or second edge.'))] = 'auto',
     start: Annotated[tuple[str, str, str], typer.Option(

@@ -3,7 +3,9 @@
 """Simulated recordings and files of measured values, each with its truth, as folders."""
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
+import json
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +22,9 @@ from handeye_ros.simulate import (
     robot,
     SCENARIOS,
     simulate,
-    Simulated,
 )
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 
 
 def write(name: str, seed: int, path: Path, force: bool = False) -> str:
@@ -32,72 +34,58 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     force: replace an existing folder. Raises BagError, UnwritableError.
     """
     rng = np.random.default_rng(seed)
+
+    def truth(T_flange_sensor: Array, **more: Any) -> dict[str, Any]:
+        values = {'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
+                  'scenario': name, 'seed': seed,
+                  'T_flange_sensor': transform_values(T_flange_sensor), **more}
+        return dict(json.loads(json.dumps(values)))  # lists where there are tuples
+
     if name == measuring.MEASURING_CELL:
-        return _write_cell(measuring.measuring_cell(rng), seed, path, force)
+        return _write_cell(measuring.measuring_cell(rng), truth, seed, path, force)
     scenario = SCENARIOS.get(name) or FAULTS.get(name)
+    tables: Mapping[str, str]
     if scenario:
-        recording = simulate(scenario, rng)
-        joints = recording.joints()
-        bag_write.write(path, recording.profiles, recording.poses,
-                        truth=truth_values(recording, seed),
-                        tables={'robot.urdf': robot.urdf()} if joints else {}, force=force,
+        made = simulate(scenario, rng)
+        found, joints = made.truth, made.joints()
+        tables = {'robot.urdf': robot.urdf()} if joints else {}
+        values = truth(
+            found.T_flange_sensor, T_base_target=transform_values(found.T_base_target),
+            **({} if found.time_offset is None else {'time_offset': found.time_offset}),
+            noise={'sensor': scenario.sensor.noise,
+                   'robot_translation': scenario.robot.repeatability[0],
+                   'robot_rotation': scenario.robot.repeatability[1]},
+            parameters=asdict(scenario))
+        bag_write.write(path, made.profiles, made.poses, truth=values, tables=tables, force=force,
                         joints=joints)
-        return f'{len(recording.profiles)} profiles, {len(recording.poses)} poses'
+        return f'{len(made.profiles)} profiles, {len(made.poses)} poses'
     measured = FILE_SCENES[name](rng)
-    values = {**_values(name, seed, measured.T_flange_sensor),
-              'noise': _plain(dict(measured.noise)), 'settings': _plain(dict(measured.settings))}
+    values = truth(measured.T_flange_sensor, noise=dict(measured.noise),
+                   settings=dict(measured.settings))
     names = ', '.join(measured.tables)
     if not measured.profiles:
         bag_write.write_folder(
             path, {**measured.tables, truth_file.NAME: truth_file.text(values)}, force=force)
         return names
-    bag_write.write(path, measured.profiles, measured.poses, tables=measured.tables,
-                    truth=values, force=force)
+    bag_write.write(path, measured.profiles, measured.poses, tables=measured.tables, truth=values,
+                    force=force)
     return f'{len(measured.profiles)} profiles, {len(measured.poses)} poses, {names}'
 
 
-def _write_cell(cell: measuring.MeasuringCell, seed: int, path: Path, force: bool) -> str:
+def _write_cell(cell: measuring.MeasuringCell, truth: Callable[..., dict[str, Any]], seed: int,
+                path: Path, force: bool) -> str:
     """Write a folder of recordings, and the cloud of a preform with a seam."""
-    truth = {**_values(measuring.MEASURING_CELL, seed, cell.T_flange_sensor),
-             'artefacts': {'ball_radius': cell.ball_radius, 'bar': cell.bar,
-                           'gauge': _plain(asdict(cell.gauge))}}
+    values = truth(cell.T_flange_sensor, artefacts={
+        'ball_radius': cell.ball_radius, 'bar': cell.bar, 'gauge': asdict(cell.gauge)})
 
     def fill(folder: Path) -> None:
         folder.mkdir()
         for name, recording in cell.recordings.items():
-            bag_write.write(folder / name, recording.profiles, recording.poses, truth=truth)
-        preform = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed))
-        rows = np.empty(len(preform.points), [(axis, '<f4') for axis in 'xyz'])
-        for k, axis in enumerate('xyz'):
-            rows[axis] = preform.points[:, k]
+            bag_write.write(folder / name, recording.profiles, recording.poses, truth=values)
+        points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)).points
+        rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
         with cloud_writer(folder / 'preform.ply', 'frame base, metres') as writer:
             writer.write(rows)
 
-    bag_write.write_folder(path, {truth_file.NAME: truth_file.text(truth)}, fill, force)
+    bag_write.write_folder(path, {truth_file.NAME: truth_file.text(values)}, fill, force)
     return f'{", ".join(cell.recordings)}, preform.ply'
-
-
-def truth_values(simulated: Simulated, seed: int) -> dict[str, Any]:
-    """Return the content of truth.yaml, with all parameters of the recording."""
-    scenario, offset = simulated.scenario, simulated.truth.time_offset
-    return {
-        **_values(scenario.name, seed, simulated.truth.T_flange_sensor),
-        'T_base_target': transform_values(simulated.truth.T_base_target),
-        **({} if offset is None else {'time_offset': offset}),
-        'noise': {'sensor': scenario.sensor.noise,
-                  'robot_translation': scenario.robot.repeatability[0],
-                  'robot_rotation': scenario.robot.repeatability[1]},
-        'parameters': _plain(asdict(scenario)),
-    }
-
-
-def _values(name: str, seed: int, T_flange_sensor: Array) -> dict[str, Any]:
-    return {'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
-            'scenario': name, 'seed': seed,
-            'T_flange_sensor': transform_values(T_flange_sensor)}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return list(value) if isinstance(value, tuple) else value

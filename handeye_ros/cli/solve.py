@@ -6,7 +6,7 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import sys
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated
 
 from handeye_ros.cli.common import (
     Angles,
@@ -15,25 +15,20 @@ from handeye_ros.cli.common import (
     ConfigFile,
     configuration,
     doing,
-    gathered,
     Input,
     KinematicsFile,
     NoPath,
+    opened,
     OutFile,
-    read_bag,
     show,
-    stored_session,
-    TABLES,
     warn,
-    with_kinematics,
 )
+from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
 import typer
 
-if TYPE_CHECKING:
-    from handeye_ros.config import Config
-    from handeye_ros.tabulated.method import FileMethod
-    from handeye_ros.tabulated.method import Input as Given
+Saved = Annotated[Path, typer.Argument(
+    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
 @app.command()
@@ -50,151 +45,41 @@ def solve(
         '--budget', help='Also show which causes the uncertainty comes from.')] = False,
 ) -> None:
     """Find the transform from a recording or a file."""
-    stored = stored_session(path)
-    settings = configuration(config, with_kinematics(assignments, kinematics),
-                             stored.config if stored else None, angles)
-
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_file import errors_against, true_transform
+    given = opened(path, config, assignments, angles, kinematics)
+    settings = given.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
-    method, T_true, field = _file_method(path, settings), true_transform(path), None
-    causes = None
-    if method:
+    T_true, causes = true_transform(path), None
+    if given.session is None:
+        from handeye_ros.tabulated.method import calibrate as calibrate_table
+        assert given.method and given.table
         if budget:
             raise InputError('--budget is of the profiles of a recording; the answer from a table '
                              'states its covariance only')
-        from handeye_ros.tabulated.method import calibrate as calibrate_files
-        content = _read_files(method, path, settings)
         with doing('solving'):
-            calibration = calibrate_files(method, content, settings)
-        field = content.values.field()
+            calibration = calibrate_table(given.method, given.table, settings)
     else:
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
-        if stored:
-            session, inputs = stored.session(settings), [{'path': str(path.absolute())}]
-        else:
-            recording = read_bag(path, settings)
-            session = pipeline.gather(recording.profiles, recording.poses, settings)
-            inputs = list(recording.inputs)
         with doing('solving'):
-            answer = pipeline.answer_of(session, settings)
+            answer = pipeline.answer_of(given.session, settings)
             calibration = answer.required()
             causes = budget_of(answer.consensus()) if budget else None
-        for warning in calibration.provenance.get('warnings', ()):
-            warn(warning)
-        calibration = replace(calibration,
-                              provenance={**calibration.provenance, 'inputs': inputs})
+        warn(*calibration.provenance.get('warnings', ()))
+        calibration = replace(calibration, provenance={
+            **calibration.provenance, 'inputs': given.inputs})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:
         show(table.budget_table([(term.name, term.mapped, term.translation, term.rotation)
                                  for term in (*causes.terms, causes.total)], causes.samples))
     if T_true is not None:
+        field = given.table.values.field() if given.table else None
         errors = errors_against(calibration.T_flange_sensor, T_true, field)
-        typer.echo(table.error_sentence(errors, *([method.over] if method else [])))
+        typer.echo(table.error_sentence(errors, *([given.method.over] if given.method else [])))
     typer.echo(saved)
-
-
-def _file_method(path: Path, settings: 'Config') -> 'FileMethod | None':
-    """Return the method of a target that is solved from files, None for one of profiles."""
-    from handeye_ros.targets import METHODS
-    is_table = path.suffix in TABLES and path.is_file()
-    if settings.target.type in METHODS and not is_table:
-        return None
-    from handeye_ros import tabulated
-    method = tabulated.of(settings)
-    if method is None and is_table:
-        fitting = list(tabulated.FILE_METHODS)
-        raise InputError(f'{path} is a table of measured values, but target.type '
-                         f'{settings.target.type} is seen by the profiles of a recording: set '
-                         f'target.type to {" or ".join(fitting)}, as in --set '
-                         f'target.type={fitting[0]}')
-    return method
-
-
-def _read_files(method: 'FileMethod', path: Path, settings: 'Config') -> 'Given':
-    with doing('reading the files'):
-        content = method.read(path, settings)
-    for warning in content.warnings:
-        warn(warning)
-    return content
-
-
-@app.command()
-def compare(
-    path: Input,
-    config: ConfigFile = None,
-    assignments: Assignments = [],
-    angles: Angles = '',
-    out: OutFile = None,
-) -> None:
-    """Put the same samples through all estimators."""
-    stored = stored_session(path)
-    settings = configuration(config, assignments, stored.config if stored else None, angles)
-
-    from handeye_ros.output import write_whole
-    from handeye_ros.published import compare as comparing
-    from handeye_ros.results.truth_file import true_transform
-    import yaml
-    method, T_true = _file_method(path, settings), true_transform(path)
-    if method:
-        content = _read_files(method, path, settings)
-        with doing('solving') as update:
-            comparison = comparing.compare_files(method, content, settings, T_true,
-                                                 progress=update)
-    else:
-        settings = comparing.own_method(settings)
-        session = stored.session(settings) if stored else gathered(path, settings)
-        with doing('comparing') as update:
-            comparison = comparing.compare(session.samples, session.rejects, settings, T_true,
-                                           progress=update)
-    show(comparing.tables(comparison))
-    if comparison.refusal:
-        raise comparison.refusal
-    if out:
-        write_whole(out, yaml.safe_dump(comparing.values(comparison), sort_keys=False))
-
-
-@app.command()
-def samples(
-    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
-        'The folder of a session, or a bag.'))],
-    config: ConfigFile = None,
-    assignments: Assignments = [],
-) -> None:
-    """Show the samples of a session, the worst first."""
-    from handeye_ros import pipeline
-    from handeye_ros.evidence import agreements, sample_summary
-    from rich import box
-    from rich.table import Table
-    stored = stored_session(path)
-    settings = configuration(config, assignments, stored.config if stored else None)
-    session = stored.session(settings) if stored else gathered(path, settings)
-    outcomes = [outcome for outcome in session.outcomes if outcome.sample]
-    with doing('comparing the samples'):
-        answer = pipeline.answer(session.samples, session.rejects, session.with_base(settings),
-                                 session.frame_id)
-        found = agreements(answer, [o.sample for o in outcomes if o.sample], settings)
-    if answer.refusal:
-        typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',
-                   err=True)
-    residuals = {o.number: (a.residual, a.left_out, a.used)
-                 for o, a in zip(outcomes, found, strict=True) if a}
-
-    table = Table(*[''] * 5, box=box.SIMPLE_HEAD, pad_edge=False)
-    for column, name in zip(table.columns, ('number', 'residual', 'left out'), strict=False):
-        column.header, column.justify = name, 'right'
-    for outcome in sorted(session.outcomes, key=lambda o: (
-            -residuals.get(o.number, (0.0, -1.0))[1], o.number)):
-        residual, left_out, used = residuals.get(outcome.number, (None, None, True))
-        state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
-        table.add_row(
-            str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'
-                                   for value in (residual, left_out)),
-            'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
-    show(table)
 
 
 @app.command()
@@ -215,3 +100,132 @@ def calibrate(
         arguments += ['-p', f'{key.strip()}:={value}']
     command = [sys.executable, '-m', 'handeye_ros.node']
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
+
+
+@app.command()
+def samples(
+    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
+        'The folder of a session, or a bag.'))],
+    config: ConfigFile = None,
+    assignments: Assignments = [],
+) -> None:
+    """Show the samples of a session, the worst first."""
+    from handeye_ros import pipeline
+    from handeye_ros.evidence import agreements, sample_summary
+    from rich import box
+    from rich.table import Table
+    given = opened(path, config, assignments)
+    settings, session = given.settings, given.session
+    if session is None:
+        raise InputError(f'{path} is a table of measured values, without samples')
+    outcomes = [outcome for outcome in session.outcomes if outcome.sample]
+    with doing('comparing the samples'):
+        answer = pipeline.answer(session.samples, session.rejects, session.with_base(settings),
+                                 session.frame_id)
+        found = agreements(answer, [o.sample for o in outcomes if o.sample], settings)
+    if answer.refusal:
+        typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',
+                   err=True)
+    residuals = {o.number: (a.residual, a.left_out, a.used)
+                 for o, a in zip(outcomes, found, strict=True) if a}
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ('number', 'residual', 'left out'):
+        table.add_column(name, justify='right')
+    table.add_column()
+    table.add_column()
+    for outcome in sorted(session.outcomes, key=lambda o: (
+            -residuals.get(o.number, (0.0, -1.0))[1], o.number)):
+        residual, left_out, used = residuals.get(outcome.number, (None, None, True))
+        state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
+        table.add_row(
+            str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'
+                                   for value in (residual, left_out)),
+            'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
+    show(table)
+
+
+@app.command()
+def report(
+    path: Saved,
+    bag: Annotated[NoPath, typer.Option(
+        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
+        'names.')] = None,
+    out: Annotated[NoPath, typer.Option(
+        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], typer.Option(
+        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
+    )] = [],
+) -> None:
+    """Show a calibration or verification in one HTML file."""
+    from handeye_ros.evidence import evidence
+    from handeye_ros.output import html_file, write_whole
+    from handeye_ros.results import exports, verification_file
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    from handeye_ros.results.report import write
+    if out:
+        html_file(out)
+    if path.is_file() and verification_file.is_verification(path):
+        html = (out or path.with_suffix('.html')).absolute()
+        write_whole(html, verification_file.protocol(verification_file.read(path)))
+        typer.echo(f'wrote {html}')
+        return
+    file = file_of(path)
+    verified = [*map(verification_file.read, verification)]
+    calibration = read_calibration(file)
+    with doing('finding the stops'):
+        shown = evidence(calibration, bag, file.parent)
+    with doing('writing the report'):
+        written = write(calibration, shown, out or file.parent / exports.REPORT, verified)
+    typer.echo(f'wrote {written}')
+
+
+@app.command()
+def export(
+    path: Saved,
+    name: Annotated[str, typer.Option(
+        '--format', autocompletion=lambda: list(SAVE_FORMATS),
+        help=f'One of {", ".join(SAVE_FORMATS)}.')],
+    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+) -> None:
+    """Write a saved calibration for other programs."""
+    from handeye_ros.results import exports
+    from handeye_ros.results.calibration_file import file_of, read_calibration
+    form, file = exports.format_of(name), file_of(path)
+    calibration = read_calibration(file)
+    if str(out) == '-':
+        typer.echo(form.text(calibration), nl=False)
+        return
+    target = out or file.parent / form.file_name(calibration)
+    typer.echo(exports.export(calibration, name, target))
+
+
+@app.command()
+def compare(
+    path: Input,
+    config: ConfigFile = None,
+    assignments: Assignments = [],
+    angles: Angles = '',
+    out: OutFile = None,
+) -> None:
+    """Put the same samples through all estimators."""
+    from handeye_ros.output import write_whole
+    from handeye_ros.published import compare as comparing
+    from handeye_ros.results.truth_file import true_transform
+    import yaml
+    given, T_true = opened(path, config, assignments, angles), true_transform(path)
+    with doing('comparing') as update:
+        if given.session is None:
+            assert given.method and given.table
+            comparison = comparing.compare_files(given.method, given.table, given.settings, T_true,
+                                                 progress=update)
+        else:
+            comparison = comparing.compare(given.session.samples, given.session.rejects,
+                                           comparing.own_method(given.settings), T_true,
+                                           progress=update)
+    show(comparing.tables(comparison))
+    if comparison.refusal:
+        raise comparison.refusal
+    if out:
+        write_whole(out, yaml.safe_dump(comparing.values(comparison), sort_keys=False))

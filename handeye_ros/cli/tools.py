@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
-    advancing,
     app,
     Assignments,
     Bag,
     ConfigFile,
     configuration,
     doing,
+    gathered,
     INTERRUPTED,
-    NoPath,
+    is_table,
+    one_of,
+    read_bag,
     show,
     stored_session,
-    TABLES,
     warn,
 )
-from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.errors import NoRosError, UnknownNameError, UnwritableError
 import typer
 
@@ -31,66 +31,7 @@ if TYPE_CHECKING:
     from handeye_ros.batch import Row
     from handeye_ros.robot.sources import Source
 
-Saved = Annotated[Path, typer.Argument(
-    metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
-
-
-def run_verb(words: list[str]) -> int:
-    """Run `handeye WORDS` in this process, and return its exit code."""
-    command = import_module('handeye_ros.cli').command()  # a worker has not imported the verbs
-    try:
-        command(words, prog_name='handeye')
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else int(bool(end.code))
-    return 0
-
-
-@app.command()
-def batch(
-    sources: Annotated[list[str], typer.Argument(
-        metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
-        'config, settings, args).')],
-    out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
-    verb: Annotated[str, typer.Option(help='solve, verify, check or compare.')] = 'solve',
-    args: Annotated[str, typer.Option(
-        help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
-    config: ConfigFile = None,
-    assignments: Assignments = [],
-    scheduler: Annotated[str, typer.Option(
-        help='local: one process for each core of this machine; or the address of a Dask '
-        'scheduler, such as tcp://host:8786.')] = 'local',
-) -> None:
-    """Run a verb on many recordings; again: on the new ones."""
-    from handeye_ros import batch as batches
-    if verb not in VERBS:
-        raise typer.BadParameter(f'{verb!r} is not one of {", ".join(VERBS)}', param_hint='--verb')
-    jobs = batches.jobs_of(sources, batches.Job(
-        '', '', verb, batches.words_of(args, Path()), str(config.absolute()) if config else '',
-        tuple(assignments)))
-    if len({(job.config, job.settings) for job in jobs}) == 1:
-        configuration(config, assignments)  # an error in it concerns all jobs
-    out = out.absolute()
-    rows: list[Row] = []
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with advancing(f'{len(jobs)} recordings') as progress:
-            for row in batches.rows_of(jobs, out, run_verb, scheduler):
-                rows.append(row)
-                progress(len(rows) / len(jobs))
-        batches.write_table(rows, out)
-    except KeyboardInterrupt:
-        done = sum(batches.unchanged(job, out) is not None for job in jobs)
-        typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    except OSError as error:
-        if error.filename is None:
-            raise
-        raise UnwritableError(error.filename, error.strerror or str(error)) from error
-    counts = Counter(map(batches.result_of, rows)).items()
-    computed = sum(row['computed'] for row in rows)
-    typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'
-               f' {computed} computed, the others unchanged; wrote {out}')
 
 
 @app.command()
@@ -116,7 +57,7 @@ def kinematics(
     if len(configs) not in (0, 1, len(sources)):
         raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
                                  'for all of them, or one for each')
-    tables = [source for source in sources if source.suffix in TABLES and source.is_file()]
+    tables = [*filter(is_table, sources)]
     if tables and len(sources) > 1:
         raise typer.BadParameter('give one table only: its column "target" names several '
                                  'points')
@@ -136,16 +77,14 @@ def kinematics(
                 for path, file in zip(sources, files, strict=True)]
         with doing('solving'):
             answer = solve_sources(read, arm, [input_values(urdf)])
-    for warning in answer.warnings:
-        warn(warning)
+    warn(*answer.warnings)
     show(table(answer))
     typer.echo(answer.save(text, out, settings.save.formats))
 
 
 def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros import pipeline
-    from handeye_ros.bags.bag import read, read_poses
+    from handeye_ros.bags.bag import read_poses
     from handeye_ros.robot.sources import source_of
     stored = stored_session(path)
     settings = replace(configuration(config, assignments, stored.config if stored else None),
@@ -153,11 +92,65 @@ def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str])
     if stored:
         joints = read_poses(path, settings, arm)
         return source_of(stored.session(settings), joints, arm, settings, [{'path': str(path)}])
-    with advancing('reading the recording') as progress:
-        recording = read(path, settings, progress, arm)
-    with doing('finding the stops'):
-        session = pipeline.gather(recording.profiles, recording.poses, settings)
+    recording = read_bag(path, settings, arm)
+    session = gathered(recording, settings)
     return source_of(session, recording, arm, settings, recording.inputs)
+
+
+def run_verb(words: list[str]) -> int:
+    """Run `handeye WORDS` in this process, and return its exit code."""
+    command = import_module('handeye_ros.cli').command()  # a worker has not imported the verbs
+    try:
+        command(words, prog_name='handeye')
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(bool(end.code))
+    return 0
+
+
+@app.command()
+def batch(
+    sources: Annotated[list[str], typer.Argument(
+        metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
+        'config, settings, args).')],
+    out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
+    verb: Annotated[str, typer.Option(
+        callback=one_of(*VERBS), help=f'{", ".join(VERBS)}.')] = 'solve',
+    args: Annotated[str, typer.Option(
+        help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
+    config: ConfigFile = None,
+    assignments: Assignments = [],
+    scheduler: Annotated[str, typer.Option(
+        help='local: one process for each core of this machine; or the address of a Dask '
+        'scheduler, such as tcp://host:8786.')] = 'local',
+) -> None:
+    """Run a verb on many recordings; again: on the new ones."""
+    from handeye_ros import batch as batches
+    jobs = batches.jobs_of(sources, batches.Job(
+        '', '', verb, batches.words_of(args, Path()), str(config.absolute()) if config else '',
+        tuple(assignments)))
+    if len({(job.config, job.settings) for job in jobs}) == 1:
+        configuration(config, assignments)  # an error in it concerns all jobs
+    out = out.absolute()
+    rows: list[Row] = []
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with doing(f'{len(jobs)} recordings') as progress:
+            for row in batches.rows_of(jobs, out, run_verb, scheduler):
+                rows.append(row)
+                progress(len(rows) / len(jobs))
+        batches.write_table(rows, out)
+    except KeyboardInterrupt:
+        done = sum(batches.unchanged(job, out) is not None for job in jobs)
+        typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise UnwritableError(error.filename, error.strerror or str(error)) from error
+    counts = Counter(map(batches.result_of, rows)).items()
+    computed = sum(row['computed'] for row in rows)
+    typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'
+               f' {computed} computed, the others unchanged; wrote {out}')
 
 
 @app.command()
@@ -212,59 +205,3 @@ def simulate(
     with doing('simulating'):
         content = simulated.write(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
-
-
-@app.command()
-def export(
-    path: Saved,
-    name: Annotated[str, typer.Option(
-        '--format', autocompletion=lambda: list(SAVE_FORMATS),
-        help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
-        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
-) -> None:
-    """Write a saved calibration for other programs."""
-    from handeye_ros.results import exports
-    from handeye_ros.results.calibration_file import file_of, read_calibration
-    form, file = exports.format_of(name), file_of(path)
-    calibration = read_calibration(file)
-    if str(out) == '-':
-        typer.echo(form.text(calibration), nl=False)
-        return
-    target = out or file.parent / form.file_name(calibration)
-    typer.echo(exports.export(calibration, name, target))
-
-
-@app.command()
-def report(
-    path: Saved,
-    bag: Annotated[NoPath, typer.Option(
-        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
-        'names.')] = None,
-    out: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
-    verification: Annotated[list[Path], typer.Option(
-        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
-    )] = [],
-) -> None:
-    """Show a calibration or verification in one HTML file."""
-    from handeye_ros.evidence import evidence
-    from handeye_ros.output import html_file, write_whole
-    from handeye_ros.results import exports, verification_file
-    from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.report import write
-    if out:
-        html_file(out)
-    if path.is_file() and verification_file.is_verification(path):
-        html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, verification_file.protocol(verification_file.read(path)))
-        typer.echo(f'wrote {html}')
-        return
-    file = file_of(path)
-    verified = [*map(verification_file.read, verification)]
-    calibration = read_calibration(file)
-    with doing('finding the stops'):
-        shown = evidence(calibration, bag, file.parent)
-    with doing('writing the report'):
-        written = write(calibration, shown, out or file.parent / exports.REPORT, verified)
-    typer.echo(f'wrote {written}')
