@@ -10,6 +10,7 @@ does not evaluate such annotations.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 import sys
 from typing import Annotated, Any, Optional, TYPE_CHECKING
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from handeye_ros.tabulated.method import FileMethod
     from handeye_ros.tabulated.method import Input as TableInput
 
+File, Folder, Length = (partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
 Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
@@ -40,17 +42,17 @@ ConfigFile = Annotated[NoPath, typer.Option(
 Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
     'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
-KinematicsFile = Annotated[NoPath, typer.Option(
-    '--kinematics', metavar='FILE', help='A kinematics.yaml, for a bag that holds joint values: '
-    'the flange poses are those of its corrected arm.')]
+KinematicsFile = Annotated[NoPath, File('--kinematics', help=(
+    'A kinematics.yaml, for a bag that holds joint values: the flange poses are those of its '
+    'corrected arm.'))]
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
-CalibrationFile = Annotated[Path, typer.Option(
-    '--calibration', metavar='FILE', help='The calibration.yaml of this sensor.')]
+CalibrationFile = Annotated[Path, File(
+    '--calibration', help='The calibration.yaml of this sensor.')]
 MeasureConfig = Annotated[NoPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
-OutFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
+OutFile = Annotated[NoPath, File(help='Write the result as YAML too.')]
 TABLES = ('.csv',)  # files of measured values
 INTERRUPTED = 130
 

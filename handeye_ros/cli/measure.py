@@ -11,6 +11,7 @@ from handeye_ros.cli.common import (
     Assignments,
     calibrated,
     CalibrationFile,
+    File,
     flowing,
     gathered,
     KinematicsFile,
@@ -45,9 +46,8 @@ def verify(
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    stations: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='Write a table of the stops (CSV).')] = None,
-    protocol: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+    stations: Annotated[NoPath, File(help='Write a table of the stops (CSV).')] = None,
+    protocol: Annotated[NoPath, File(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
 ) -> None:
     """
@@ -109,8 +109,7 @@ def _stations(routine: 'Routine', bag: Path, calibration: 'Calibration', config:
 def check(
     bags: Annotated[list[Path], typer.Argument(
         metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
-    against: Annotated[Path, typer.Option(
-        metavar='FILE', help='The calibration.yaml that is to be checked.')],
+    against: Annotated[Path, File(help='The calibration.yaml that is to be checked.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
@@ -167,13 +166,10 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
 def trend(
     folder: Annotated[Path, typer.Argument(
         metavar='DIR', help='The folder below which all calibration.yaml are taken.')],
-    against: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='The calibration that the others are compared with; default: the '
-        'oldest.')] = None,
-    picture: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='Draw it (needs matplotlib).')] = None,
-    csv: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='Write the calibrations as CSV.')] = None,
+    against: Annotated[NoPath, File(
+        help='The calibration that the others are compared with; default: the oldest.')] = None,
+    picture: Annotated[NoPath, File(help='Draw it (needs matplotlib).')] = None,
+    csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show the trend of the calibrations below a folder."""
     from handeye_ros import trend as trends

@@ -12,8 +12,11 @@ from handeye_ros.cli.common import (
     calibrated,
     CalibrationFile,
     doing,
+    File,
     flowing,
+    Folder,
     KinematicsFile,
+    Length,
     MeasureConfig,
     NoPath,
     one_of,
@@ -36,9 +39,8 @@ def scan(
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
-    voxel: Annotated[str, typer.Option(
-        metavar='L', help='Keep one point of each cube with this edge (0.2mm, or metres).')
-    ] = '0',
+    voxel: Annotated[str, Length(
+        help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
     limits: Annotated[tuple[str, str], typer.Option(
         '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
     ] = ('-inf', 'inf'),
@@ -74,20 +76,19 @@ def scan(
 def seam(
     path: Annotated[Path, typer.Argument(
         metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
-    out: Annotated[Path, typer.Option(
-        metavar='DIR', help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
-    calibration: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='The calibration.yaml that puts a bag into the base.')] = None,
+    out: Annotated[Path, Folder(
+        help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
+    calibration: Annotated[NoPath, File(
+        help='The calibration.yaml that puts a bag into the base.')] = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],
-    pitch: Annotated[str, typer.Option(
-        metavar='L', help='Distance between tool frames along the seam (5mm, or metres).')
-    ] = '5mm',
+    pitch: Annotated[str, Length(
+        help='Distance between tool frames along the seam (5mm, or metres).')] = '5mm',
     box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
         metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
     ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
-    widest: Annotated[str, typer.Option(
-        metavar='L', help='Largest distance between the edges of the seam.')] = '12mm',
+    widest: Annotated[str, Length(
+        help='Largest distance between the edges of the seam.')] = '12mm',
     towards: Annotated[tuple[float, float, float], typer.Option(
         metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
     ] = (0.0, 0.0, -1.0),

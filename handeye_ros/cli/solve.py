@@ -15,6 +15,8 @@ from handeye_ros.cli.common import (
     ConfigFile,
     configuration,
     doing,
+    File,
+    Folder,
     Input,
     KinematicsFile,
     NoPath,
@@ -38,9 +40,9 @@ def solve(
     assignments: Assignments = [],
     angles: Angles = '',
     kinematics: KinematicsFile = None,
-    out: Annotated[NoPath, typer.Option(
-        metavar='DIR', help='Where calibration.yaml is written; if not given, the folder NAME in '
-                            'output_dir, or in out.')] = None,
+    out: Annotated[NoPath, Folder(
+        help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
+        'in out.')] = None,
     budget: Annotated[bool, typer.Option(
         '--budget', help='Also show which causes the uncertainty comes from.')] = False,
 ) -> None:
@@ -151,11 +153,9 @@ def report(
     bag: Annotated[NoPath, typer.Option(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
-    out: Annotated[NoPath, typer.Option(
-        metavar='FILE', help='If not given, report.html beside the calibration.')] = None,
-    verification: Annotated[list[Path], typer.Option(
-        metavar='FILE', help='A result of "handeye verify --out" to show too; may be repeated.'
-    )] = [],
+    out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], File(
+        help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
 ) -> None:
     """Show a calibration or verification in one HTML file."""
     from handeye_ros.evidence import evidence
@@ -186,7 +186,7 @@ def export(
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[NoPath, typer.Option(metavar='FILE', help=(
+    out: Annotated[NoPath, File(help=(
         'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
     """Write a saved calibration for other programs."""

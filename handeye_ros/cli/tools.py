@@ -14,6 +14,8 @@ from handeye_ros.cli.common import (
     ConfigFile,
     configuration,
     doing,
+    File,
+    Folder,
     gathered,
     INTERRUPTED,
     is_table,
@@ -40,18 +42,17 @@ def kinematics(
         'A bag with profiles and joint values, a session, or a table of joint values and measured '
         'points (CSV). Several bags or sessions, each with a target at another place, are '
         'solved together.'))],
-    urdf: Annotated[Path, typer.Option(metavar='FILE', help='The URDF of the robot.')],
+    urdf: Annotated[Path, File(help='The URDF of the robot.')],
     base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
                                            'of the URDF.')] = '',
     flange: Annotated[str, typer.Option(help='The link that carries the sensor; default: tool0, '
                                              'flange, or the last link.')] = '',
-    configs: Annotated[list[Path], typer.Option(
-        '--config', metavar='FILE', help='A ROS parameter file, for all sources; or one for each '
-        'of them, in their order.')] = [],
+    configs: Annotated[list[Path], File('--config', help=(
+        'A ROS parameter file, for all sources; or one for each of them, in their order.'))] = [],
     assignments: Assignments = [],
-    out: Annotated[Path, typer.Option(
-        metavar='DIR', help='Where corrected.urdf, kinematics.yaml and calibration.yaml are '
-                            'written.')] = Path('out/kinematics'),
+    out: Annotated[Path, Folder(
+        help='Where corrected.urdf, kinematics.yaml and calibration.yaml are written.')
+    ] = Path('out/kinematics'),
 ) -> None:
     """Find the errors of joints and axes, with the transform."""
     if len(configs) not in (0, 1, len(sources)):
