@@ -127,34 +127,24 @@ def _along(T_target_sensor: Array, axis: int) -> Array:
     return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array
-           ) -> tuple[Array, Array, Array, Array]:
+def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array,
+           sense: Array | float = 1.0) -> tuple[list[FaceLine], Array]:
     """
-    Return the lines of n faces: centres, directions, spreads and sigmas of FaceLine.
+    Return the lines of n faces from start along (n, 2), and their numbers of columns (n,).
 
-    From start along (n, 2); noise (2, n): of height and slope in sigmas.
+    noise (2, n): of height and slope in sigmas; sense (n,): -1 for lines that point backwards.
     """
-    columns = _columns(scenario, start, along, length)
+    sensor, end = scenario.sensor, start + length[:, None] * along
+    columns = np.abs(fan(end) - fan(start)) / (2 * sensor.half_width) * sensor.columns
     spread = length / np.sqrt(12)
-    std = scenario.sensor.noise * np.abs(along[:, 0]) / np.sqrt(
-        columns * scenario.profiles_per_stop)
+    std = sensor.noise * np.abs(along[:, 0]) / np.sqrt(columns * scenario.profiles_per_stop)
     shift, turn = noise * std
     normals = along[:, ::-1] * [-1, 1]
     centre = start + (length / 2)[:, None] * along + shift[:, None] * normals
-    direction = along + (turn / spread)[:, None] * normals
-    return centre, direction / np.linalg.norm(direction, axis=1, keepdims=True), spread, std
-
-
-def _columns(scenario: Scenario, start: Array, along: Array, length: Array) -> Array:
-    """Return the number of columns (n,) on lines from start along (n, 2)."""
-    sensor, end = scenario.sensor, start + length[:, None] * along
-    return np.asarray(np.abs(fan(end) - fan(start)) / (2 * sensor.half_width) * sensor.columns)
-
-
-def _face_lines(centres: Array, directions: Array, spreads: Array, stds: Array
-                ) -> list[FaceLine]:
-    return [FaceLine(centre, direction, float(spread), float(std)) for
-            centre, direction, spread, std in zip(centres, directions, spreads, stds, strict=True)]
+    direction = along * np.reshape(sense, (-1, 1)) + (turn / spread)[:, None] * normals
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return [FaceLine(centre[k], direction[k], float(spread[k]), float(std[k]))
+            for k in range(len(length))], columns
 
 
 # -- plate, line: a plate with edges
@@ -219,12 +209,14 @@ def plate_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
                     np.hstack([np.array(scenario.target.size) - start, start]))
     length = np.minimum(_in_view(scenario, stops.points, inwards), in_face)
     noise = rng.normal(size=(3, len(T)))
-    centre, direction, spread, std = _lines(scenario, stops.points, inwards, length, noise[:2])
-    std_along = length / _columns(scenario, stops.points, inwards, length) / np.sqrt(12)
-    std_across = std * np.sqrt(1 + (length / 2 / spread)**2)
-    edge = centre - (length / 2 + noise[2] * std_along)[:, None] * direction
-    return [(face, EdgePoint(edge[k], -direction[k], float(std_along[k]), float(std_across[k])))
-            for k, face in enumerate(_face_lines(centre, direction, spread, std))]
+    faces, columns = _lines(scenario, stops.points, inwards, length, noise[:2])
+    found: list[tuple[Feature, ...]] = []
+    for face, half, std, e in zip(faces, length / 2, length / columns / np.sqrt(12), noise[2],
+                                  strict=True):
+        edge = EdgePoint(face.centre - (half + e * std) * face.direction, -face.direction,
+                         float(std), float(face.std * np.sqrt(1 + (half / face.spread)**2)))
+        found.append((face, edge))
+    return found
 
 
 def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
@@ -264,8 +256,8 @@ def plane_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
     along *= np.sign(along[:, :1])
     before, behind = (_in_view(scenario, stops.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
-    lines = _lines(scenario, stops.points - before[:, None] * along, along, before + behind, noise)
-    return [(face,) for face in _face_lines(*lines)]
+    start = stops.points - before[:, None] * along
+    return [(face,) for face in _lines(scenario, start, along, before + behind, noise)[0]]
 
 
 # -- wedge
@@ -304,12 +296,9 @@ def wedge_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
     for k, (normal, into, sense) in enumerate(((2, 1, 1.0), (1, 2, 1 if target.concave else -1))):
         along = _along(T, normal)
         along *= (np.sign((T[:, into, [0, 2]] * along).sum(axis=1)) * sense)[:, None]
-        rightwards = np.sign(along[:, 0])
-        height, slope = noise[:, k].T
-        centre, direction, spread, std = _lines(
-            scenario, stops.points, along, _in_view(scenario, stops.points, along),
-            np.stack([height, slope * rightwards]))
-        faces.append(_face_lines(centre, direction * rightwards[:, None], spread, std))
+        length = _in_view(scenario, stops.points, along)
+        faces.append(_lines(scenario, stops.points, along, length, noise[:, k].T,
+                            np.sign(along[:, 0]))[0])
     return [(a, b) if a.centre[0] < b.centre[0] else (b, a) for a, b in zip(*faces, strict=True)]
 
 
