@@ -103,13 +103,9 @@ def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
 
 @pytest.mark.parametrize(('key', 'value', 'expected'), [
     ('noise.sensor', '3e-5x', 'float'),
-    ('noise.sensor', 'nan', 'float'),
     ('noise.sensor', 1.0, 'a number from 1e-09 to 0.01 m'),
-    ('sampling.still_time', '1e9', 'a number from 0.05 to 60 s'),
     ('noise.robot_rotation', 2, 'a number from 0 to 0.01 rad'),
-    ('noise.sensor', True, 'float'),
     ('noise.sensor', None, 'float'),
-    ('noise.sensor', float('nan'), 'float'),
     ('limits.residual', float('inf'), 'float'),
     ('sampling.min_points', 20.0, 'int'),
     ('sampling.mode', 1, 'one of still'),
@@ -117,34 +113,22 @@ def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
     ('profile.unit', 'cm', 'one of m, mm'),
     ('profile.range_sign', 0, 'one of 1, -1'),
     ('profile.axes', 'xz', 'a list of 2 values'),
-    ('profile.axes', ['x'], 'a list of 2 values'),
     ('profile.axes', ['x', 'w'], 'one of x, y, z'),
     ('profile.axes', ['x', '-x'], 'two different axes'),
-    ('profile.axes', [1, 2], 'one of x, y, z'),
     ('target.size', [0.2], 'a list of 0 or 2 values'),
-    ('target.size', ['a', 'b'], 'float'),
     ('target.size', [0.2, True], 'float'),
     ('target.size', [0.2, -0.1], 'a number from 0'),
     ('calibration_type', 'eye_to_hand', 'one of eye_in_hand, eye_on_base'),
     ('noise', {'sensor': 1.0}, ''),
-    ('name', '  ', 'without control characters, or blanks'),
     ('name', 'a\0b', 'without control characters, or blanks'),
-    ('name', 'plate\n', 'without control characters, or blanks'),
-    ('robot_base_frame', 'base\x07', 'without control characters, or blanks'),
     ('pose_topic', ' ', 'without control characters, or blanks'),
     ('pose_topic', '', 'a text such as flange_pose'),
-    ('robot_effector_frame', '', 'a text such as flange'),
 ])
 def test_a_wrong_value_is_refused_by_key(key: str, value: object, expected: str) -> None:
     with pytest.raises(InputError) as caught:
         with_values(Config(), {key: value}, 'test')
     assert key in str(caught.value) and expected in str(caught.value)
     assert caught.value.exit_code == 2
-
-
-def test_a_whole_number_is_good_for_a_float() -> None:
-    config = with_values(Config(), {'sampling.still_time': 1}, 'test')
-    assert config.sampling.still_time == 1.0 and type(config.sampling.still_time) is float
 
 
 VALID = [(text, {'name': 'new'}) for text in (
@@ -226,29 +210,19 @@ def test_a_configuration_can_be_made_in_code() -> None:
     assert [type(length) for length in made.target.size] == [float, float]
 
 
-@given(st.floats(1e-9, 0.01))
-def test_a_number_in_a_text_is_the_number(value: float) -> None:
-    written = with_values(Config(), {'noise.sensor': repr(value)}, 'test')
-    assert written == with_values(Config(), {'noise.sensor': value}, 'test')
-
-
 @pytest.mark.parametrize(('text', 'key', 'value'), [
     ('noise.sensor=3e-5', 'noise.sensor', 3e-5),
-    ('noise.sensor=0.00003', 'noise.sensor', 3e-5),
     (' noise.sensor = 1.0e-4', 'noise.sensor', 1e-4),
     ('limits.residual=1', 'limits.residual', 1.0),
     ('sampling.mode=manual', 'sampling.mode', 'manual'),
     ('samples.exclude=[3, 7]', 'samples.exclude', [3, 7]),
-    ('samples.exclude=[]', 'samples.exclude', []),
     ('name=a=b', 'name', 'a=b'),
     ('name="2024"', 'name', '2024'),
     ('name=', 'name', ''),
     ('pose_topic=', 'pose_topic', None),
-    ('target.size=[0.2, 0.15]', 'target.size', [0.2, 0.15]),
     ('target.size=[]', 'target.size', []),
     ('profile.axes=[-x, z]', 'profile.axes', ['-x', 'z']),
-    ('profile.range_sign=-1', 'profile.range_sign', -1),
-    ('pose_topic=/robot/pose', 'pose_topic', '/robot/pose')])
+    ('profile.range_sign=-1', 'profile.range_sign', -1)])
 def test_assignments_are_read_as_yaml(text: str, key: str, value: object) -> None:
     if value is None:
         with pytest.raises(BadValueError):

@@ -9,6 +9,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 
 from command import handeye, ROOT
 from handeye_ros import config as configs
@@ -56,11 +57,6 @@ def of(program: str) -> list[object]:
     return [pytest.param(page, text, id=f'{page.stem}: {text}')
             for page in PAGES for text in dict.fromkeys(commands(page))
             if PROGRAM.match(text)[1] == program]  # type: ignore[index]
-
-
-def test_there_are_commands() -> None:
-    assert {'handeye', 'make', 'ros2'} <= {
-        PROGRAM.match(text)[1] for page in PAGES for text in commands(page)}  # type: ignore[index]
 
 
 def runs() -> list[object]:
@@ -135,3 +131,15 @@ def test_ros2(page: Path, command: str) -> None:
     elif verb in ('service', 'topic'):
         name = next(word for word in arguments if word.startswith('/'))
         assert f'`{name.replace("/handeye/", "~/", 1)}`' in contract
+
+
+def test_the_site_builds(tmp_path: Path) -> None:
+    """No link leads nowhere."""
+    pytest.importorskip('mkdocs', reason='needs mkdocs')
+    run = subprocess.run(
+        [sys.executable, '-m', 'mkdocs', 'build', '--quiet', '--strict', '--site-dir',
+         str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    pages = {path.stem for path in (ROOT / 'docs').glob('*.md')} - {'index'}
+    assert all((tmp_path / page / 'index.html').is_file() for page in pages)
+    assert 'start' in (tmp_path / 'index.html').read_text(encoding='utf-8')

@@ -3,14 +3,19 @@
 """The evidence of a calibration: from a recording, and from a session in any order."""
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from cells import cell, solved
 from command import ROOT
-from handeye_ros import pipeline
+from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session import SessionFiles
-from handeye_ros.config import load
-from handeye_ros.evidence import evidence
+from handeye_ros.config import load, with_values
+from handeye_ros.estimation.search import evaluate
+from handeye_ros.evidence import evidence, flat_crossing
+import numpy as np
+import pytest
 
 
 def test_stops_that_were_taken_again_are_no_second_run(tmp_path: Path) -> None:
@@ -28,3 +33,18 @@ def test_stops_that_were_taken_again_are_no_second_run(tmp_path: Path) -> None:
     shown = evidence(calibration, folder)
     assert not shown.refusal and not shown.missing
     assert len(shown.stops) == len(outcomes) and all(stop.used for stop in shown.stops)
+
+
+@pytest.mark.parametrize('turned', [0.0, 0.7, 1.6])
+def test_the_crossing_angle_does_not_depend_on_the_axes_across_a_line(turned: float) -> None:
+    found = cell('line', 1)
+    solution = solved(found.problem)
+    T = solution.estimate.target.reshape(4, 4)
+    about_line = se3.transform(se3.exp_rotation(np.array([turned, 0.0, 0.0])), np.zeros(3))
+    elsewhere = evaluate(solution.problem, replace(
+        solution.estimate, target=(T @ about_line).reshape(-1)))
+    config = with_values(found.config, {'sampling.min_crossing_angle': 1.5}, 'test')
+    for sample in found.samples[:5]:  # whose laser lines are not square to it
+        laser = sample.T_base_flange[:3, :3] @ solution.estimate.X[:3, 0]
+        angle = np.degrees(np.arccos(abs(laser @ T[:3, 0])))
+        assert f'crosses edge at {angle:.0f} degrees' in flat_crossing(sample, elsewhere, config)

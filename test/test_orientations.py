@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from handeye_ros import orientations
-from handeye_ros.errors import UnknownNameError
 from handeye_ros.orientations import NOTATIONS
 import numpy as np
 import pytest
@@ -55,8 +54,3 @@ def test_there_and_back(name: str) -> None:
     numbers = notation.numbers(R)
     assert numbers.shape == (50, len(notation.labels))
     np.testing.assert_allclose((notation.rotation(numbers).inv() * R).magnitude(), 0, atol=1e-9)
-
-
-def test_an_unknown_one_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UnknownNameError, match='kuka-abc'):
-        orientations.of('kuka-xyz')

@@ -7,35 +7,17 @@ from dataclasses import replace
 from functools import reduce
 import math
 
-from calibrations import equal
+from calibrations import CALIBRATION, equal
 from handeye_ros import se3
 from handeye_ros.data import Calibration, Quality, SampleReport, TimeOffset
 from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.results import calibration_file, table, truth_file
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 from rich.console import Console
 import yaml
-
-RNG = np.random.default_rng(5)
-ROOT = RNG.normal(size=(6, 6)) * 1e-4
-
-CALIBRATION = Calibration(
-    name='plate', method='plate', parent_frame='flange', child_frame='laser',
-    T_flange_sensor=se3.transform(se3.exp_rotation(np.array([0.3, -1.2, 2.0])),
-                                  np.array([0.0123, -0.05, 0.1])),
-    covariance=ROOT @ ROOT.T,
-    target={'pose': calibration_file.transform_values(np.eye(4)), 'edge_angle': 1.5708,
-            'edge_angle_std': 1e-4, 'radius': 0.04, 'radius_std': 0.0, 'note': 'x'},
-    quality=Quality(2, 1, 2.1e-5, 2.6e-5, 'position along z of flange (m)', 4e-5),
-    samples=(SampleReport(1700000000500000001, True, 'p', 1.9e-5),
-             SampleReport(1700000002500000001, True, 'p, q', 2.0e-5),
-             SampleReport(1700000004500000001, False, reason='no edge in sight')),
-    provenance={'version': '0.1.0', 'created': '2026-01-01T00:00:00+00:00',
-                'inputs': [{'path': 'bags/plate/plate.mcap', 'sha256': 64 * '0'}],
-                'config': {'target.size': [], 'noise.sensor': 3e-5, 'profile.axes': ['x', 'z']}})
 
 
 @pytest.fixture
@@ -92,7 +74,6 @@ def calibrations(draw):
                        offset)
 
 
-@settings(max_examples=40, deadline=None)
 @given(calibration=calibrations())
 def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
     path = tmp_path_factory.mktemp('any') / 'calibration.yaml'
@@ -142,17 +123,11 @@ def test_damaged_values(path, old, new, reason):
         calibration_file.read_calibration(path)
 
 
-@settings(max_examples=100, deadline=None)
 @given(junk=st.binary(max_size=200))
 def test_any_bytes_are_refused(tmp_path_factory, junk):
     path = tmp_path_factory.mktemp('junk') / 'calibration.yaml'
     path.write_bytes(junk)
     with pytest.raises(InputError):
-        calibration_file.read_calibration(path)
-
-
-def test_no_such_file(path):
-    with pytest.raises(InputError, match='No such file'):
         calibration_file.read_calibration(path)
 
 

@@ -211,14 +211,6 @@ def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
     assert (run.returncode, run.stdout) == (0, f'wrote {file}\n'), run.stderr
     T, *_ = read_urdf(file.read_text())
     np.testing.assert_allclose(T, ANY.T_flange_sensor, rtol=0, atol=1e-9)
+    assert_refused(handeye('export', 'a', '--format', 'udf', cwd=tmp_path), 2, 'mean "urdf"?')
     run = handeye('export', 'a/calibration.yaml', '--format', 'matrix', '--out', '-', cwd=tmp_path)
     np.testing.assert_allclose(read_matrix(run.stdout)[0], T, rtol=0, atol=1e-9)
-
-
-@pytest.mark.once
-def test_the_verb_refuses_by_sentence(tmp_path: Path) -> None:
-    run = handeye('export', '.', '--format', 'urdf', cwd=tmp_path)
-    assert_refused(run, 2, 'calibration.yaml cannot be used')
-    exports.save_all(ANY, tmp_path)
-    run = handeye('export', '.', '--format', 'udf', cwd=tmp_path)
-    assert_refused(run, 2, 'did you mean "urdf"?')
