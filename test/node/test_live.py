@@ -110,18 +110,18 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     assert not np.array_equal(live.calibration.T_flange_sensor, without)
 
 
-@pytest.mark.parametrize(('key', 'value'), [
-    ('noise__robot_translation', 1e-3), ('target__radius', 0.0), ('clock_drift_std', 0.0)])
-def test_settings_that_change_need_no_new_samples(key: str, value: object) -> None:
-    live = fed()
+def test_settings_that_change_need_no_new_samples() -> None:
+    live, config = fed(), SPHERE.config
     live.compute_calibration()
-    changed(live, **{key: value})
-    expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses,
-                                  set_to(SPHERE.config, **{key: value}))
-    assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
-    solved_with, name = live.calibration.provenance['config'], key.replace('__', '.')
-    assert solved_with[name] == expected.provenance['config'][name]
     count = taken(state_of(live))
+    for key, value in (('noise__robot_translation', 1e-3), ('clock_drift_std', 0.0),
+                       ('target__radius', 0.0)):
+        changed(live, **{key: value})
+        config = set_to(config, **{key: value})
+        expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, config)
+        assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
+        solved_with, name = live.calibration.provenance['config'], key.replace('__', '.')
+        assert solved_with[name] == expected.provenance['config'][name]
     changed(live, sampling__min_points=5000)  # extracts again
     assert taken(state_of(live)) == 0
     changed(live, sampling__min_points=20)
@@ -192,12 +192,12 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
         live.save_calibration()
     live.compute_calibration()
     assert state_of(live)['calibration']['saved'] == ''
-    for _ in range(100):
+    for _ in range(3):
         live.save_calibration()
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     assert not (folder / 'history').exists()
-    other = fed(config)
-    other.compute_calibration()
+    other = new(config)
+    other.calibration = live.calibration
     before = (folder / 'calibration.yaml').read_bytes()
     with pytest.raises(InputError, match='another running node saves its results in'):
         other.save_calibration()
