@@ -108,23 +108,6 @@ def test_the_normal_points_of_a_face_are_as_certain_as_they_say(tilt: float) -> 
     assert np.std(together) == pytest.approx(1, abs=0.3)
 
 
-def test_both_edges_of_a_profile_are_found() -> None:
-    def height(x: Array) -> Array:
-        return np.where(np.abs(x) < 0.008, face(x), np.nan)
-    line, (left, right) = found(marked(height))
-    assert_edge(left, -0.008, face(-0.008), -1, 'gap')
-    assert_edge(right, 0.008, face(0.008), 1, 'gap')
-    assert line.spread == pytest.approx(0.016 / 12 ** 0.5 / np.cos(0.1), rel=0.02)
-
-
-def test_a_step_on_one_side_and_nothing_on_the_other_are_both_edges() -> None:
-    def height(x: Array) -> Array:
-        return np.where(x > 0.01, np.nan, np.where(x > -0.006, face(x), face(x) + 0.01))
-    _, (left, right) = found(marked(height))
-    assert_edge(left, -0.006, face(-0.006), -1, 'step')
-    assert_edge(right, 0.01, face(0.01), 1, 'gap')
-
-
 @pytest.mark.parametrize('config', [CONFIG, TOWARDS], ids=['away', 'towards'])
 def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> None:
     sign = config.profile.range_sign
@@ -137,9 +120,15 @@ def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> 
     assert line.centre[0] < 0.002
 
 
-def test_the_whole_field_of_view_is_no_face_with_an_edge() -> None:
-    with pytest.raises(FeatureError, match='no edge'):
-        face_features(marked(face), CONFIG)
+@pytest.mark.parametrize(('left', 'behind', 'kind'), [(-0.008, np.nan, 'gap'),
+                                                       (-0.006, 0.01, 'step')])
+def test_both_edges_of_a_profile_are_found(left: float, behind: float, kind: str) -> None:
+    def height(x: Array) -> Array:
+        return np.where(x > 0.008, np.nan, np.where(x > left, face(x), face(x) + behind))
+    line, (first, last) = found(marked(height))
+    assert_edge(first, left, face(left), -1, kind)
+    assert_edge(last, 0.008, face(0.008), 1, 'gap')
+    assert line.spread == pytest.approx((0.008 - left) / 12 ** 0.5 / np.cos(0.1), rel=0.02)
 
 
 def test_lost_points_inside_the_face_are_no_edge() -> None:
@@ -156,14 +145,6 @@ def test_two_lost_points_at_the_border_are_no_edge() -> None:
     points[:2], points[-1] = np.nan, np.nan
     with pytest.raises(FeatureError, match='border'):
         face_features(points, CONFIG)
-
-
-def test_a_few_lost_points_before_a_step_do_not_hide_it() -> None:
-    points = marked(step_up_to(0.0))
-    middle = COLUMNS // 2
-    points[middle - 4:middle + 1, 1] = np.nan
-    _, (edge,) = found(points)
-    assert_edge(edge, 0.0, face(0.0), -1, 'shadow')
 
 
 def test_mixed_points_widen_the_edge_instead_of_moving_it() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.sampling.stream import around, interpolate
+from handeye_ros.sampling.stream import interpolate
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -41,14 +41,6 @@ def test_poses_between_are_linear_and_on_the_great_circle(seed: int, at: float) 
     translation = (1 - share) * a.translation + share * b.translation
     expected = se3.from_quaternion(translation, slerp(a.quaternion, b.quaternion, share))
     assert np.allclose(interpolate(poses, [stamp])[0], expected, atol=1e-6)
-
-
-def test_poses_next_to_the_stamps_are_all_that_is_needed() -> None:
-    poses = random_walk(2, count=40)
-    stamps = [poses[7].stamp, poses[20].stamp + 1, poses[21].stamp - 1]
-    found = around(poses, stamps)
-    assert found == [poses[i] for i in (0, 7, 20, 21, 39)]
-    assert np.array_equal(interpolate(found, stamps), interpolate(poses, stamps))
 
 
 @pytest.mark.parametrize('beyond', [-1, 1])

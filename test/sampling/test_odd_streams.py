@@ -11,7 +11,6 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NS
-from handeye_ros.sampling.stream import two_frames
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest
@@ -95,13 +94,6 @@ def test_what_is_odd_about_the_frame_of_the_profiles_is_reported(
     assert len(session.samples) == 1 and session.frame_id == name
     assert len(session.warnings) == (words is not None)
     assert words is None or words in session.warnings[0]
-
-
-@pytest.mark.parametrize(('kind', 'words'), [
-    ('pose', 'the poses cannot be in one robot base'),
-    ('profile', 'the profiles cannot be of one sensor')])
-def test_two_frames_are_distinguished_by_topic(kind: str, words: str) -> None:
-    assert words in str(two_frames(kind, 'a', 'b'))
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])

@@ -31,25 +31,6 @@ def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
     assert len(session.samples) == 3 and not session.warnings
 
 
-def test_a_sample_is_taken_of_the_station_that_the_robot_stands_in() -> None:
-    session = played(stops((0, 1), (2, 3)), profiles(0, 3), MANUAL, finish=False)
-    assert session.samples == ()
-    sample = taken(session)
-    assert session.samples == (sample,) and sample.T_base_flange[0, 3] == pytest.approx(0.1)
-    assert session.finish() == [] and len(session.samples) == 1
-
-
-def test_taking_twice_at_one_stop_keeps_one_sample() -> None:
-    session = played(stops((0, 1)), profiles(0, 1), MANUAL, finish=False)
-    first = taken(session)
-    for p in [pose(1.02 + 0.02 * i) for i in range(20)]:
-        session.add_pose(p)
-    for p in profiles(1.0, 1.4):
-        session.add_profile(p)
-    second = taken(session)
-    assert session.samples == (second,) and second.profiles > first.profiles
-
-
 def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
     session = Session(MANUAL)
     length = 3 * LONGEST // NS
@@ -114,12 +95,7 @@ def test_the_last_sample_can_be_removed() -> None:
     first, second = session.samples
     assert removed_last(session).result is second and session.samples == (first,)
     assert removed_last(session).result is first and not session.samples
-
-
-def test_stops_whose_samples_were_removed_are_stops() -> None:
-    session = played(stops((0, 1)), profiles(0, 1))
-    removed_last(session)
-    session.require_stations()
+    session.require_stations()  # they were stops
 
 
 def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:

@@ -30,11 +30,6 @@ from profiles import (
 import pytest
 
 
-def test_one_profile_is_what_it_is() -> None:
-    one = many(step_up_to(0.002), 1)
-    assert combine(one) == one[0]
-
-
 def test_more_profiles_make_the_face_line_better() -> None:
     line, edge = combine(many(step_up_to(0.002), 16))
     single, _ = many(step_up_to(0.002), 1)[0]

@@ -33,8 +33,7 @@ def tilted(raw: Raw, types: dict[str, str], degrees: float) -> Raw:
     return raw._replace(data=bytes(data))
 
 
-@pytest.mark.parametrize('name', ['plate', 'sphere'])
-@pytest.mark.parametrize('degrees', [3.0, 12.0])
+@pytest.mark.parametrize(('name', 'degrees'), [('plate', 3.0), ('sphere', 12.0)])
 def test_it_is_refused_by_this_cause(name: str, degrees: float, tmp_path: Path) -> None:
     types, _ = scan(ROOT / 'bags' / name)
     bag = with_messages(ROOT / 'bags' / name, tmp_path, lambda raw: tilted(raw, types, degrees))

@@ -14,7 +14,6 @@ from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 DOCUMENT = Path(__file__).parents[2] / 'docs' / 'estimator.md'
 ROWS = {'general': 'general', 'one orientation': 'one_orientation',
@@ -80,63 +79,3 @@ def test_rank(motion: str, name: str, rank: int, unknowns: int) -> None:
 
 # The same from the equations alone: p = R (x r1 + z r3 + t) + a lies on the target. Nothing of
 # the package is used, derivatives are differences.
-
-ACROSS_P = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # square to the face and to edge p
-ACROSS_Q = np.diag([1.0, -1, -1])
-R_FLANGE_SENSOR, R_BASE_TARGET = Rotation.random(2, random_state=1).as_matrix()
-T_FLANGE_SENSOR, T_BASE_TARGET = np.array([[0.05, -0.08, 0.12], [0.7, 0.2, 0.1]])
-UNKNOWN = {'line': (1, 2, 4, 5), 'line with its face': (1, 2, 3, 4, 5), 'plane': (2, 3, 4),
-           'plate': (0, 1, 2, 3, 4, 5)}  # of the target's translation and turn
-ZEROS = {'p': (1, 2), 'q': (0, 2), 'face': (2,)}  # coordinates in the target
-
-
-def measured(name: str, tilted: bool) -> list[tuple]:
-    """
-    Return R and a of the flange, a point of the sensor plane and what it is on.
-
-    The sensor has one orientation, square to face and edge or tilted; the plate one per edge.
-    """
-    rng = np.random.default_rng(3)
-    tilts = Rotation.from_euler('xyz', rng.uniform(-0.4, 0.4, (2, 3)) * tilted).as_matrix()
-    rows = []
-    for k in range(24):
-        kind = {'plane': 'face', 'plate': 'pq'[k % 2]}.get(name, 'p')
-        R_target_sensor = ACROSS_Q @ tilts[1] if kind == 'q' else ACROSS_P @ tilts[0]
-        R = R_BASE_TARGET @ R_target_sensor @ R_FLANGE_SENSOR.T
-        x, z, along, aside = rng.uniform([-0.02, 0.16, 0.03, 0.03], [0.02, 0.19, 0.12, 0.1])
-        spot = {'p': [along, 0, 0], 'q': [0, along, 0], 'face': [along, aside, 0]}[kind]
-        seen = np.array([x, 0, z])
-        a = (R_BASE_TARGET @ (spot - R_target_sensor @ seen) + T_BASE_TARGET
-             - R @ T_FLANGE_SENSOR)
-        rows.append((R, a, seen, kind))
-        if name != 'line':
-            in_face = np.array([R_target_sensor[2, 2], 0, -R_target_sensor[2, 0]])
-            rows.append((R, a, seen + 0.01 * in_face, 'face'))
-    return rows
-
-
-def distances(v: np.ndarray, rows: list[tuple]) -> np.ndarray:
-    """Return what is zero at v = 0: turn and shift of the sensor, shift and turn of the target."""
-    of_sensor, of_target = Rotation.from_rotvec([v[:3], v[9:]]).as_matrix()
-    origin = T_BASE_TARGET + R_BASE_TARGET @ v[6:9]
-    found = []
-    for R, a, seen, kind in rows:
-        p = R @ (of_sensor @ R_FLANGE_SENSOR @ seen + T_FLANGE_SENSOR + v[3:6]) + a
-        found.append(((p - origin) @ R_BASE_TARGET @ of_target)[[*ZEROS[kind]]])
-    return np.concatenate(found)
-
-
-@pytest.mark.parametrize(('name', 'tilted', 'square'), [
-    ('line', 7, 5), ('line with its face', 8, 6), ('plane', 5, 4), ('plate', 10, 7)])
-def test_rank_of_one_orientation_from_the_equations_alone(
-        name: str, tilted: int, square: int) -> None:
-    assert ('one orientation per edge', name, tilted) in {row[:3] for row in table()}
-    text = ' '.join(DOCUMENT.read_text(encoding='utf-8').split())
-    assert f'{name} {square}' in text.split('Exactly square to the target')[1].split('.')[0]
-    for rank, is_tilted in ((tilted, True), (square, False)):
-        rows = measured(name, is_tilted)
-        assert np.abs(distances(np.zeros(12), rows)).max() < 1e-12
-        J = np.array([distances(h, rows) - distances(-h, rows) for h in 1e-4 * np.eye(12)]) / 2e-4
-        J = J[[*range(6), *(6 + k for k in UNKNOWN[name])]]
-        J = J / np.linalg.norm(J, axis=1, keepdims=True)
-        assert int((np.linalg.svd(J, compute_uv=False) > 1e-5).sum()) == rank

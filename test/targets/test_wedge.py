@@ -10,7 +10,7 @@ from cells import cell, exact_cell, problem, recorded
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
-from handeye_ros.errors import DataError, FeatureError
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.sampling.features import combine
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
@@ -20,20 +20,6 @@ import numpy as np
 import pytest
 
 SCENES = ('wedge', 'groove')
-RIGHT_ANGLE = np.pi / 2
-
-
-@pytest.mark.parametrize('scene', SCENES)
-@pytest.mark.parametrize('where', ['eye_in_hand', 'eye_on_base'])
-@pytest.mark.parametrize('seed', range(2))
-def test_the_truth_without_noise(scene: str, where: str, seed: int) -> None:
-    made = exact_cell(replace(SCENARIOS[scene], calibration_type=where), seed)
-    found = pipeline.solve(made.samples, [], made.config, 'laser')
-    off = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
-    assert np.abs(off).max() < 1e-6
-    assert found.target['face_angle'] == pytest.approx(RIGHT_ANGLE, abs=1e-6)
-    edge = made.truth.T_base_target[:3, 0]
-    assert abs(edge @ found.target['direction']) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize('scene', SCENES)
@@ -42,7 +28,7 @@ def test_from_profiles(scene: str) -> None:
     found = pipeline.calibrate(made.profiles, made.poses, made.config)
     assert found.quality.samples_used >= 12
     assert made.error(found.T_flange_sensor) < 3e-4
-    assert abs(found.target['face_angle'] - RIGHT_ANGLE) < 4 * found.target['face_angle_std']
+    assert abs(found.target['face_angle'] - np.pi / 2) < 4 * found.target['face_angle_std']
 
 
 def turned_about_z(sample: Sample) -> Sample:
@@ -64,30 +50,6 @@ def test_turned_by_half_the_faces_change_sides() -> None:
     mixed = [turned_about_z(s) if i % 2 else s for i, s in enumerate(in_flange)]
     found = pipeline.solve(mixed, [], made.config, 'laser')
     assert np.abs(se3.difference(found.T_flange_sensor, np.eye(4))).max() < 1e-6
-
-
-def test_derivatives_are_differences() -> None:
-    rng = np.random.default_rng(0)
-    T = se3.transform(se3.exp_rotation(rng.normal(size=3)), rng.normal(size=3))
-    target = np.append(T.ravel(), rng.normal(size=2))
-    p, kind = rng.normal(size=(8, 3)), np.arange(8) % 2
-    at = WEDGE.conditions(p, kind, target, Config())
-    for k, h in enumerate(1e-6 * np.eye(6)):
-        ahead, behind = (WEDGE.conditions(p, kind, WEDGE.retract(target, s * h), Config()).g
-                         for s in (1, -1))
-        np.testing.assert_allclose((ahead - behind) / 2e-6, at.dg_dtarget[:, k], atol=1e-8)
-    for k, h in enumerate(1e-6 * np.eye(3)):
-        ahead, behind = (WEDGE.conditions(p + s * h, kind, target, Config()).g for s in (1, -1))
-        np.testing.assert_allclose((ahead - behind) / 2e-6, at.dg_dp[:, k], atol=1e-8)
-
-
-def test_turns_about_the_edge_alone_and_one_orientation_are_refused() -> None:
-    made = cell(replace(SCENARIOS['wedge'], motion='tilt_only'))
-    with pytest.raises(DataError, match='share one rotation axis'):
-        pipeline.solve(made.samples, [], made.config, 'laser')
-    made = cell(replace(SCENARIOS['wedge'], motion='one_orientation'))
-    with pytest.raises(DataError, match='share one orientation'):
-        pipeline.solve(made.samples, [], made.config, 'laser')
 
 
 def roof(bevel: float = 0.0, noise: float = 1e-5) -> np.ndarray:
