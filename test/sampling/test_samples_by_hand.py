@@ -33,7 +33,7 @@ def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
 
 def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
     session = Session(MANUAL)
-    length = 3 * LONGEST // NS
+    length = 1.5 * LONGEST / NS
     for item in sorted([*stops((0, length)), *profiles(0, length, rate=2.0)],
                        key=lambda item: item.stamp):
         add(session, item)

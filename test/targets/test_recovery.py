@@ -48,8 +48,8 @@ def test_the_truth_without_noise(scene: str, values: dict[str, Any], where: str,
 @pytest.mark.parametrize(('scene', 'motion', 'words'), [
     ('wedge', 'tilt_only', 'share one rotation axis'),
     ('wedge', 'one_orientation', 'share one orientation'),
-    ('plane', 'yaw_only', r'one rotation axis.*if it is the normal of the plane \(yaw only\) all of '
-     'the position.*tilt the tool by 15 degrees or more about flange')])
+    ('plane', 'yaw_only', r'one rotation axis.*if it is the normal of the plane \(yaw only\) all '
+     'of the position.*tilt the tool by 15 degrees or more about flange')])
 def test_motion_that_leaves_something_open_is_refused(scene: str, motion: str, words: str) -> None:
     made = cell(replace(SCENARIOS[scene], motion=motion))
     with pytest.raises(DataError, match=words):
