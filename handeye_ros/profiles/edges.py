@@ -11,7 +11,7 @@ face, on the continuation of its surface.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -125,15 +125,17 @@ class End:
         return float(self.near * (z - self.segment.height(x)))
 
 
-def ends_of(segment: Segment, segments: Sequence[Segment], points: Array, config: Config
-            ) -> list[End]:
-    """Return the first and the last end of one of the segments of a profile (n, 2)."""
+def ends_of(segments: Sequence[Segment], points: Array, config: Config
+            ) -> Iterator[tuple[End, End]]:
+    """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
     n, returns, near = len(points), returned(points), -config.profile.range_sign
-    # pieces that meet in a corner may overlap by a few points
-    before = [s.reversed(n) for s in reversed(segments) if s.first < segment.first]
-    after = [s for s in segments if s.last > segment.last]
-    return [End(segment.reversed(n), points[::-1], n - 1 - returns[::-1], before, near),
-            End(segment, points, returns, after, near)]
+    turned = [segment.reversed(n) for segment in reversed(segments)]
+    for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].rows)):
+        back, own = turned[-1 - k], segments[k]
+        # pieces that meet in a corner may overlap by a few points
+        yield (End(back, points[::-1], n - 1 - returns[::-1],
+                   [s for s in turned if s.last > back.last], near),
+               End(own, points, returns, [s for s in segments if s.last > own.last], near))
 
 
 def edge_at(end: End) -> EdgePoint | str:

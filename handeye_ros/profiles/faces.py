@@ -46,10 +46,10 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
                            'the profile')
     best, face, edges, reasons = 0.0, segments[0], list[EdgePoint](), list[str]()
     # the longest first: most of the others then cannot be preferred, whatever their edges are
-    for segment in sorted(segments, key=lambda s: -len(s.rows)):
+    for ends in ends_of(segments, points, config):
+        segment = ends[1].segment
         if len(segment.rows) * SURE_EDGE < best:
             break
-        ends = ends_of(segment, segments, points, config)
         found = [edge_at(end) for end in ends]
         reasons += [reason for reason in found if isinstance(reason, str)]
         of_segment = [edge for edge in found if isinstance(edge, EdgePoint)]

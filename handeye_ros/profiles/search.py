@@ -19,7 +19,7 @@ PAIRS, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of a pa
 TRIPLES, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
 VOTERS = 256  # points that vote
 SURE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
-REFIT_WIDTHS = (2.0, 1.5, 1.0, 1.0)  # of successive lines, in tolerances
+REFIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
 CIRCLES = 8  # circles tried, in the order of their votes
 FEWEST_VOTES = 5
 LEAST_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
@@ -38,12 +38,13 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
         return None
     terms = np.empty((5, n))  # their sums over points give the line of these
     terms[0] = 1.0
-    terms[1:3] = x - x.sum() / n, z - z.sum() / n  # the centroid avoids loss of digits
+    np.subtract(x, x.item(n // 2), out=terms[1])  # avoids loss of digits
+    np.subtract(z, z.item(n // 2), out=terms[2])
     np.multiply(terms[1], terms[1:3], out=terms[3:])
     (x, x_after), (z, z_after) = (v.take(_subsets(n, 2, PAIRS, PAIR_SPANS)) for v in terms[1:3])
-    apart = np.abs(x_after - x) > NARROWEST
-    lines = np.full((len(x), 3), -1.0)  # offset, slope, -1
-    lines[:, 1] = (z_after - z) / np.where(apart, x_after - x, np.inf)
+    apart, lines = x_after - x, np.full((len(x), 3), -1.0)  # offset, slope, -1
+    apart[np.abs(apart) < NARROWEST] = np.inf
+    lines[:, 1] = (z_after - z) / apart
     lines[:, 0] = z - lines[:, 1] * x
     step = -(-n // VOTERS)
     for voters in (terms[:3, ::4 * step], terms[:3, ::step]):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 import math
 from typing import Any
@@ -38,25 +37,18 @@ class Segment:
     """
     A straight piece of a profile: z = offset + slope * x.
 
-    rows: (k,) all its points, as rows of the profile; noise: the standard deviation of its points
-    in range; straight: rows without the ends that are bent.
+    first, last: its first and last point, as rows of the profile; rows: (k,) all its points;
+    noise: the standard deviation of its points in range; straight: rows without the ends
+    that are bent.
     """
 
+    first: int
+    last: int
     rows: NDArray[np.intp]
     offset: float
     slope: float
     noise: float
     straight: NDArray[np.intp]
-
-    @cached_property
-    def first(self) -> int:
-        """Return its first row."""
-        return self.rows.item(0)
-
-    @cached_property
-    def last(self) -> int:
-        """Return its last row."""
-        return self.rows.item(-1)
 
     def height(self, x: Any) -> Any:
         """Return the range of the line at x, a number or an array."""
@@ -64,8 +56,9 @@ class Segment:
 
     def reversed(self, size: int) -> Segment:
         """Return the segment in the reversed profile of so many rows."""
-        return Segment(size - 1 - self.rows[::-1], self.offset, self.slope, self.noise,
-                       size - 1 - self.straight[::-1])
+        end = size - 1
+        return Segment(end - self.last, end - self.first, end - self.rows[::-1], self.offset,
+                       self.slope, self.noise, end - self.straight[::-1])
 
 
 def noise_level(z: Array, configured: float) -> float:
@@ -123,12 +116,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
             break
         for piece in _pieces(free[near]):
             if len(piece) >= min_points:
-                segment = _segment(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
-                along = points[:, 0].take(segment.straight)
-                margin = len(along) // 10  # single points at the ends do not make a line
-                along = along[margin:len(along) - margin]
-                if along.max() - along.min() > NARROWEST:
-                    segments.append(segment)
+                segments += _segments(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
         free = free[~near]
     return sorted(segments, key=lambda s: s.first)
 
@@ -145,35 +133,35 @@ def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
         yield members[first:last]
 
 
-def _segment(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> Segment:
+def _segments(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> list[Segment]:
     """
-    Return the segment fitted to the points x, z of rows.
+    Return the segment fitted to the points x, z of rows, none if all have the same x.
 
     least_noise: lower bound of the noise (m), as a sensor that rounds may show none.
     """
     # the last points at an end are the worst: the line is fitted without them
-    margin = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
-    offset, slope, residual, noise = _fitted(x, z, slice(margin, len(rows) - margin))
-    noise = max(noise, least_noise)
-    first, last = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
-    if max(first, last) > margin:
-        inner = slice(max(margin, first), len(rows) - max(margin, last))
-        offset, slope, _, noise = _fitted(x, z, inner)
-    return Segment(rows, offset, slope, max(noise, least_noise), rows[first:len(rows) - last])
-
-
-def _fitted(x: Array, z: Array, inner: slice) -> tuple[float, float, Array, float]:
-    """Return offset and slope from the inner points, residuals of all, and their std."""
-    count = inner.stop - inner.start
-    middle_x, middle_z = float(x[inner].sum()) / count, float(z[inner].sum()) / count
-    x, z = x - middle_x, z - middle_z
-    own = x[inner]
-    spread = float(own @ own)
-    slope = float(own @ z[inner]) / spread if spread > 0 else 0.0
-    residual = z - slope * x
-    own = residual[inner]
-    std = math.sqrt(own @ own / max(count - 2, 1))
-    return middle_z - slope * middle_x, slope, residual, std
+    first = last = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
+    for is_last in (False, True):
+        inner = slice(first, len(rows) - last)
+        count = inner.stop - inner.start
+        middle_x, middle_z = float(x[inner].sum()) / count, float(z[inner].sum()) / count
+        dx, dz = x - middle_x, z - middle_z
+        own = dx[inner]
+        spread = float(own @ own)
+        if spread < count * NARROWEST ** 2:
+            return []
+        slope = float(own @ dz[inner]) / spread
+        residual = dz - slope * dx
+        own = residual[inner]
+        noise = max(math.sqrt(own @ own / max(count - 2, 1)), least_noise)
+        if is_last:
+            break
+        bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
+        if max(bent) <= first:
+            break
+        first, last = max(first, bent[0]), max(last, bent[1])
+    return [Segment(rows.item(0), rows.item(-1), rows, middle_z - slope * middle_x, slope, noise,
+                    rows[bent[0]:len(rows) - bent[1]])]
 
 
 def _bent_end(residual: Array, noise: float) -> int:
