@@ -11,7 +11,7 @@ start from several offsets, on some of the samples, until one is good.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import islice
@@ -30,7 +30,7 @@ from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 import numpy as np
 from numpy.typing import NDArray
 
-NAMES = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
+CLOCKS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
 NO_POSES = 'there are no poses of that time'
 MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a start
 CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good start
@@ -89,26 +89,33 @@ class Pairing:
         return Instants(T, twists, inside)
 
 
-def _poses_and_twists(pairing: Pairing, known: tuple[bool, ...], values: Array
+def _poses_and_twists(pairing: Pairing, unknown: tuple[int, ...], values: Array
                       ) -> tuple[Array, Array]:
-    """Return poses (n, 4, 4) and twists (n, 6, k) for those of the three values not known."""
-    return _evaluated(pairing, known, tuple(values.tolist()))
+    """Return poses (n, 4, 4) and twists (n, 6, k) for values of the unknown clocks."""
+    return _evaluated(pairing, unknown, tuple(values.tolist()))
 
 
 @lru_cache(maxsize=8)  # poses, then twists, are requested for the same values
-def _evaluated(pairing: Pairing, known: tuple[bool, ...], values: tuple[float, ...]
+def _evaluated(pairing: Pairing, unknown: tuple[int, ...], values: tuple[float, ...]
                ) -> tuple[Array, Array]:
-    poses = pairing.at(*_all_values(known, values))
-    twists = np.stack([poses.twists] * len(NAMES), axis=2)
+    poses = pairing.at(*_all_values(unknown, values))
+    twists = np.stack([poses.twists] * len(CLOCKS), axis=2)
     twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
     twists[:, :, 2] *= pairing.since_middle[:, None]
-    return poses.T_base_flange, twists[:, :, ~np.array(known)]
+    return poses.T_base_flange, twists[:, :, list(unknown)]
 
 
-def _all_values(known: Sequence[bool], values: Sequence[float]) -> tuple[float, ...]:
-    """Return offset, lag and drift from those that are not known; a known one is 0."""
-    unknown = iter(values)
-    return tuple(0.0 if is_known else float(next(unknown)) for is_known in known)
+def _all_values(unknown: tuple[int, ...], values: Iterable[float]) -> tuple[float, ...]:
+    """Return offset, lag and drift from those that are unknown; the others are 0."""
+    known = dict(zip(unknown, values, strict=True))
+    return tuple(float(known.get(k, 0.0)) for k in range(len(CLOCKS)))
+
+
+def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
+    """Return which of the CLOCKS are unknown, and 1 sigma (k,) of their priors."""
+    stds = np.array([config.time_offset_std, config.rotation_lag_std, config.clock_drift_std])
+    unknown = np.append(0, 1 + np.flatnonzero(stds[1:]))
+    return tuple(unknown.tolist()), stds[unknown]
 
 
 def problem_at_poses(samples: Sequence[Sample], config: Config) -> Problem:
@@ -123,27 +130,14 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     if not any(sample.motion for sample in samples):
         return problem
     pairing = Pairing.of(samples)
-    stds, known = _stds(config), _known(config)
+    unknown, stds = _unknown(config)
     model = PoseModel(
-        partial(_poses_and_twists, pairing, known),
-        tuple(name for name, one in zip(NAMES, known, strict=True) if not one),
+        partial(_poses_and_twists, pairing, unknown), tuple(CLOCKS[k] for k in unknown),
         (1,) * len(stds), tuple(stds.tolist()), least=1.0,
         blocks=partial(errors_in_motion, pairing.stamps),
         white=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    found = next(s.offsets for s in samples if s.motion)
-    values = np.array([*found, 0.0, 0.0])[:3][~np.array(known)]
-    return replace(problem, pose_model=model, pose_values=values)
-
-
-def _known(config: Config) -> tuple[bool, ...]:
-    """Return which of offset, lag and drift are known to be 0."""
-    return False, not config.rotation_lag_std, not config.clock_drift_std
-
-
-def _stds(config: Config) -> Array:
-    """Return 1 sigma of the priors (k,) of those of offset, lag and drift that are unknown."""
-    stds = np.array([config.time_offset_std, config.rotation_lag_std, config.clock_drift_std])
-    return np.asarray(stds[~np.array(_known(config))])
+    found = (*next(s.offsets for s in samples if s.motion), 0.0, 0.0)
+    return replace(problem, pose_model=model, pose_values=np.array([found[k] for k in unknown]))
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
@@ -194,24 +188,23 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))
     found = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
-    inside = _poses_at(samples, found, config).inside
-    if not inside.all():  # profiles in gaps between the poses pull the offset
-        part = problem.subset(np.flatnonzero(inside)).with_pose_values(found.problem.pose_values)
-        found = _refined(part, found.estimate)
-    at = _poses_at(samples, found, config)
-    offsets = _all_values(_known(config), found.problem.pose_values.tolist())
+    offsets, at = _poses_at(samples, found)
+    if not at.inside.all():  # profiles in gaps between the poses pull the offset
+        part = problem.subset(np.flatnonzero(at.inside))
+        found = _refined(part.with_pose_values(found.problem.pose_values), found.estimate)
+        offsets, at = _poses_at(samples, found)
     paired = [replace(sample, T_base_flange=T, offsets=offsets)
-              for sample, T, is_inside in zip(samples, at.T_base_flange, at.inside, strict=True)
-              if is_inside]
+              for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True)
+              if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
-               for sample, is_inside in zip(samples, at.inside, strict=True) if not is_inside]
+               for sample, inside in zip(samples, at.inside, strict=True) if not inside]
     return Synchronised(paired, rejects, found.estimate)
 
 
-def _poses_at(samples: Sequence[Sample], fit: Linear, config: Config) -> Instants:
-    """Return the flange at each sample by the clocks of a fit."""
-    values = _all_values(_known(config), fit.problem.pose_values.tolist())
-    return Pairing.of(samples).at(*values)
+def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
+    """Return offset, lag and drift of a fit, and the flange at each sample by them."""
+    values = _all_values(_unknown(fit.problem.config)[0], fit.problem.pose_values)
+    return values, Pairing.of(samples).at(*values)
 
 
 def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
@@ -242,7 +235,7 @@ def _refined(problem: Problem, start: Estimate) -> Linear:
 
 def _system(problem: Problem) -> System[Linear]:
     """Return the least-squares system of a labelled problem; priors of the clocks come last."""
-    stds, n = _stds(problem.config), len(problem.poses)
+    (_, stds), n = _unknown(problem.config), len(problem.poses)
     k = len(stds)
 
     def rows(at: Linear) -> Rows:

@@ -9,7 +9,7 @@ import warnings
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.arcs import arc_features, fit_circle, NORMAL_POINTS, normal_points
+from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.sampling.features import combine
 from hypothesis import given
 import numpy as np
@@ -78,17 +78,6 @@ def test_gross_outliers_do_not_move_an_arc(share: float) -> None:
         arc, = arc_features(points, KNOWN)
         assert np.linalg.norm(arc.centre - CENTRE) < 1.5e-4
         assert abs(arc.radius - 0.03) < 1.5e-4
-
-
-def test_clutter_around_the_ball_is_left_out() -> None:
-    def scene(x: Array) -> Array:
-        z = ball(x, 0.02)
-        z = np.where(np.isnan(z), 0.21 + 0.1 * x, z)  # a table
-        return np.where(x < -0.03, 0.18, z)  # and a block
-    for seed in range(10):
-        arc, = arc_features(wide(scene, seed), KNOWN)
-        assert np.linalg.norm(arc.centre - CENTRE) < 1e-4
-        assert np.abs(np.linalg.norm(arc.raw - CENTRE, axis=1) - 0.02).max() < 6 * NOISE
 
 
 def in_clutter(height: Callable[[Array], Array], share: float, noise: float, alike: int,
@@ -273,16 +262,6 @@ def test_a_circle_through_points_is_the_best_one() -> None:
         return float(((np.linalg.norm(points - c[:2], axis=1) - c[2]) ** 2).sum())
     for step in rng.normal(0, 1e-5, (50, 3)):
         assert cost(circle + step) > cost(circle)
-
-
-def test_normal_points_stand_for_all_points() -> None:
-    arc, = arc_features(wide(ball), KNOWN)
-    again = normal_points(arc.raw)
-    assert len(again.points) == NORMAL_POINTS and np.allclose(again.points, arc.points)
-    assert np.allclose(fit_circle(arc.points), fit_circle(arc.raw), atol=5e-6)
-    share = len(arc.raw) / NORMAL_POINTS
-    assert np.median(arc.std) == pytest.approx(
-        np.std(np.linalg.norm(arc.raw - arc.centre, axis=1)) / share ** 0.5, rel=0.1)
 
 
 def test_the_profiles_of_a_station_are_one_arc_and_a_stray_one_is_left_out() -> None:

@@ -165,6 +165,7 @@ def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
     assert found.quality.weakest_std < isotropic.quality.weakest_std
 
 
+@pytest.mark.thorough
 def test_a_slow_sweep_is_advised_to_be_faster_once() -> None:
     scenario = sweep('sphere', 0.02, knot=60.0)
     scenario = replace(scenario, sensor=replace(scenario.sensor, rate=0.5),
