@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import os
 from pathlib import Path
 import signal
+import socket
 import sys
 from typing import Any
 
@@ -15,9 +16,28 @@ from hypothesis import settings
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / 'support'))
-from domain import claimed_domain  # noqa: E402
-
 NOT_RUN = pytest.StashKey[str]()
+HIGHEST = 101  # the highest without conflict with Linux's own ports; people use low ones
+
+
+def claimed_domain() -> tuple[int, socket.socket]:
+    """
+    Return a free ROS_DOMAIN_ID, and the socket that claims it until it is closed.
+
+    The name of an abstract socket (Linux) is free again when its process ends. Raises OSError if
+    all are in use, or the system has no such sockets.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    for domain in range(HIGHEST, 0, -1):
+        try:
+            claim.bind(f'\0handeye_ros in domain {domain}')
+        except OSError as error:
+            last_error = error
+        else:
+            return domain, claim
+    claim.close()
+    raise last_error
+
 
 # Before anything imports ROS: what a test starts is seen by no other process of this machine or
 # the network. Each worker of pytest-xdist has a domain of its own.

@@ -9,7 +9,6 @@ import math
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import mm
 from handeye_ros.results.calibration_file import input_values
@@ -147,12 +146,6 @@ def mapped_std(calibration: Calibration, points: Array) -> float:
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -se3.skew(arms)], axis=2)
     variances = np.einsum('kij,jl,kil->k', J, calibration.covariance, J)
     return float(np.sqrt(variances.mean()))
-
-
-def stated_noise(noise: NoiseConfig, arm: float) -> float:
-    """Return the 1 sigma (metres) of a point at a distance from the flange, by the noise."""
-    return math.sqrt(noise.sensor ** 2 + noise.distortion ** 2 + noise.robot_translation ** 2
-                     + (arm * noise.robot_rotation) ** 2)
 
 
 def in_plane(features: Iterable[Feature]) -> Array:

@@ -16,12 +16,13 @@ import pytest
 import yaml
 
 pytest.importorskip('rclpy', reason='needs rclpy')
-from contract import listed, offered  # noqa: E402, I100
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
 from rcl_interfaces.srv import DescribeParameters  # noqa: E402
 from rclpy.qos import DurabilityPolicy  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
+    listed,
+    offered,
     pose_message,
     ROOT,
     running_node,

@@ -10,8 +10,7 @@ import socket
 import time
 from typing import Any
 
-from browser import chromium, complaints
-from command import PATIENCE
+from command import chromium, complaints, PATIENCE
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import report, table
 from handeye_ros.results.calibration_file import read_calibration, write_calibration

@@ -9,8 +9,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from browser import chromium, complaints
-from command import assert_refused, handeye, ROOT
+from command import assert_refused, chromium, complaints, handeye, ROOT
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
 from handeye_ros.evidence import evidence

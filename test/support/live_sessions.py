@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 from dataclasses import replace
-from pathlib import Path
 import tempfile
 
 from cells import recorded
@@ -73,8 +72,3 @@ def changed(live: LiveSession, **values: object) -> None:
 
 def later(items, seconds: int):
     return [replace(item, stamp=item.stamp + seconds * 10**9) for item in items]
-
-
-def folder_of(live: LiveSession) -> Path:
-    """Return the folder of the results of a session."""
-    return live.folders.folder(live.config)

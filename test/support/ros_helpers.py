@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+import re
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ from typing import Any
 from command import PATIENCE, ROOT, running
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from handeye_ros.node.streams import TFMessage
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
@@ -30,6 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 RELIABLE = QoSProfile(depth=2000)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+ROW = re.compile(r'^\| (subscribes|publishes|service) \| `([^`]+)`[^|]*\| ([\w/]+)[^|]*\|', re.M)
 XZ = {'x': (0, 7), 'z': (4, 7)}
 
 
@@ -183,3 +186,20 @@ def set_parameter(client: Client, name: str, value: Any) -> SetParametersResult:
     """Return whether a parameter of the node is set, and why not."""
     request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     return client.request(SetParameters, 'set_parameters', request).results[0]
+
+
+def listed() -> set[tuple[str, str, str]]:
+    """Return (what, full name, type) of the rows of the contract."""
+    rows = ROW.findall((ROOT / 'docs' / 'contract.md').read_text(encoding='utf-8'))
+    assert len(rows) > 10
+    return {(what, '/handeye/' + name[2:] if name[0] == '~' else '/' + name.lstrip('/'), kind)
+            for what, name, kind in rows if TFMessage or name != '/tf_static'}
+
+
+def offered(client: Client) -> set[tuple[str, str, str]]:
+    node = client.node
+    found = {'publishes': node.get_publisher_names_and_types_by_node,
+             'subscribes': node.get_subscriber_names_and_types_by_node,
+             'service': node.get_service_names_and_types_by_node}
+    return {(what, name, kind) for what, ask in found.items()
+            for name, kinds in ask('handeye', '/') for kind in kinds}

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from calibrations import equal
 from command import ROOT
-from file_scenes import given, Run, TABLES, target_of
 from handeye_ros import orientations, se3, tabulated
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli import simulated
@@ -30,6 +29,21 @@ from handeye_ros.targets import FROM_FILES, method_for, METHODS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+
+TABLES = {'points': 'points.csv', 'hand_eye': 'poses.csv', 'tracker': 'tracker.csv'}
+Run = Callable[..., tuple[int, str, str]]
+
+
+def target_of(name: str) -> str:
+    return next(target for target in FILE_METHODS if target in name)
+
+
+def given(name: str, folder: Path) -> tuple[object, ...]:
+    """Return the arguments that solve or compare what is in the folder of a scene."""
+    target = target_of(name)
+    where = 'eye_on_base' if name in ('points', 'hand_eye_on_base') else 'eye_in_hand'
+    return (folder if target == 'tracker' else folder / TABLES[target], '--config',
+            ROOT / 'config' / f'{target}.yaml', '--set', f'calibration_type={where}')
 
 PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                       outliers=0.0, rim_bias=0.0)
