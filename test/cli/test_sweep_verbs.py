@@ -34,5 +34,5 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path: Path) -> None:
     write_calibration(replace(solved, time_offset=other), tmp_path / 'b.yaml')
     run = handeye('check', BAG, '--against', 'b.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr
-    changed = re.search('CLOCK: the time offset has changed by (-[0-9.]+) ms', run.stdout)
+    changed = re.search('CLOCK: .* time offset has changed by (-[0-9.]+) ms', run.stdout)
     assert changed and float(changed[1]) == pytest.approx(-5, abs=0.2)
