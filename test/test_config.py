@@ -103,6 +103,7 @@ def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
 
 @pytest.mark.parametrize(('key', 'value', 'expected'), [
     ('noise.sensor', '3e-5x', 'float'),
+    ('noise.sensor', 10**400, 'float'),
     ('noise.sensor', 1.0, 'a number from 1e-09 to 0.01 m'),
     ('noise.robot_rotation', 2, 'a number from 0 to 0.01 rad'),
     ('noise.sensor', None, 'float'),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
 import math
@@ -57,45 +58,47 @@ class Parameter:
     def checked(self, value: Any) -> Any:
         """Return a value in the type of the default; raises BadValueError for a wrong one."""
         if not isinstance(self.default, tuple):
-            return self._checked(value, type(self.default))
+            return self._one(value, type(self.default))
         items = [] if value is None else value
         if not isinstance(items, list | tuple) or self.length and len(items) not in self.length:
             lengths = ' or '.join(map(str, self.length)) or 'any number of'
             raise BadValueError(self.key, value, f'a list of {lengths} values')
         kind = int if self.whole else str if self.choices else float
-        return tuple(self._checked(item, kind) for item in items)
+        return tuple(self._one(item, kind) for item in items)
 
-    def _checked(self, value: Any, kind: type[Any]) -> Any:
+    def _one(self, value: Any, kind: type[Any]) -> Any:
         """Return one value of a type, as plain Python."""
-        if self.choices and value not in self.choices:
-            expected = f'one of {", ".join(map(str, self.choices))}'
+        found = _plain(value, kind)
+        if expected := self._expected(found, kind):
             raise BadValueError(self.key, value, expected)
-        found: Any = '' if kind is str and value is None else value
-        if kind is float:
-            found = _number(value)
-        elif kind is int and isinstance(value, Integral) and not isinstance(value, bool):
-            found = int(value)
-        if type(found) is not kind or kind is float and not math.isfinite(found):
-            raise BadValueError(self.key, value, f'a value of type {kind.__name__}')
-        if kind is str and (not found.isprintable() or found != found.strip()):
-            raise BadValueError(self.key, value,
-                                'a text without control characters, or blanks around it')
-        if kind is str and self.default and not found:
-            raise BadValueError(self.key, value, f'a text such as {self.default}')
-        low, high = self.minimum, self.maximum
-        if low is not None and high is not None and not low <= found <= high:
-            raise BadValueError(self.key, value,
-                                f'a number from {low:g} to {high:g} {self.unit}'.rstrip())
         return found
 
+    def _expected(self, value: Any, kind: type[Any]) -> str:
+        """Return in words what is expected instead of a value, '' for a good one."""
+        low, high = self.minimum, self.maximum
+        if self.choices and value not in self.choices:
+            return f'one of {", ".join(map(str, self.choices))}'
+        if type(value) is not kind or kind is float and not math.isfinite(value):
+            return f'a value of type {kind.__name__}'
+        if kind is str and (not value.isprintable() or value != value.strip()):
+            return 'a text without control characters, or blanks around it'
+        if kind is str and self.default and not value:
+            return f'a text such as {self.default}'
+        if low is not None and high is not None and not low <= value <= high:
+            return f'a number from {low:g} to {high:g} {self.unit}'.rstrip()
+        return ''
 
-def _number(value: Any) -> Any:
-    """Return a number, or a text such as 3e-5 (no number in YAML), as a float."""
-    try:
-        plain = isinstance(value, Real | str) and not isinstance(value, bool)
-        return float(value) if plain else value
-    except ValueError:
-        return value
+
+def _plain(value: Any, kind: type[Any]) -> Any:
+    """Return a value in a type that it stands for, such as the text 3e-5 (no number in YAML)."""
+    if kind is str and value is None:
+        return ''
+    if kind is int and isinstance(value, Integral) and not isinstance(value, bool):
+        return int(value)
+    if kind is float and isinstance(value, Real | str) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            return float(value)
+    return value
 
 
 @dataclass(frozen=True)
