@@ -62,9 +62,9 @@ class _Cdr:
     def __init__(self, data: bytes) -> None:
         """Raise ValueError for data that are not in CDR."""
         self.data, self.at = data, 4
-        self.order = {b'\0\0': '>', b'\0\1': '<'}.get(bytes(data[:2]), '')
-        if not self.order:
+        if data[:2] not in (b'\0\0', b'\0\1'):
             raise ValueError('it is not in CDR')
+        self.order = '<' if data[1] else '>'
 
     def numbers(self, code: str, count: int = 1) -> tuple[Any, ...]:
         """Return some numbers of one type of struct."""
@@ -76,22 +76,29 @@ class _Cdr:
 
     def count(self, least: int) -> int:
         """Return the length of a sequence whose items take at least so many bytes."""
-        count, = self.numbers('I')
+        self.at += -self.at % 4
+        count, = struct.unpack_from(f'{self.order}I', self.data, self.at)
+        self.at += 4
         if count * least > len(self.data) - self.at:
             raise ValueError(f'{count} items of a sequence are not there')
         return int(count)
 
     def text(self) -> str:
         """Return a string."""
-        size = self.count(1)
-        self.at += size
-        return str(self.data[self.at - size:self.at], 'utf-8').removesuffix('\0')
+        return self._characters(self.count(1))
 
     def header(self) -> tuple[int, str]:
         """Return stamp and frame of a std_msgs/Header."""
-        seconds, = self.numbers('i')
-        nanoseconds, = self.numbers('I')
-        return seconds * NS + nanoseconds, frame_name(self.text())
+        self.at += -self.at % 4
+        seconds, nanoseconds, size = struct.unpack_from(f'{self.order}iII', self.data, self.at)
+        self.at += 12
+        return seconds * NS + nanoseconds, frame_name(self._characters(size))
+
+    def _characters(self, size: int) -> str:
+        begin, self.at = self.at, self.at + size
+        if self.at > len(self.data):
+            raise ValueError(f'{size} characters are not there')
+        return str(self.data[begin:self.at], 'utf-8').removesuffix('\0')
 
 
 def _read(kind: str, data: bytes, parse: Callable[[_Cdr], T]) -> T:
@@ -132,7 +139,7 @@ def _pose(kind: str, stamp: int, frame: str, values: Sequence[float]) -> TimedPo
         raise UnusableMessageError(f'{kind} message not used: quaternion of length {norm:.4g}, '
                                    'expected 1')
     scale = (-1.0 if values[6] < 0 else 1.0) / norm
-    return TimedPose(stamp, np.array(values[:3]), scale * np.array(values[3:]), frame)
+    return TimedPose(stamp, np.array(values[:3]), np.array([scale * v for v in values[3:]]), frame)
 
 
 def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
