@@ -33,9 +33,10 @@ class Observations:
 
     station: (m,) index of the pose, ascending; points: (m, 2) metres; kind: (m,) index of the
     condition in the method's kinds; noise: (m, 2, 2) factor L: the point's error is L @ e, e of
-    unit covariance; source: (m,) observations of a station with equal source share e. component:
-    (m,) 0 or 1: which variance factor its noise has, by default 0. A target may add arrays (m,
-    ...) in a subclass.
+    unit covariance; source: (m,) observations of a station with equal source share e. end: (m,)
+    how the face ends at an edge point (numbered from 1), 0 for other points; edge points have a
+    variance factor of their own; outward: (m, 2) unit vector out of the face; shape: (m,) 1 sigma
+    of the outward edge position from the uncertain shape, common to all edges (m).
     """
 
     station: NDArray[np.intp]
@@ -43,12 +44,16 @@ class Observations:
     kind: NDArray[np.intp]
     noise: Array
     source: NDArray[np.intp]
-    component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    end: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    outward: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    shape: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Set the component to the first where none is given."""
-        if len(self.component) < len(self.station):
-            object.__setattr__(self, 'component', np.zeros(len(self.station), dtype=np.intp))
+        """Take the points for no edge points where nothing else is given."""
+        if len(self.end) < len(self.station):
+            for name in ('end', 'outward', 'shape'):
+                none = getattr(self, name)
+                object.__setattr__(self, name, np.zeros((len(self), *none.shape[1:]), none.dtype))
 
     def __len__(self) -> int:
         """Return the number of conditions."""
@@ -181,9 +186,24 @@ class Target(ABC):
     def retract(self, target: Array, delta: Array) -> Array:
         """Return the state after a step (..., k)."""
 
+    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+        """Return value and 1 sigma of the parameters that are not free, by label."""
+        return {}
+
     def free(self, config: Config) -> NDArray[np.bool_]:
         """Return which parameters (k,) are unknown."""
-        return np.ones(len(self.labels), dtype=bool)
+        stated = self.stated(config)
+        return np.array([label not in stated for label in self.labels])
+
+    def tolerances(self, config: Config) -> Array:
+        """Return 1 sigma (k,) of the stated parameters, 0 of others."""
+        stated = self.stated(config)
+        return np.array([stated.get(label, (0.0, 0.0))[1] for label in self.labels])
+
+    def configured(self, config: Config) -> Array:
+        """Return the stated values (k,) of the parameters, 0 for others."""
+        stated = self.stated(config)
+        return np.array([stated.get(label, (0.0, 0.0))[0] for label in self.labels])
 
     def relabel(self, observations: Observations, p: Array, target: Array, config: Config
                 ) -> Observations:
@@ -193,14 +213,6 @@ class Target(ABC):
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
         return False
-
-    def tolerances(self, config: Config) -> Array:
-        """Return 1 sigma of the parameters that are stated with one, 0 of others; () for none."""
-        return np.zeros(0)
-
-    def configured(self, config: Config) -> Array:
-        """Return the stated values of the parameters; () where none can be stated."""
-        return np.zeros(0)
 
     def relax(self, config: Config) -> Config | None:
         """Return the configuration with the shape (the last parameter) unknown, None if it is."""
@@ -255,7 +267,7 @@ def stations_of(observations: Observations) -> tuple[Stations, ...]:
     grouped = []
     for rows in groups(observations.station):
         points, source = observations.points[rows], observations.source[rows]
-        second = observations.component[rows] > 0
+        second = observations.end[rows] > 0
         apart = points[:, :, None] - points[:, None, :]
         # 0.01 m: correlation length of the sensor's distortion
         near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
@@ -344,8 +356,7 @@ class Problem:
     @property
     def tolerances(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
-        stated = self.method.tolerances(self.config)
-        return stated if len(stated) else np.zeros(len(self.method.labels))
+        return self.method.tolerances(self.config)
 
     @property
     def shows_essential(self) -> NDArray[np.bool_]:

@@ -21,7 +21,6 @@ from handeye_ros.estimation.problem import Linear, linearise, Observations, Prob
 from handeye_ros.estimation.solve import evaluated, Solution
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.view import MappedPoints, NORMALS, View
-from handeye_ros.targets.common import edges_of
 import numpy as np
 from numpy.typing import NDArray
 
@@ -249,7 +248,7 @@ def _face_seen(T: Array, points: Array, template: Linear, view: View) -> NDArray
 
     T: (n, 4, 4) poses of the sensor, which sees the edge at points (n, 2).
     """
-    obs = edges_of(template.problem.observations)
+    obs = template.problem.observations
     seen = (template.problem.poses[0] @ template.estimate.X)[:3, [0, 2]]
     edge, inward = np.cross(*template.by_base), -seen @ obs.outward[0]
     along = np.cross(np.cross(edge, inward), T[:, :3, 1])  # in the face and the light plane

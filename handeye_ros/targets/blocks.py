@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Linear
-from handeye_ros.targets.common import EdgeObservations, edges_of, ENDS, out_of_face
+from handeye_ros.estimation.problem import Linear, Observations
+from handeye_ros.targets.common import ENDS, out_of_face
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +40,7 @@ class Ends:
         return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
 
 
-def ends_of(obs: EdgeObservations) -> Ends:
+def ends_of(obs: Observations) -> Ends:
     """Return the ends of faces among observations."""
     source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
     _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
@@ -54,7 +54,7 @@ def ends_of(obs: EdgeObservations) -> Ends:
 def setbacks(linear: Linear) -> Blocks:
     """Yield the blocks of the set-back of faces from their edges, one per kind of end."""
     std, kinds = linear.problem.config.target.setback_std, linear.problem.method.kinds
-    obs = edges_of(linear.problem.observations)
+    obs = linear.problem.observations
     ends = ends_of(obs)
     outwards = ends.outwards(linear)
     # the visible part of a bevel or a blurred step depends on the tilt
@@ -69,7 +69,7 @@ def setbacks(linear: Linear) -> Blocks:
 
 def edge_shapes(linear: Linear) -> Blocks:
     """Yield the blocks of the deviation of edge shapes from those seen in profiles."""
-    obs = edges_of(linear.problem.observations)
+    obs = linear.problem.observations
     if not obs.shape.any():
         return
     ends = ends_of(obs)

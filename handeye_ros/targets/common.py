@@ -20,34 +20,10 @@ GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeObservations(Observations):
-    """
-    Observations, some of which are edge points; these are of the second variance component.
-
-    end: (m,) how the face ends at an edge point (numbered as in ENDS), 0 for other points;
-    outward: (m, 2) unit vector out of the face; shape: (m,) 1 sigma of the outward edge position
-    from the uncertain shape, common to all edges (m).
-    """
-
-    end: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    outward: Array = field(default_factory=lambda: np.empty((0, 2)))
-    shape: Array = field(default_factory=lambda: np.empty(0))
-
-
 def out_of_face(linear: Linear) -> Array:
     """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
-    outward = edges_of(linear.problem.observations).outward
+    outward = linear.problem.observations.outward
     return np.asarray((linear.by_point * outward).sum(axis=1))
-
-
-def edges_of(obs: Observations) -> EdgeObservations:
-    """Return the observations as EdgeObservations, without edge points if they have none."""
-    if isinstance(obs, EdgeObservations):
-        return obs
-    none = np.zeros(len(obs))
-    return EdgeObservations(obs.station, obs.points, obs.kind, obs.noise, obs.source,
-                            obs.component, none.astype(np.intp), np.zeros((len(obs), 2)), none)
 
 
 @dataclass
@@ -74,16 +50,16 @@ class ObservationRows:
         self.outward.append(edge.direction if edge else NOWHERE)
         self.shape.append(edge.shape_std if edge else 0.0)
 
-    def observations(self) -> EdgeObservations:
+    def observations(self) -> Observations:
         """Return the observations collected; each point of a feature has its own error."""
         count = [len(points) for points in self.points]
         first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
         numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
         station, kind, source, end = np.repeat(numbers, count, axis=1)
-        return EdgeObservations(
+        return Observations(
             station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
             np.concatenate([np.empty((0, 2, 2)), *self.noise]),
-            source + np.arange(len(first)) - first, (end > 0).astype(np.intp), end,
+            source + np.arange(len(first)) - first, end,
             np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
             np.repeat(np.array(self.shape), count))
 

@@ -27,7 +27,6 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.common import (
-    edges_of,
     ENDS,
     FACE,
     frames_along,
@@ -109,7 +108,7 @@ def one_end(problem: Problem) -> Iterator[list[Problem]]:
     """
     obs, n = problem.observations, len(problem.poses)
     face = obs.kind == FACE
-    group = np.where(face, 0, GROUPS[edges_of(obs).end])
+    group = np.where(face, 0, GROUPS[obs.end])
     total, count = (np.bincount(obs.station[face], weights, n)
                     for weights in (obs.points[face, 0], None))
     left = obs.points[:, 0] < (total / np.maximum(count, 1))[obs.station]

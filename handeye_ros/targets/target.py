@@ -21,7 +21,6 @@ from handeye_ros.targets import blocks
 from handeye_ros.targets.common import (
     add_face,
     edge_noise,
-    EdgeObservations,
     ObservationRows,
     out_of_face,
     SOURCES,
@@ -43,7 +42,7 @@ class ProfileTarget(Target):
         """Return the features of one profile (n, 2); raises FeatureError without them."""
         return type(self).features(points, config)
 
-    def observe(self, samples: Sequence[Sample]) -> EdgeObservations:
+    def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples; labels are assigned later."""
         rows = ObservationRows()
         for station, sample in enumerate(samples):
@@ -54,25 +53,6 @@ class ProfileTarget(Target):
     @abstractmethod
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of a feature, number: its index in the sample."""
-
-    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are not free, by label."""
-        return {}
-
-    def free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters (k,) are unknown."""
-        stated = self.stated(config)
-        return np.array([label not in stated for label in self.labels])
-
-    def tolerances(self, config: Config) -> Array:
-        """Return 1 sigma (k,) of the stated parameters, 0 of others."""
-        stated = self.stated(config)
-        return np.array([stated.get(label, (0.0, 0.0))[1] for label in self.labels])
-
-    def configured(self, config: Config) -> Array:
-        """Return the stated values (k,) of the parameters, 0 for others."""
-        stated = self.stated(config)
-        return np.array([stated.get(label, (0.0, 0.0))[0] for label in self.labels])
 
 
 class FaceTarget(ProfileTarget):

@@ -25,7 +25,6 @@ from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.problem import Target, UNUSED
 from handeye_ros.targets import METHODS
-from handeye_ros.targets.common import edges_of
 from handeye_ros.verification.fit import agreeing, contradictions, root_of, StationSet
 from handeye_ros.verification.stations import compared
 import numpy as np
@@ -200,7 +199,7 @@ class _Comparison:
 
     def _setbacks(self, X: Array, by_p: Array) -> Array:
         """Return the set-backs (m, e) of the ends of each kind at each edge, 1 sigma."""
-        obs = edges_of(self.stations.observations)
+        obs = self.stations.observations
         R = self.stations.poses[obs.station, :3, :3]
         out = np.einsum('mi,mij,jk,mk->m', by_p, R, X[:3, [0, 2]], obs.outward)
         groups = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
