@@ -10,6 +10,7 @@ from functools import cache
 import hashlib
 import math
 from pathlib import Path
+import sys
 from typing import Any, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
@@ -32,6 +33,7 @@ HEADER = """\
 # that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
 """
 
+LARGEST = sys.float_info.max  # also of whole numbers
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 
 
@@ -205,15 +207,15 @@ class Section:
         found = type(value)
         if found is not kind and (found, kind) != (int, float):
             raise self.error(key, f'is {value!r}, expected {kind.__name__}')
-        if kind is float and not math.isfinite(value):
+        if kind is float and not abs(value) <= LARGEST:
             raise self.error(key, f'is {value}')
         return kind(value)
 
     def numbers(self, key: str, count: int) -> Array:
         """Return a list of finite numbers as an array (count,)."""
         values: list[Any] = self.get(key, list)
-        if len(values) != count or any(type(v) not in (int, float) for v in values) or (
-                not np.isfinite(np.array(values, dtype=float)).all()):
+        if len(values) != count or not all(
+                type(v) in (int, float) and abs(v) <= LARGEST for v in values):
             raise self.error(key, f'does not hold {count} numbers')
         return np.array(values, dtype=float)
 
