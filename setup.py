@@ -25,8 +25,9 @@ setup(
         *((f'share/{NAME}/{folder}', sorted(glob(f'{folder}/*.*'))) for folder in FOLDERS),
     ],
     zip_safe=False,
-    install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2', 'matplotlib',
-                      'mcap', 'rosbags', 'rich', 'threadpoolctl', 'typer'],
+    install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2', 'lz4',
+                      'markupsafe', 'matplotlib', 'mcap', 'rosbags', 'rich', 'threadpoolctl',
+                      'typer', 'zstandard'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'batch': ['distributed'],

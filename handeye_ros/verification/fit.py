@@ -160,7 +160,7 @@ class Quantity:
     std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that
     the points leave open; claimed: 1 sigma by the calibration's covariance. nominal: None where
     there is none. characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see
-    results/protocol.py).
+    results/verification_file.py).
     """
 
     name: str
