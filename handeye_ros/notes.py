@@ -10,7 +10,7 @@ from typing import Any
 
 from handeye_ros.config import Config
 from handeye_ros.data import CLOCK_DRIFT, ROTATION_LAG, TIME_OFFSET, TimeOffset
-from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock
+from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
 from handeye_ros.estimation.solve import Solution
 import numpy as np
 
@@ -37,16 +37,16 @@ class Parameter:
 
 def parameters(solution: Solution) -> dict[str, Parameter]:
     """Return the first parameter of each block of a solution, by the name of the block."""
-    found, first = dict[str, Parameter](), solution.unknowns
-    for block in solution.blocks:
-        n = float(solution.nuisance[first - solution.unknowns])
-        p = min(float(solution.covariance[first, first]), 1 - 1e-9)  # of a prior variance of 1
+    found = dict[str, Parameter]()
+    variances = np.diag(solution.covariance)[solution.unknowns:]
+    for block, own in slices(solution.blocks):
+        n = float(solution.nuisance[own][0])
+        p = min(float(variances[own][0]), 1 - 1e-9)  # of a prior variance of 1
         alone, variance = n / (1 - p), p / (1 - p)
         stated = 1 / solution.noise.scales.get(block.name, 1.0)
         found[block.name] = Parameter(block, n * block.std, p ** 0.5 * block.std,
                                       alone / math.sqrt(stated + variance),
                                       alone / math.sqrt(max(variance, 1e-300)))
-        first += block.count
     return found
 
 

@@ -16,7 +16,7 @@ from functools import partial
 
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_errors, orientations_scatter
-from handeye_ros.checks.hypotheses import Fit, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis, require_stated
 from handeye_ros.checks.measures import require_not_only_scale
 from handeye_ros.checks.moved import moved_between
 from handeye_ros.checks.refusals import (
@@ -49,7 +49,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     samples: in the order of the stations of the problem. Too little rotation of the poses is
     reported before a move, since it can look like one.
     """
-    misfit, stated = Misfit.of(solution), Fit.of_all(solution)
+    misfit, stated = Misfit.of(solution), Explanation.of_all(solution)
     if misfit.variance_factor > SIGN_TRIED or misfit.hopeless or solution.unused_share:
         require_stated(stated, _other_sign(samples, problem, stated))
     if misfit.hopeless or misfit.variance_factor >= MISFITTING:
@@ -67,7 +67,8 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     require_fit(solution)
 
 
-def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Fit) -> list[Hypothesis]:
+def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Explanation
+                ) -> list[Hypothesis]:
     """Return the hypothesis of the opposite profile.range_sign, none with too few samples."""
     config, method = flipped_range(problem.config), problem.method
     others = with_common_shape([replace(s, features=s.flipped) for s in samples if s.flipped])
@@ -78,9 +79,9 @@ def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Fit) -> lis
     flipped = problem_at_poses(others, config)
     change = f'profile.range_sign {config.profile.range_sign}'
 
-    def refusal(fit: Fit) -> DataError:
+    def refusal(fit: Explanation) -> DataError:
         return DataError(f'{fit.compared(stated, change)}: set it', reason='settings')
-    return [Hypothesis(partial(Fit.of, flipped, stops, stated.total), refusal)]
+    return [Hypothesis(partial(Explanation.of, flipped, stops, stated.total), refusal)]
 
 
 def explained(refusal: DataError, session: Session, config: Config) -> DataError:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.hypotheses import Fit, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis, require_stated
 from handeye_ros.checks.settings import FEWEST_CONDITIONS, fit_of
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
@@ -139,14 +139,14 @@ def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]
 
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
-    def refit() -> Fit | None:
+    def refit() -> Explanation | None:
         poses = {id(still): stop.pose for still, stop in _pairs(stills, behind)}
         fit = fit_of([replace(still.sample, T_base_flange=poses[id(still)])
                       if id(still) in poses else None for still in stills if still.sample],
                      config)
         return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
-    def refusal(fit: Fit) -> DataError:
+    def refusal(fit: Explanation) -> DataError:
         late = _offset(stills, behind)
         return DataError(
             'the samples do not fit the poses of their time, but as if the profiles were '

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros import se3
-from handeye_ros.checks.hypotheses import Fit, Hypothesis
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
@@ -25,17 +25,17 @@ from scipy.spatial.transform import Rotation
 INVERSE = 'inverse poses'
 
 
-def convention_errors(problem: Problem, stated: Fit) -> list[Hypothesis]:
+def convention_errors(problem: Problem, stated: Explanation) -> list[Hypothesis]:
     """Return the hypotheses that the poses contain one of the known errors."""
     return [_undone(problem, name, T, advice, stated) for name, undo, advice in CONVENTION_ERRORS
             for T in undo(problem.robot_poses)]
 
 
-def _undone(problem: Problem, name: str, T: Array, advice: str, stated: Fit) -> Hypothesis:
+def _undone(problem: Problem, name: str, T: Array, advice: str, stated: Explanation) -> Hypothesis:
     """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
     on_base = not problem.in_hand
 
-    def refusal(fit: Fit) -> DataError:
+    def refusal(fit: Explanation) -> DataError:
         remedy = advice
         if name == INVERSE:
             other = 'eye_in_hand' if on_base else 'eye_on_base'
@@ -50,8 +50,8 @@ def _undone(problem: Problem, name: str, T: Array, advice: str, stated: Fit) -> 
         return DataError(f'the poses contradict the samples: '
                          f'{fit.compared(stated, f"{name} undone")}; {remedy}',
                          reason='convention')
-    return Hypothesis(partial(Fit.of, replace(problem, poses=se3.inverse(T) if on_base else T)),
-                      refusal)
+    undone = replace(problem, poses=se3.inverse(T) if on_base else T)
+    return Hypothesis(partial(Explanation.of, undone), refusal)
 
 
 def _mounted_on_base(agreed: Solution) -> bool:

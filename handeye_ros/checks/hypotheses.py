@@ -38,7 +38,7 @@ GROSS, FLOOR = 64.0, 0.01  # variance factors: of a stop that is not explained, 
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Explanation:
     """
     What an explanation makes of some stops: one consensus, or those of two parts of them.
 
@@ -52,19 +52,19 @@ class Fit:
     beside: NDArray[np.bool_] | bool = False
 
     @classmethod
-    def of_all(cls, consensus: Solution) -> Fit:
+    def of_all(cls, consensus: Solution) -> Explanation:
         """Return the fit whose stations are all the stops."""
         n = len(consensus.whole.poses)
         return cls((consensus,), (np.arange(n),), n)
 
     @classmethod
     def of(cls, problem: Problem, stops: NDArray[np.intp] | None = None, total: int = 0,
-           all_starts: bool = False) -> Fit | None:
+           all_starts: bool = False) -> Explanation | None:
         """
         Return the fit of a problem, None without one.
 
-        stops, total: see Fit, by default the stations of the problem; all_starts: not only the
-        first two.
+        stops, total: see Explanation, by default the stations of the problem; all_starts: not only
+        the first two.
         """
         consensus: Solution | None
         if all_starts:
@@ -128,7 +128,7 @@ class Fit:
         """Return the typical number of independent conditions of a stop."""
         return max(int(np.median(np.concatenate([p.ranks for p in self.parts]))), 1)
 
-    def evidence_against(self, stated: Fit | None) -> float:
+    def evidence_against(self, stated: Explanation | None) -> float:
         """Return twice the log of the odds for this fit against the stated one (None: no fit)."""
         if stated is None:
             nothing = np.full(self.total, np.inf)
@@ -141,7 +141,7 @@ class Fit:
         return min(deviance(before, m) - deviance(after, m) for before, after in (
             (stated.squares, self.squares), (stated.lengths / unit, self.lengths / unit)))
 
-    def compared(self, stated: Fit | None, change: str) -> str:
+    def compared(self, stated: Explanation | None, change: str) -> str:
         """Return in words what fits as set, and what with a change."""
         before = stated._words if stated else 'no stop fits'
         return f'as set, {before}; with {change}, {self._words}'
@@ -169,13 +169,13 @@ class Hypothesis:
     fewer changes that is named in its place if it explains the stops too.
     """
 
-    refit: Callable[[], Fit | None]
-    refusal: Callable[[Fit], DataError]
+    refit: Callable[[], Explanation | None]
+    refusal: Callable[[Explanation], DataError]
     changes: int = 1
     simpler: Hypothesis | None = None
 
 
-def require_stated(stated: Fit | None, hypotheses: Sequence[Hypothesis]) -> None:
+def require_stated(stated: Explanation | None, hypotheses: Sequence[Hypothesis]) -> None:
     """
     Raise where another assumption explains the same stops better than the stated ones.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import math
 
-from handeye_ros.checks.hypotheses import Fit, RARE
+from handeye_ros.checks.hypotheses import Explanation, RARE
 from handeye_ros.checks.moved import moved_slightly
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
@@ -39,7 +39,7 @@ def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generato
     if abs(other.estimate.target[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
-    fit, stated_fit = Fit.of_all(other), Fit.of_all(agreed)
+    fit, stated_fit = Explanation.of_all(other), Explanation.of_all(agreed)
     complete = fit.believable and other.explained - agreed.explained > 0.1 * len(problem.poses)
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
-from handeye_ros.checks.hypotheses import DECISIVE, Fit, Hypothesis, RARE
+from handeye_ros.checks.hypotheses import DECISIVE, Explanation, Hypothesis, RARE
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
@@ -51,11 +51,11 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
     n = len(problem.poses)
     parts = np.split(np.arange(n), [k])
 
-    def refit() -> Fit | None:
+    def refit() -> Explanation | None:
         first, second = (first_guesses(problem.subset(part)) for part in parts)
-        return Fit((first, second), tuple(parts), n) if first and second else None
+        return Explanation((first, second), tuple(parts), n) if first and second else None
 
-    def refusal(fit: Fit) -> DataError:
+    def refusal(fit: Explanation) -> DataError:
         first, second = (part.estimate.X for part in fit.parts)
         covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
                          for part in fit.parts)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import Fit, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis, require_stated
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import EdgePoint, Reject, Sample
 from handeye_ros.errors import DataError
@@ -45,7 +45,7 @@ def require_settings(session: Session, config: Config) -> None:
     def hypothesis(values: dict[str, str], all_starts: bool = False,
                    simpler: Hypothesis | None = None) -> Hypothesis:
         """Return the hypothesis that settings have other values."""
-        def refit() -> Fit | None:
+        def refit() -> Explanation | None:
             as_changed = changed(config, values)
             glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
                       for stop in stops]
@@ -56,7 +56,7 @@ def require_settings(session: Session, config: Config) -> None:
                 fit = replace(fit, beside=edges)
             return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
-        def refusal(fit: Fit) -> DataError:
+        def refusal(fit: Explanation) -> DataError:
             named = ' and '.join(f'{key} {value}' for key, value in values.items())
             return DataError(f'{fit.compared(stated, named)}: set {_advice(values, fit)}',
                              reason='settings')
@@ -71,7 +71,7 @@ def require_settings(session: Session, config: Config) -> None:
                             for values in _changes(config)])
 
 
-def _advice(values: dict[str, str], fit: Fit) -> str:
+def _advice(values: dict[str, str], fit: Explanation) -> str:
     """Return in words which values to set, as the fit shows them."""
     if values == {'target.radius': '0'}:
         radius = float(fit.solution.estimate.target[-1])
@@ -105,11 +105,11 @@ def changed(config: Config, values: dict[str, str]) -> Config:
 
 
 def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False
-           ) -> Fit | None:
+           ) -> Explanation | None:
     """
     Return the fit of what stops gave, None if the samples are too few or do not fit.
 
-    results: of each of the stops that are compared; all_starts: see Fit.of.
+    results: of each of the stops that are compared; all_starts: see Explanation.of.
     """
     method = targets.method_for(config)
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
@@ -117,7 +117,7 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     if len(ordered) < method.minimum:
         return None
     stops = np.array([number[sample.stamp] for sample in ordered])
-    return Fit.of(problem_at_poses(ordered, config), stops, len(results), all_starts)
+    return Explanation.of(problem_at_poses(ordered, config), stops, len(results), all_starts)
 
 
 def thinned(stop: Stop, config: Config) -> Stop:

@@ -67,16 +67,21 @@ def solve(
         from handeye_ros.estimation.covariance import budget as budget_of
         with doing('solving'):
             answer = pipeline.answer_of(given.session, settings)
-            calibration = answer.required()
-            causes = budget_of(answer.consensus()) if budget else None
+        if budget and answer.fits:
+            found = budget_of(answer.consensus())
+            causes = table.budget_table([
+                (term.name, term.mapped, term.translation, term.rotation)
+                for term in (*found.terms, found.total)], found.samples)
+            if not answer.calibration:  # what a refused answer is uncertain from
+                show(causes)
+        calibration = answer.required()
         warn(*calibration.provenance.get('warnings', ()))
         calibration = replace(calibration, provenance={
             **calibration.provenance, 'inputs': given.inputs})
     saved = exports.save_all(calibration, folder, settings.save.formats)
     show(table.table(calibration))
     if causes:
-        show(table.budget_table([(term.name, term.mapped, term.translation, term.rotation)
-                                 for term in (*causes.terms, causes.total)], causes.samples))
+        show(causes)
     if T_true is not None:
         field = given.table.values.field() if given.table else None
         errors = errors_against(calibration.T_flange_sensor, T_true, field)

@@ -21,7 +21,7 @@ With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -204,6 +204,14 @@ def pose_model(linear: Linear) -> Blocks:
                              value=problem.pose_values[some], least=model.least, report=name)
 
 
+def slices(blocks: Sequence[ParameterBlock], first: int = 0
+           ) -> Iterator[tuple[ParameterBlock, slice]]:
+    """Yield each block with the place of its parameters among those of all, from `first` on."""
+    for block in blocks:
+        yield block, slice(first, first + block.count)
+        first += block.count
+
+
 def best_fit_motions(linear: Linear, blocks: Sequence[ParameterBlock]) -> Array:
     """Return the derivatives (6, q) of the best-fit transform by the parameters of blocks."""
     parts = [np.zeros((6, block.count)) if block.best_fit is None else
@@ -218,13 +226,11 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     values: (q,) parameters of all blocks in order, in their present sigmas, or (n, q) for each
     pose.
     """
-    n, first = len(problem.poses), 0
+    n = len(problem.poses)
     errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
-    for block in blocks:
+    for block, own in slices(blocks):
         if block.twists is not None:
-            own = values[:, first:first + block.count]
-            errors += block.std * np.einsum('nxk,nk->nx', block.twists, own)
-        first += block.count
+            errors += block.std * np.einsum('nxk,nk->nx', block.twists, values[:, own])
     return errors
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import box
+from handeye_ros.estimation.blocks import slices
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.estimation.noise import covariances, Noise
 from handeye_ros.estimation.problem import MANY
@@ -135,11 +136,9 @@ def budget(solution: Solution) -> Budget:
     """
     wide = solution.conservative or solution
     parts = _of_noise(wide)
-    first = wide.unknowns
-    for block in wide.blocks:
-        gain = wide.covariance[:6, first:first + block.count]
+    for block, own in slices(wide.blocks, wide.unknowns):
+        gain = wide.covariance[:6, own]
         parts[block.name] = gain @ gain.T
-        first += block.count
     away, inside = solution.moved_by_report, wide.covariance[:6, :6]
     contamination = np.zeros((6, 6)) if solution.contamination is None else solution.contamination
     moved = np.outer(away, away)

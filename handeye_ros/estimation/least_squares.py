@@ -256,7 +256,8 @@ def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
 
 def agreeing(used: NDArray[np.intp], total: int, minimum: int,
              fitted: Callable[[F | None, NDArray[np.intp]], F],
-             judged: Callable[[F], tuple[Array, NDArray[np.intp] | int]]
+             judged: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
+             wrong: Callable[[F], int | None] = lambda fit: None
              ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
     """
     Return the fit of the blocks that agree, these blocks, and the squares of those dropped.
@@ -264,12 +265,16 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
     This is the only place in which a block is dropped that the others do not predict. used: the
     blocks to begin with, of `total`; minimum: fewest that remain; fitted(the fit before or None,
     used): the fit of some blocks; judged(fit): of each block the mean squared left-out residual,
-    (12), and its degrees of freedom.
+    (12), and its degrees of freedom; wrong(fit): a block that is wrong though none of these is too
+    large, None without one.
     """
     fit, dropped = fitted(None, used), dict[int, float]()
     while True:
         squares, freedom = judged(fit)
         worst = outliers(squares, freedom, total, len(used) - minimum)
+        other = wrong(fit) if not len(worst) and len(used) > minimum else None
+        if other is not None:
+            worst = np.array([other])
         if not len(worst):
             return fit, used, dropped
         dropped |= {int(used[k]): float(squares[k]) for k in worst}

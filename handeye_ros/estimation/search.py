@@ -105,31 +105,26 @@ def with_blocks(solution: Solution) -> Solution:
     With few stations, each may be wrong without being detected; the reported covariance includes
     this.
     """
-    near, whole, used, dropped = solution, solution.whole, solution.used, dict(solution.dropped)
+    near, whole = solution, solution.whole
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
-        if before is None or len(used) <= MANY:
-            return map_solution(part, near.estimate)
-        found = before.conservative or before  # a few of very many hardly move the solution
-        if part.pose_model:
-            part = part.with_pose_values(found.problem.pose_values)
-        return map_solution(part, found.estimate, found.noise)
+        start, noise = near.estimate, None
+        if before is not None and len(used) > MANY:
+            found = before.conservative or before  # a few of very many hardly move the solution
+            start, noise = found.estimate, found.noise
+            if part.pose_model:
+                part = part.with_pose_values(found.problem.pose_values)
+        solution = map_solution(part, start, noise)
+        doubt = contamination(solution, len(whole.poses) - len(used))
+        return solution if doubt is None else replace(
+            solution, contamination=doubt.covariance, contaminated=doubt.of_any,
+            wrong=doubt.worst)
 
-    while True:
-        solution, used, more = agreeing(
-            used, len(whole.poses), whole.method.minimum, fitted,
-            lambda found: (found.conservative or found).left_out())
-        dropped |= more
-        wrong = contamination(solution, len(dropped))
-        if wrong is None or wrong.worst is None or len(used) <= whole.method.minimum:
-            break
-        square = (solution.conservative or solution).left_out()[0][wrong.worst]
-        dropped[int(used[wrong.worst])] = float(square)
-        used = np.delete(used, wrong.worst)
-    if wrong:
-        solution = replace(solution, contamination=wrong.covariance, contaminated=wrong.of_any)
-    return replace(solution, whole=whole, used=used, dropped=dropped)
+    solution, used, dropped = agreeing(
+        near.used, len(whole.poses), whole.method.minimum, fitted,
+        lambda found: (found.conservative or found).left_out(), lambda found: found.wrong)
+    return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
 
 def refined(problem: Problem, estimate: Estimate) -> Solution:
@@ -141,13 +136,13 @@ def refined(problem: Problem, estimate: Estimate) -> Solution:
         return at if labelled is before else linearise(labelled, at.estimate)
 
     start = linearise(relabelled(problem, estimate), estimate)
-    at = graduated(start, _mean_squares, refit)
+    at = graduated(start, mean_squares, refit)
     return replace(Solution.at(at, LUMPED), whole=problem)
 
 
 def station_squares(solution: Solution) -> Array:
     """Return the mean squared whitened residuals (n,); large without essential observations."""
-    squares, problem = _mean_squares(solution.linear), solution.problem
+    squares, problem = mean_squares(solution.linear), solution.problem
     unused = solution.whole.shows_essential & ~problem.shows_essential
     return np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
 
@@ -250,14 +245,14 @@ def different(X: Array) -> list[int]:
 
 
 @lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
-def _white(linear: Linear, noise: Noise = LUMPED) -> Whitening:
+def white_at(linear: Linear, noise: Noise = LUMPED) -> Whitening:
     return whitening(linear, noise)
 
 
-def _mean_squares(linear: Linear) -> Array:
+def mean_squares(linear: Linear) -> Array:
     """Return the mean squared whitened residuals (n,) of the stations, blocks lumped."""
     station, n = linear.problem.observations.station, len(linear.problem.poses)
-    squares = np.bincount(station, _white(linear)(linear.residuals) ** 2, minlength=n)
+    squares = np.bincount(station, white_at(linear)(linear.residuals) ** 2, minlength=n)
     return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
 
 
@@ -265,7 +260,7 @@ def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
     """Return the least-squares system of a problem; each station is a block."""
     def rows(at: Linear) -> Rows:
         return Rows(at.residuals, lambda: at.jacobian[:, problem.columns],
-                    lambda: _white(at, noise))
+                    lambda: white_at(at, noise))
 
     def retracted(at: Linear, step: Array) -> Linear:
         return linearise(problem, problem.retracted(at.estimate, step))

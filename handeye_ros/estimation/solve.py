@@ -25,6 +25,7 @@ from handeye_ros.estimation.blocks import (
     blocks_at,
     ParameterBlock,
     pose_corrections,
+    slices,
 )
 from handeye_ros.estimation.least_squares import covariance_of, FREE, inverse, leave_own_out
 from handeye_ros.estimation.noise import (
@@ -56,8 +57,9 @@ class Solution:
 
     whole: the problem with all stations and observations; used: (n,) indices of those used;
     dropped: squared residual of the others; contaminated: probability that one of few used
-    stations is wrong, contamination: (6, 6) of (10); conservative: the solution at conservative
-    scales: its estimate moves too far, its covariance is realistic.
+    stations is wrong, contamination: (6, 6) of (10), wrong: the station that almost surely is;
+    conservative: the solution at conservative scales: its estimate moves too far, its covariance
+    is realistic.
     """
 
     linear: Linear
@@ -72,6 +74,7 @@ class Solution:
     dropped: Mapping[int, float] = field(default_factory=dict)
     contaminated: float = 0.0
     contamination: Array | None = None
+    wrong: int | None = None
     conservative: Solution | None = None
 
     @classmethod
@@ -162,10 +165,8 @@ class Solution:
         """Return the problem linearised after the step, with what depends on block parameters."""
         problem, estimate = self.problem, self.estimate
         values, delta = problem.pose_values.copy(), np.zeros(len(problem.method.labels))
-        first = 0
-        for block in self.blocks:
-            after = self.nuisance[first:first + block.count] * block.std
-            first += block.count
+        for block, own in slices(self.blocks):
+            after = self.nuisance[own] * block.std
             if block.parameter is not None and block.value is not None:
                 delta[block.parameter] = (after - block.value)[0]
             elif block.pose_values is not None:
@@ -306,11 +307,9 @@ class Solution:
         std = np.zeros(len(self.problem.method.labels))
         variances = np.diag(self.covariance)
         std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
-        first = self.unknowns
-        for block in self.blocks:
+        for block, own in slices(self.blocks, self.unknowns):
             if block.parameter is not None:
-                std[block.parameter] = block.std * variances[first] ** 0.5
-            first += block.count
+                std[block.parameter] = block.std * variances[own][0] ** 0.5
         return std
 
     @property

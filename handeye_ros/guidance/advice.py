@@ -51,11 +51,12 @@ class Cause:
 
 
 SETBACK = Cause('target.setback_std', 'how far faces end before their edges', 'target')
-CAUSES = {  # by the beginning of the names of blocks
-    'robot_': Cause('noise.robot_smooth', "the robot's accuracy as configured",
+SCALE = Cause('noise.robot_scale', "the scale of the robot's lengths as configured",
+              'robot, or a better statement of its scale,')
+CAUSES = {  # by the name of a block, without the number of its degree
+    'robot_smooth': Cause('noise.robot_smooth', "the robot's accuracy as configured",
                     'robot, or a better statement of its accuracy,'),
-    'scale': Cause('noise.robot_scale', "the scale of the robot's lengths as configured",
-                   'robot, or a better statement of its scale,'),
+    'scale': SCALE, 'sensor_scale': SCALE,
     'distortion': Cause('noise.distortion', "the sensor's linearity as configured", 'sensor'),
     'line_bend': Cause('noise.line_bend', 'how straight the laser line is as configured',
                        'sensor'),
@@ -173,7 +174,7 @@ def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
     squares = dict[Cause, float]()
     for term in found.terms:
         for name, cause in CAUSES.items():
-            if term.name.startswith(name):
+            if term.name == name or term.name.startswith(f'{name}_'):
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
     share = square ** 0.5 / found.total.mapped

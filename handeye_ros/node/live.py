@@ -58,7 +58,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing, sample_summary
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
-from handeye_ros.node.pool import answer_of, Pool, PoolEndedError, trim_memory, Worker
+from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory, Worker
 from handeye_ros.node.state import calibration_summary, MessageCount
 from handeye_ros.output import folder_name, write_whole
 from handeye_ros.results import calibration_file, exports
@@ -652,7 +652,7 @@ class LiveSession:
                     asked: bool, answered: Future[str]) -> None:
         self._running.remove(COMPUTED if asked else '')
         try:
-            review = answer_of(job)
+            review = result_or_ended(job)
             if basis[0] is not self.files:
                 raise DataError('the samples were cleared while the calibration was computed, so '
                                 'there is no answer: take new samples')

@@ -43,7 +43,7 @@ class PoolEndedError(HandeyeError):
                          'of memory?): call the service again; this restarts the process')
 
 
-def answer_of(future: Future[Result]) -> Result:
+def result_or_ended(future: Future[Result]) -> Result:
     """Return the result of a future; raises its exception, PoolEndedError if there is none."""
     try:
         return future.result()
@@ -118,7 +118,7 @@ class Pool:
             self.submit(trim_memory)
 
     def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
-        """Return the future of a call, for answer_of."""
+        """Return the future of a call, for result_or_ended."""
         try:
             return self._executor.submit(_call, function, args)
         except BrokenProcessPool:
@@ -132,8 +132,8 @@ class Pool:
         If the process is killed, another one tries; raises PoolEndedError if it is killed too.
         """
         with suppress(PoolEndedError):
-            return answer_of(self.submit(function, *args))
-        return answer_of(self.submit(function, *args))
+            return result_or_ended(self.submit(function, *args))
+        return result_or_ended(self.submit(function, *args))
 
 
 def _begin() -> None:

@@ -22,9 +22,9 @@ from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, T
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.least_squares import believed, graduated, Rows, System
-from handeye_ros.estimation.noise import Noise, TURN_LENGTH, Whitening, whitening
+from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
-from handeye_ros.estimation.search import relabelled
+from handeye_ros.estimation.search import CONVINCING, mean_squares, relabelled, white_at
 from handeye_ros.frames import mounted
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 import numpy as np
@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 CLOCKS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
 NO_POSES = 'there are no poses of that time'
 MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a start
-CONVINCING = 4.0  # squared residual of the believed share, in variances, of a good start
 
 
 def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
@@ -216,9 +215,9 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
         shifted = problem.with_pose_values(values)
         for start in islice(shifted.guesses(rng), 3):
             found = _refined(shifted, start)
-            loss = float(np.log1p(_squares(found)).mean())
+            loss = float(np.log1p(mean_squares(found)).mean())
             best = (loss, found) if best is None or loss < best[0] else best
-        if best and believed(_squares(best[1])) < CONVINCING:
+        if best and believed(mean_squares(best[1])) < CONVINCING:
             break
     assert best is not None
     return best[1]
@@ -230,7 +229,7 @@ def _refined(problem: Problem, start: Estimate) -> Linear:
         at = _system(at.problem).reweighted(at, np.append(weights, 1.0))
         whole = replace(at.problem, observations=problem.observations)
         return linearise(relabelled(whole, at.estimate, at.problem), at.estimate)
-    return graduated(linearise(relabelled(problem, start), start), _squares, refit)
+    return graduated(linearise(relabelled(problem, start), start), mean_squares, refit)
 
 
 def _system(problem: Problem) -> System[Linear]:
@@ -247,7 +246,7 @@ def _system(problem: Problem) -> System[Linear]:
             return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
 
         def white(values: Array) -> Array:
-            return np.concatenate([_white(at)(values[:-k]), values[-k:]])
+            return np.concatenate([white_at(at)(values[:-k]), values[-k:]])
         return Rows(np.append(at.residuals, at.problem.pose_values / stds), jacobian,
                     lambda: white)
 
@@ -255,15 +254,3 @@ def _system(problem: Problem) -> System[Linear]:
         moved = at.problem.with_pose_values(at.problem.pose_values + step[-k:])
         return linearise(moved, moved.retracted(at.estimate, step[:-k]))
     return System(rows, retracted, np.append(problem.observations.station, np.full(k, n)))
-
-
-@lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
-def _white(linear: Linear) -> Whitening:
-    return whitening(linear, Noise())
-
-
-def _squares(linear: Linear) -> Array:
-    """Return the mean squared whitened residual (n,) of each sample."""
-    station, n = linear.problem.observations.station, len(linear.problem.poses)
-    squares = np.bincount(station, _white(linear)(linear.residuals) ** 2, minlength=n)
-    return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from cells import cell, problem
 from handeye_ros import pipeline
-from handeye_ros.checks.hypotheses import deviance, Fit
+from handeye_ros.checks.hypotheses import deviance, Explanation
 from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import DataError
@@ -40,11 +40,11 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
     """Waves of a face end it by chance with the wrong sign, at points of which little is known."""
     made, rng = cell('plate'), np.random.default_rng(0)
 
-    def read(error: float, stated: float) -> Fit:
+    def read(error: float, stated: float) -> Explanation:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        fit = Fit.of(problem(samples, made.config))
+        fit = Explanation.of(problem(samples, made.config))
         assert fit
         return fit
 

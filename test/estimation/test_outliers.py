@@ -1,88 +1,139 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Variance components: each cause of noise is identified; quantiles are those of scipy.stats."""
+"""Stations that do not fit are left out, with a reason, and do no harm."""
 from __future__ import annotations
 
-from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import (
-    chi2_isf,
-    chi2_sf,
-    first_variances,
-    variance_components,
-)
-from hypothesis import given
-from hypothesis import strategies as st
+from collections.abc import Iterable
+from dataclasses import replace
+
+from cells import Cell, cell, exact_cell, scenario_of
+from handeye_ros import pipeline, se3
+from handeye_ros.data import Array, Calibration, Sample
+from handeye_ros.errors import DataError
+from handeye_ros.targets import METHODS
 import numpy as np
 import pytest
-from scipy import stats
 
-SCALES = (1e-3, 2e-3)  # 1 sigma of the two causes
-
-
-def blocks(n: int, prior_scales: tuple[float, float], rng: np.random.Generator
-           ) -> tuple[Array, Array, Array]:
-    """Return residuals (n, 3) of an adjustment, its Jacobian, and parts: white, and common."""
-    parts = np.array([np.broadcast_to(np.eye(3), (n, 3, 3)), np.ones((n, 3, 3))])
-    noise = prior_scales[0] * rng.normal(size=(n, 3)) + prior_scales[1] * rng.normal(size=(n, 1))
-    J = rng.normal(size=(n, 3, 4))
-    flat = J.reshape(-1, 4)
-    state = np.linalg.lstsq(flat, noise.ravel(), rcond=None)[0]
-    return noise - J @ state, J, parts
+every_method = pytest.mark.parametrize('name', METHODS)
 
 
-def test_the_causes_are_distinguished() -> None:
-    r, J, parts = blocks(4000, SCALES, np.random.default_rng(0))
-    found = variance_components(r, J, parts, np.array([1e-6, 1e-6]))
-    np.testing.assert_allclose(np.sqrt(found), SCALES, rtol=0.05)
+def solve(samples: Iterable[Sample], made: Cell) -> Calibration:
+    return pipeline.solve(list(samples), [], made.config, 'laser')
 
 
-@pytest.mark.parametrize('absent', [0, 1])
-def test_an_absent_cause_is_small(absent: int) -> None:
-    prior_scales = (0.0, SCALES[1]) if absent == 0 else (SCALES[0], 0.0)
-    r, J, parts = blocks(400, prior_scales, np.random.default_rng(1))
-    found = np.sqrt(variance_components(r, J, parts, np.array([1e-6, 1e-6])))
-    assert found[absent] < 0.3 * found[1 - absent]
-    assert found[1 - absent] == pytest.approx(prior_scales[1 - absent], rel=0.15)
+def moved(sample: Sample, by: Array) -> Sample:
+    return replace(sample, T_base_flange=se3.perturb(sample.T_base_flange, by))
 
 
-def test_few_residuals_do_not_make_it_too_small_on_average() -> None:
-    """Restricted: four unknowns of eighteen residuals would make it 12 % too small."""
-    rng, start = np.random.default_rng(2), np.square(SCALES)
-    found = [variance_components(*blocks(6, SCALES, rng), start) for _ in range(400)]
-    np.testing.assert_allclose(np.mean(found, axis=0) / start, 1.0, atol=0.1)
+def rejected(answer: Calibration) -> set[int]:
+    return {report.stamp for report in answer.samples if not report.used}
 
 
-def test_the_first_guess_ignores_wrong_blocks() -> None:
-    rng = np.random.default_rng(3)
-    r = np.concatenate([rng.normal(size=(300, 3)), 5 * rng.normal(size=(300, 3))], axis=1)
-    r[:30] += 1e3
-    own = np.broadcast_to(np.eye(6), (300, 6, 6))
-    both = own + 8.0 * own * ([1] * 3 + [0] * 3)
-    found = first_variances(r, np.array([own * ([0] * 3 + [1] * 3), both]))
-    assert found == pytest.approx([25 / 2, 1 / 9 / 2], rel=0.3)
+def assert_as_good(answer: Calibration, clean: Calibration, tolerance: float = 1e-6) -> None:
+    """Check that an answer is that of the clean samples alone."""
+    off = np.abs(se3.difference(answer.T_flange_sensor, clean.T_flange_sensor))
+    assert off.max() < tolerance
+    assert answer.quality.samples_used == clean.quality.samples_used
 
 
-def test_without_any_noise_they_stay_positive() -> None:
-    r, J, parts = blocks(10, (0.0, 0.0), np.random.default_rng(4))
-    first = first_variances(r, parts)
-    found = variance_components(r, J, parts, first)
-    assert (found > 0).all() and (found < 1e-20).all()
+@pytest.mark.thorough
+@every_method
+@pytest.mark.parametrize('size', [3e-3, 0.05])
+def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
+    for seed in range(2):
+        made = cell(scenario_of(METHODS[name]), seed, method=name)
+        rng = np.random.default_rng(seed)
+        bad = rng.permutation(len(made.samples))[:2]
+        steps = rng.normal(size=(len(made.samples), 6))
+        steps[:, :3] *= size / np.linalg.norm(steps[:, :3], axis=1)[:, None]
+        # a plane does not see what moves along it: turn the poses too, by 1 degree
+        steps[:, 3:] *= 0.02 / np.linalg.norm(steps[:, 3:], axis=1)[:, None]
+        samples = [moved(s, steps[i]) if i in bad else s for i, s in enumerate(made.samples)]
+        answer = solve(samples, made)
+        assert rejected(answer) >= {made.samples[i].stamp for i in bad}
+        assert len(rejected(answer)) <= 3
+        clean = solve((s for s in made.samples if s.stamp not in rejected(answer)), made)
+        assert_as_good(answer, clean)
 
 
-PROBABILITIES = st.floats(1e-12, 1 - 1e-6)
-FREEDOM = st.integers(1, 2000)
+def test_reasons_name_the_misfit() -> None:
+    made = cell('plate', 1)
+    samples = [moved(s, np.array([5e-3, 5e-3, 5e-3, 0, 0, 0])) if i == 4 else s
+               for i, s in enumerate(made.samples)]
+    answer = solve(samples, made)
+    (report,) = [r for r in answer.samples if not r.used]
+    assert report.stamp == made.samples[4].stamp
+    assert 'contradicts the other stations' in report.reason and 'times' in report.reason
+    assert report.residual is None and answer.quality.samples_rejected == 1
+    assert [r.stamp for r in answer.samples] == sorted(s.stamp for s in samples)
 
 
-@given(PROBABILITIES, FREEDOM)
-def test_chi_squared(probability: float, freedom: int) -> None:
-    value = chi2_isf(probability, freedom)
-    assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
-    assert chi2_sf(value, freedom) == pytest.approx(
-        stats.chi2.sf(value, freedom), rel=1e-9)
-    assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
+@pytest.mark.thorough
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target: str, seed: int) -> None:
+    made = cell(target, seed)
+    rng = np.random.default_rng(seed)
+    step = rng.normal(size=3)
+    step = np.append(5e-3 * step / np.linalg.norm(step), np.zeros(3))
+    count = int(0.28 * len(made.samples))
+    bad = {made.samples[i].stamp for i in rng.permutation(len(made.samples))[:count]}
+    answer = solve((moved(s, step) if s.stamp in bad else s for s in made.samples), made)
+    assert rejected(answer) == bad
+    assert_as_good(answer, solve((s for s in made.samples if s.stamp not in bad), made))
 
 
-def test_several_at_once_and_none_without_a_degree_of_freedom() -> None:
-    probabilities = chi2_sf(np.array([0.0, 1.0, 2.0, 2.0]), np.array([0, 0, 1, 3]))
-    assert np.isnan(probabilities).tolist() == [True, True, False, False]
-    np.testing.assert_allclose(probabilities[2:], stats.chi2.sf(2.0, [1, 3]))
+def test_samples_after_the_target_was_pushed_are_left_out_when_they_are_few() -> None:
+    made = cell('plate', 3)
+    step = np.array([2e-3, -1e-3, 2e-3, 0, 0, 0.01])
+    late = sorted(s.stamp for s in made.samples)[-4:]
+    answer = solve((moved(s, step) if s.stamp in late else s for s in made.samples), made)
+    assert rejected(answer) == set(late)
+
+
+def test_too_many_wrong_stations_are_refused() -> None:
+    made = cell('plate', 1)
+    rng = np.random.default_rng(0)
+    samples = [moved(s, np.append(rng.normal(size=3) * 8e-3, rng.normal(size=3) * 0.02))
+               if i % 2 else s for i, s in enumerate(made.samples)]
+    with pytest.raises(DataError, match='contradict'):
+        solve(samples, made)
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
+    made = cell('wrong_edges', seed)
+    answer = solve(made.samples, made)
+    assert made.error(answer.T_flange_sensor) < 9e-5
+    reports = {r.stamp: r for r in answer.samples}
+    for station, sample in zip(made.truth.stations, made.samples, strict=True):
+        report = reports[sample.stamp]
+        if station.label.endswith('2'):
+            assert report.edge == '' and report.reason, 'told, though its face may be used'
+        else:
+            assert report.used and report.edge in ('p', 'q')
+    sides = {(station.label, reports[s.stamp].edge)
+             for station, s in zip(made.truth.stations, made.samples, strict=True)
+             if len(station.label) == 1}
+    assert len(sides) == 2, 'one name for each edge'
+
+
+def test_all_four_edges_are_used_when_the_size_is_known() -> None:
+    made = cell('wrong_edges', 1, target__size=[0.2, 0.15])
+    without = cell('wrong_edges', 1)
+    answer = solve(made.samples, made)
+    labels = {s.stamp: t.label for s, t in zip(made.samples, made.truth.stations, strict=True)}
+    used = {(labels[r.stamp], r.edge) for r in answer.samples}
+    assert all(edge for _, edge in used) and len(used) == len(set(labels.values()))
+    assert np.trace(answer.covariance) < np.trace(
+        solve(without.samples, without).covariance) * 1.05  # the noise is estimated in both
+
+
+def test_exact_samples_with_one_wrong_one_give_the_truth() -> None:
+    made = exact_cell('plate', 2)
+    samples = [moved(s, np.array([0, 0, 2e-3, 0.01, 0, 0])) if i == 7 else s
+               for i, s in enumerate(made.samples)]
+    answer = solve(samples, made)
+    assert rejected(answer) == {samples[7].stamp}
+    error = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+    assert np.abs(error).max() < 1e-8

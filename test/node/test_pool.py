@@ -11,7 +11,7 @@ import sys
 from command import PATIENCE
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError
-from handeye_ros.node.pool import answer_of, Pool, PoolEndedError
+from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
 from handeye_ros.pipeline import calibrate
 import pytest
 
@@ -39,7 +39,7 @@ def test_one_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> Non
     with pytest.raises(PoolEndedError, match='ended before it had an answer'):
         pool.run(os._exit, 1)
     with pytest.raises(PoolEndedError):
-        answer_of(pool.submit(os._exit, 1))
+        result_or_ended(pool.submit(os._exit, 1))
     assert pool.run(divmod, 7, 2) == (3, 1)
 
 
