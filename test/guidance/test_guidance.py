@@ -227,7 +227,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
 def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: float, enough: bool
                                                           ) -> None:
     sigmas = (Sigma('any', 0.0, 1.0), Sigma('worst', 0.0, 1.0), Sigma('points', 4e-4, 3e-4))
-    found, why = judged(sigmas, 4e-4 * (1 - gain), (CAUSES['robot_'], 0.875), count)
+    found, why = judged(sigmas, 4e-4 * (1 - gain), (CAUSES['robot_smooth'], 0.875), count)
     assert found == enough
     assert '0.350 mm is the robot' in why
     assert ('more samples bring little, a better robot' in why) == enough
