@@ -40,13 +40,13 @@ import sys
 
 from handeye_ros import config as configs
 from handeye_ros import se3, targets
+from handeye_ros.agreement import flat_crossing
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import refined, robust_solution, with_blocks, without_outliers
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.evidence import flat_crossing
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise, turn_and_tilt
 from handeye_ros.guidance.moves import Move
@@ -156,7 +156,7 @@ class World:
         if not edges or not isinstance(target, PlateTarget):
             return
         p = np.array(edges) @ T_target_sensor[:3, [0, 2]].T + T_target_sensor[:3, 3]
-        edges = len(targets.method_for(self.config).essential)
+        edges = len(targets.target_for(self.config).essential)
         frames = list(edge_frames(target).values())[:edges]
         away = [np.linalg.norm((p - frame[:3, 3]) @ frame[:3, 1:3], axis=1) for frame in frames]
         if np.min(away) > NEAR_THE_EDGE:
@@ -365,10 +365,10 @@ def solved(cell: World) -> Solution | None:
 
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
-    method, samples = targets.method_for(cell.config), with_common_shape(cell.samples)
-    if len(samples) < method.minimum:
+    target, samples = targets.target_for(cell.config), with_common_shape(cell.samples)
+    if len(samples) < target.minimum:
         return None
-    problem = Problem(method, mounted(samples, cell.config), method.observe(samples),
+    problem = Problem(target, mounted(samples, cell.config), target.observe(samples),
                       cell.config)
     try:
         agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else

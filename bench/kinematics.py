@@ -26,7 +26,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.estimate import adjusted, fitted
-from handeye_ros.robot.outcome import Outcome, solve
+from handeye_ros.robot.outcome import ArmOutcome, solve
 from handeye_ros.robot.points import PointRows, start_of
 from handeye_ros.robot.sources import Source
 from handeye_ros.robot.sources import start_of as start_of_sources
@@ -35,7 +35,7 @@ from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.targets import method_for
+from handeye_ros.targets import target_for
 import numpy as np
 from scipy.stats import chi2
 
@@ -187,7 +187,7 @@ def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3
 
 
-def judged(cell: Cell, case: Case, outcome: Outcome, held: PointRows) -> tuple[float, ...]:
+def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: PointRows) -> tuple[float, ...]:
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
     before, after = (rms(predicted(m.fit.state, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
@@ -224,7 +224,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     config = with_values(Config(), settings(scenario), 'the scenario')
     samples = [Sample(k, pose, found, 30)
                for k, (pose, found) in enumerate(zip(T, features, strict=True))]
-    method, q = method_for(config), robot.inverse(T)
+    method, q = target_for(config), robot.inverse(T)
     poses = in_mount(arm_of(robot.urdf()).forward(q), config)
     problem = Problem(method, poses, method.observe(samples), config)
     return cell, Source(Session(config), samples, problem, q)

@@ -55,7 +55,7 @@ def profiles_a_second(target: str, rounds: int = 7) -> tuple[int, float]:
     recording = read(ROOT / 'bags' / target, config)
     some = recording.profiles[::max(1, len(recording.profiles) // 300)]
     profiles = [profile.read(config.profile).points for profile in some]
-    method, times = targets.method_for(config), []
+    method, times = targets.target_for(config), []
     for _ in range(rounds):
         start = time.process_time()
         for points in profiles:

@@ -119,8 +119,8 @@ def _bend_notes(solution: Solution) -> Iterator[str]:
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
-    problem, target = solution.problem, solution.estimate.target
-    stated, labels = replace(problem, config=config).tolerances, problem.method.labels
+    problem, target = solution.problem, solution.estimate.state
+    stated, labels = replace(problem, config=config).tolerances, problem.target.labels
     best = parameters(solution)
     for name, one in parameters(solution.conservative or solution).items():
         k = one.block.parameter
@@ -131,9 +131,9 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
             first = min(config.target.size, key=lambda size: abs(size - estimated)) if (
                 freed) else estimated - best[name].value
             yield _measure_note(name, first, estimated, one.std)
-    given_up = problem.method.free(problem.config) & ~problem.method.free(config)
+    given_up = problem.target.free(problem.config) & ~problem.target.free(config)
     for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
-        first, estimated = float(problem.method.configured(config)[i]), target[i - len(labels)]
+        first, estimated = float(problem.target.configured(config)[i]), target[i - len(labels)]
         std = float(solution.target_std[i])
         if abs(estimated - first) > NOTED_CONTRADICTION * math.hypot(std, stated[i]):
             yield _measure_note(labels[i], first, float(estimated), std)
@@ -148,12 +148,12 @@ def _measure_note(label: str, stated: float, estimated: float, std: float) -> st
 
 def _edge_notes(solution: Solution) -> Iterator[str]:
     """Yield the edges that the answer does not use, and those never seen."""
-    method, lost = solution.problem.method, lost_edges(solution)
+    target, lost = solution.problem.target, lost_edges(solution)
     if lost:
         yield lost
-    used = {method.kinds[k] for k in set(solution.problem.observations.kind)}
-    known, seen = ({name.partition('_')[0] for name in names if name in method.essential}
-                   for names in (method.essential, used))
+    used = {target.kinds[k] for k in set(solution.problem.observations.kind)}
+    known, seen = ({name.partition('_')[0] for name in names if name in target.essential}
+                   for names in (target.essential, used))
     for edge in sorted(known - seen):
         yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
                'line if the target has one edge only')
@@ -165,7 +165,7 @@ def lost_edges(solution: Solution) -> str:
         return ''
     shown = int(solution.whole.subset(solution.used).shows_essential.sum())
     part, estimate = solution.whole.subset(solution.unused), solution.estimate
-    where = part.method.elsewhere(part.observations, part.points_in_base(estimate.X),
-                                  estimate.target, part.config)
+    where = part.target.elsewhere(part.observations, part.points_in_base(estimate.X),
+                                  estimate.state, part.config)
     return (f'the edges of {len(solution.unused)} of the {shown} samples that show one lie on '
             'none of the target' + (f': {where}' if where else ''))

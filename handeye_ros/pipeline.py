@@ -14,6 +14,7 @@ from pathlib import Path
 
 from handeye_ros import targets
 from handeye_ros.arm import with_arm_errors
+from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import explained, require_agreement
 from handeye_ros.checks.measures import believable_shape, believable_size, require_one_scale
 from handeye_ros.checks.moved import moved_slightly
@@ -36,7 +37,6 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted
-from handeye_ros.outcome import calibration_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_at_poses, problem_of, single_samples, synchronised
@@ -138,15 +138,15 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     sweep counts as its single profiles.
     """
     ordered: Sequence[Sample] = sorted(single_samples(samples), key=lambda sample: sample.stamp)
-    method, rng = targets.method_for(config), np.random.default_rng(SEED)
+    target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, fits = None, None, None, False
     try:
         # 1. Use only edges whose shape is the same over all stops.
         ordered = with_common_shape(ordered)
         # 2. Refuse what no solver can answer: the sensor's frame, too few samples, no rotation.
         require_own_frame(frame_id, config)
-        require_samples(ordered, rejects, method)
-        require_rotations(mounted(ordered, config), mount_frame(config), method.one_axis)
+        require_samples(ordered, rejects, target)
+        require_rotations(mounted(ordered, config), mount_frame(config), target.one_axis)
         # 3. Of a sweep, find the offset between the clocks: it gives each profile its pose.
         moved = synchronised(ordered, config)
         ordered, rejects = moved.samples, [*rejects, *moved.rejects]

@@ -15,7 +15,7 @@ import handeye_ros
 from handeye_ros import config as configs
 from handeye_ros.cli import command
 from handeye_ros.tabulated import FILE_METHODS
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 import pytest
 import typer.main
 import yaml
@@ -60,7 +60,7 @@ def test_the_keys_and_targets() -> None:
     keys, targets = section('Keys').split('Targets:')
     known = {parameter.key for parameter in configs.parameters()}
     assert set(names(keys)) == known
-    assert set(names(targets)) == METHODS.keys() | FILE_METHODS.keys()
+    assert set(names(targets)) == TARGETS.keys() | FILE_METHODS.keys()
 
 
 def test_the_reference_tells_every_key() -> None:

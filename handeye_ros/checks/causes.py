@@ -70,9 +70,9 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
 def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Explanation
                 ) -> list[Hypothesis]:
     """Return the hypothesis of the opposite profile.range_sign, none with too few samples."""
-    config, method = flipped_range(problem.config), problem.method
+    config, target = flipped_range(problem.config), problem.target
     others = with_common_shape([replace(s, features=s.flipped) for s in samples if s.flipped])
-    if len(others) < method.minimum:
+    if len(others) < target.minimum:
         return []
     number = {sample.stamp: k for k, sample in enumerate(samples)}
     stops = np.array([number[sample.stamp] for sample in others])

@@ -54,7 +54,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     found = [(outcome, part) for outcome in session.outcomes if not outcome.refused
              and not session.excludes(outcome) and (part := _profiles(outcome.stop, config))]
     seen = [part for _, part in found]
-    if len(seen) < targets.method_for(config).minimum:
+    if len(seen) < targets.target_for(config).minimum:
         return
     changes = np.concatenate([[], *(_differences(profiles) for profiles, *_ in seen)])
     rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0

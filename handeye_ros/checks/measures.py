@@ -26,7 +26,7 @@ SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another
 
 def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generator) -> Solution:
     """Return the consensus, with free target measures if only these make the stations agree."""
-    config = problem.method.relax(problem.config)
+    config = problem.target.relax(problem.config)
     poor = (agreed.dropped or len(agreed.unused)
             or agreed.variance_factor > CONVINCING)
     if config is None or not poor:
@@ -35,8 +35,8 @@ def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generato
         other = robust_solution(replace(problem, config=config), rng)
     except DataError:
         return agreed
-    stated = float(problem.method.configured(problem.config)[-1])
-    if abs(other.estimate.target[-1] - stated) > 0.5 * stated:
+    stated = float(problem.target.configured(problem.config)[-1])
+    if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
     fit, stated_fit = Explanation.of_all(other), Explanation.of_all(agreed)

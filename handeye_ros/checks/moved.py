@@ -39,7 +39,7 @@ RARELY, HARDLY_EVER = 0.1, 0.01  # largest p-value of the permutation test: to w
 
 def moved_between(problem: Problem) -> list[Hypothesis]:
     """Return the hypotheses that something moved between two parts of a recording."""
-    n, fewest = len(problem.poses), problem.method.minimum
+    n, fewest = len(problem.poses), problem.target.minimum
     if n < 2 * fewest:
         return []
     stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
@@ -133,7 +133,7 @@ def change_point(solution: Solution) -> ChangePoint | None:
     n, reported = len(solution.problem.poses), solution.conservative or solution
     few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
-    if n < solution.problem.method.minimum + 4:  # too few to tell a move from an outlier
+    if n < solution.problem.target.minimum + 4:  # too few to tell a move from an outlier
         return None
     steps = _Steps.of(reported, changes)
     if next(steps.peaks()).evidence < -STRONG:  # evidence against a move

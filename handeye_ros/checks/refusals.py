@@ -50,14 +50,14 @@ def require_own_frame(frame_id: str, config: Config) -> None:
                 f'in the driver of the sensor, or set {key}', reason='frame')
 
 
-def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], method: Target) -> None:
-    """Raise UnexplainedError when there are fewer samples than the method needs."""
-    if len(samples) < method.minimum:
+def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target) -> None:
+    """Raise UnexplainedError when there are fewer samples than the target needs."""
+    if len(samples) < target.minimum:
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
         why = (f' ({len(rejects)} stations gave none, most often: {reasons[0][0]})' if reasons
                else '')
         raise UnexplainedError(
-            f'{len(samples)} usable samples{why}; {method.name} needs at least {method.minimum}: '
+            f'{len(samples)} usable samples{why}; {target.name} needs at least {target.minimum}: '
             'take more, with the laser across the target', reason='few')
 
 
@@ -218,7 +218,7 @@ def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples of a solution lack."""
     problem, frame = solution.problem, mount_frame(config)
     known = worst_rotation(solution.reported)[0] <= config.limits.rotation
-    if known and (one_view := problem.method.one_view(problem, solution.estimate)):
+    if known and (one_view := problem.target.one_view(problem, solution.estimate)):
         return one_view
     turns, axes = turning(solution.whole.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
@@ -231,14 +231,14 @@ def missing_motion(solution: Solution, config: Config) -> str:
 
 def require_edges(solution: Solution) -> None:
     """Raise UnexplainedError for an answer that does not use most of the visible edges."""
-    method = solution.whole.method
-    if not method.essential:
+    target = solution.whole.target
+    if not target.essential:
         return
     used = int(solution.problem.shows_essential.sum())
-    if used < method.minimum:
+    if used < target.minimum:
         raise UnexplainedError(
             f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
-            f'and {method.name} needs {method.minimum}: cross the edges with the laser, inside '
+            f'and {target.name} needs {target.minimum}: cross the edges with the laser, inside '
             'the field of view, or calibrate from the plane alone (target.type plane)',
             reason='edges')
     shown = int(solution.whole.shows_essential.sum())

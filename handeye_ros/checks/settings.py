@@ -74,7 +74,7 @@ def require_settings(session: Session, config: Config) -> None:
 def _advice(values: dict[str, str], fit: Explanation) -> str:
     """Return in words which values to set, as the fit shows them."""
     if values == {'target.radius': '0'}:
-        radius = float(fit.solution.estimate.target[-1])
+        radius = float(fit.solution.estimate.state[-1])
         return f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if values == {'target.type': 'plane'}:
@@ -86,7 +86,7 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
     """Yield the likely corrections of settings, the most likely first."""
     profile = config.profile
     sign = {SIGN: str(-profile.range_sign)}
-    kinds = [{'target.type': name} for name in targets.METHODS if name != config.target.type]
+    kinds = [{'target.type': name} for name in targets.TARGETS if name != config.target.type]
     unit = {'m': 'mm', 'mm': 'm'}[profile.unit]
     kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]
     axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
@@ -111,10 +111,10 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
 
     results: of each of the stops that are compared; all_starts: see Explanation.of.
     """
-    method = targets.method_for(config)
+    target = targets.target_for(config)
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
-    if len(ordered) < method.minimum:
+    if len(ordered) < target.minimum:
         return None
     stops = np.array([number[sample.stamp] for sample in ordered])
     return Explanation.of(problem_at_poses(ordered, config), stops, len(results), all_starts)

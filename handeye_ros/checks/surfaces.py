@@ -36,7 +36,7 @@ def require_one_surface(session: Session, config: Config) -> None:
     if fit is None or not fit.believable:
         return
     estimate = fit.solution.estimate
-    T_plane_mount = inverse(estimate.target.reshape(4, 4))
+    T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
         _height(outcome.sample, T_plane_mount @ in_mount(outcome.sample.T_base_flange, config)
                 @ estimate.X) for outcome in taken if outcome.sample])

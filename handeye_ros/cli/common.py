@@ -136,8 +136,8 @@ def is_table(path: Path) -> bool:
 
 def _method_of_table(path: Path, settings: 'Config') -> 'FileMethod | None':
     """Return the method of a target that is solved from files, None for one of profiles."""
-    from handeye_ros.targets import METHODS
-    if settings.target.type in METHODS and not is_table(path):
+    from handeye_ros.targets import TARGETS
+    if settings.target.type in TARGETS and not is_table(path):
         return None
     from handeye_ros import tabulated
     method = tabulated.of(settings)

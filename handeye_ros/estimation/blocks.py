@@ -14,7 +14,7 @@ on (a time offset, the joints of the robot) belong to the problem instead, as a 
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
 
     offset = PoseModel(poses_and_twists, names=('time_offset',), counts=(1,), stds=(0.05,))
-    solution = map_solution(Problem(method, poses, observations, config, offset), start)
+    solution = map_solution(Problem(target, poses, observations, config, offset), start)
     solution.problem.pose_values, solution.problem.poses  # as estimated
 
 With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.
@@ -85,7 +85,7 @@ Source = Callable[[Linear], Blocks]
 def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
     """Return all blocks at an estimate."""
     model = linear.problem.pose_model
-    sources: list[Source] = [linear.problem.method.blocks]
+    sources: list[Source] = [linear.problem.target.blocks]
     sources += [model.blocks] if model and model.blocks else []
     return tuple(block for source in (*sources, *SOURCES) for block in source(linear)
                  if block.std > 0 and block.columns.any())
@@ -93,13 +93,13 @@ def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
 
 def stated_measures(linear: Linear) -> Blocks:
     """Yield the blocks of the target's stated measures."""
-    problem, target = linear.problem, linear.estimate.target
-    method, stds = problem.method, problem.tolerances
+    problem, state = linear.problem, linear.estimate.state
+    target, stds = problem.target, problem.tolerances
     for i in np.flatnonzero(stds).tolist():
         std, at = float(stds[i]), i - len(stds)  # the last of the target's values
-        stated = method.configured(problem.config)[i]
-        yield ParameterBlock(method.labels[i], linear.jacobian[:, 6 + i:7 + i] * std, std,
-                             parameter=i, value=target[at:at + 1 or None] - stated,
+        stated = target.configured(problem.config)[i]
+        yield ParameterBlock(target.labels[i], linear.jacobian[:, 6 + i:7 + i] * std, std,
+                             parameter=i, value=state[at:at + 1 or None] - stated,
                              largest=1e8)  # a stated measure may be plainly wrong
 
 

@@ -104,7 +104,7 @@ def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
         total += at.near * _squared(linear.by_point[at.rows], config.distortion ** 2)
         total += _squared(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
-        own = problem.method.feature_errors(linear)
+        own = problem.target.feature_errors(linear)
         total += _squared(own[at.rows]) * at.shared
     return total
 

@@ -32,7 +32,7 @@ class Observations:
     Points of the sensor plane, each with one scalar condition.
 
     station: (m,) index of the pose, ascending; points: (m, 2) metres; kind: (m,) index of the
-    condition in the method's kinds; noise: (m, 2, 2) factor L: the point's error is L @ e, e of
+    condition in the target's kinds; noise: (m, 2, 2) factor L: the point's error is L @ e, e of
     unit covariance; source: (m,) observations of a station with equal source share e. end: (m,)
     how the face ends at an edge point (numbered from 1), 0 for other points; edge points have a
     variance factor of their own; outward: (m, 2) unit vector out of the face; shape: (m,) 1 sigma
@@ -122,7 +122,7 @@ class Estimate:
     """The transform from the mount to the sensor plane X (4, 4) and the target's state (s,)."""
 
     X: Array
-    target: Array
+    state: Array
 
 
 @dataclass(frozen=True)
@@ -178,12 +178,12 @@ class Target(ABC):
         """Yield estimates to start from, best first."""
 
     @abstractmethod
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
         """Return what should vanish for points of kinds (m,), and its derivatives."""
 
     @abstractmethod
-    def retract(self, target: Array, delta: Array) -> Array:
+    def retract(self, state: Array, delta: Array) -> Array:
         """Return the state after a step (..., k)."""
 
     def stated(self, config: Config) -> dict[str, tuple[float, float]]:
@@ -205,7 +205,7 @@ class Target(ABC):
         stated = self.stated(config)
         return np.array([stated.get(label, (0.0, 0.0))[0] for label in self.labels])
 
-    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
         return observations
@@ -219,10 +219,10 @@ class Target(ABC):
         return None
 
     @abstractmethod
-    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+    def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
 
-    def elsewhere(self, observations: Observations, p: Array, target: Array, config: Config
+    def elsewhere(self, observations: Observations, p: Array, state: Array, config: Config
                   ) -> str:
         """Return in words where observations lie that are not on the target, '' if unknown."""
         return ''
@@ -286,7 +286,7 @@ class Problem:
     long_errors: whether the robot's smooth error has long wavelengths only.
     """
 
-    method: Target
+    target: Target
     poses: Array
     observations: Observations
     config: Config
@@ -302,7 +302,7 @@ class Problem:
     @cached_property
     def columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
-        free = self.method.free(self.config)
+        free = self.target.free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @cached_property
@@ -331,7 +331,7 @@ class Problem:
     @cached_property
     def ambiguous(self) -> bool:
         """Return whether stations show several similar surfaces; only one is the target."""
-        return self.method.ambiguous(self.observations)
+        return self.target.ambiguous(self.observations)
 
     @property
     def few(self) -> bool:
@@ -356,20 +356,20 @@ class Problem:
     @property
     def tolerances(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
-        return self.method.tolerances(self.config)
+        return self.target.tolerances(self.config)
 
     @property
     def shows_essential(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation of an essential kind."""
-        method, obs = self.method, self.observations
-        of_kind = np.array([*(name in method.essential for name in method.kinds), False])  # UNUSED
+        target, obs = self.target, self.observations
+        of_kind = np.array([*(name in target.essential for name in target.kinds), False])  # UNUSED
         shows = np.zeros(len(self.poses), dtype=bool)
         shows[obs.station[of_kind[obs.kind]]] = True
         return shows
 
     def guesses(self, rng: np.random.Generator) -> Iterator[Estimate]:
         """Return an iterator over starts, best first, computed on demand."""
-        return iter(self.method.guess(self, rng))
+        return iter(self.target.guess(self, rng))
 
     def points_in_base(self, X: Array) -> Array:
         """Return the observed points (m, 3) in the base."""
@@ -377,10 +377,10 @@ class Problem:
 
     def retracted(self, estimate: Estimate, step: Array) -> Estimate:
         """Return the estimate, or several, after a step (..., u) in the unknown columns."""
-        delta = np.zeros((*step.shape[:-1], 6 + len(self.method.labels)))
+        delta = np.zeros((*step.shape[:-1], 6 + len(self.target.labels)))
         delta[..., self.columns] = step
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
-                        self.method.retract(estimate.target, delta[..., 6:]))
+                        self.target.retract(estimate.state, delta[..., 6:]))
 
     def with_pose_values(self, values: Array) -> Problem:
         """Return the problem with the poses of its pose model at values (k,)."""
@@ -457,7 +457,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     """
     Return residuals and derivatives r, J at an estimate, (2).
 
-    Or at several estimates at once, X (n, 4, 4) and target (n, s), where the method allows that.
+    Or at several estimates at once, X (n, 4, 4) and state (n, s), where the target allows that.
     """
     obs, X = problem.observations, estimate.X
     R, a = problem.flanges
@@ -465,7 +465,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     lever = obs.points @ columns[..., :2, :]
     turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
-    conditions = problem.method.conditions(p, obs.kind, estimate.target, problem.config)
+    conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
     by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
     jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
                               axis=-1)

@@ -81,7 +81,7 @@ def without_outliers(solution: Solution) -> Solution:
     limit = LARGEST_SQUARE if solution.whole.ambiguous else GROSS
     squares = station_squares(solution)
     good = squares <= limit * max(1.0, believed(squares))
-    good[np.argsort(squares, kind='stable')[:solution.whole.method.minimum]] = True
+    good[np.argsort(squares, kind='stable')[:solution.whole.target.minimum]] = True
     near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
@@ -94,7 +94,7 @@ def without_outliers(solution: Solution) -> Solution:
 
     whole = solution.whole
     solution, used, dropped = agreeing(np.flatnonzero(good), len(whole.poses),
-                                       whole.method.minimum, fitted, judged)
+                                       whole.target.minimum, fitted, judged)
     return replace(solution, whole=whole, used=used, dropped=gross | dropped)
 
 
@@ -122,7 +122,7 @@ def with_blocks(solution: Solution) -> Solution:
             wrong=doubt.worst)
 
     solution, used, dropped = agreeing(
-        near.used, len(whole.poses), whole.method.minimum, fitted,
+        near.used, len(whole.poses), whole.target.minimum, fitted,
         lambda found: (found.conservative or found).left_out(), lambda found: found.wrong)
     return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
@@ -186,7 +186,7 @@ def accepted(solution: Solution) -> bool:
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
     """Yield the first start of each of count random subsets of the stations."""
-    n, size = len(problem.poses), max(6, problem.method.minimum)
+    n, size = len(problem.poses), max(6, problem.target.minimum)
     for _ in range(count if n > size else 0):
         chosen = np.sort(rng.permutation(n)[:size])
         yield next(problem.subset(chosen).guesses(rng))
@@ -200,7 +200,7 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
-    labelled = problem.method.relabel(problem.observations, p, estimate.target,
+    labelled = problem.target.relabel(problem.observations, p, estimate.state,
                                                problem.config)
     used = labelled.select(labelled.kind != UNUSED)
     for earlier in (problem, before):
@@ -221,10 +221,10 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
 
     def retract(states: States, steps: Array) -> States:
         moved = problem.retracted(Estimate(*states), steps)
-        return moved.X, moved.target
+        return moved.X, moved.state
 
     states: States = (np.array([start.X for start in starts]),
-                      np.array([start.target for start in starts]))
+                      np.array([start.state for start in starts]))
     for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # iterations, and starts kept after them
         kept = max(more * kept, 6 if problem.few else 0)
         states, cost = many_least_squares(linear, retract, states, iterations, 1e-6)

@@ -164,14 +164,14 @@ class Solution:
     def stepped(self) -> Linear:
         """Return the problem linearised after the step, with what depends on block parameters."""
         problem, estimate = self.problem, self.estimate
-        values, delta = problem.pose_values.copy(), np.zeros(len(problem.method.labels))
+        values, delta = problem.pose_values.copy(), np.zeros(len(problem.target.labels))
         for block, own in slices(self.blocks):
             after = self.nuisance[own] * block.std
             if block.parameter is not None and block.value is not None:
                 delta[block.parameter] = (after - block.value)[0]
             elif block.pose_values is not None:
                 values[block.pose_values] = after
-        target = problem.method.retract(estimate.target, delta)
+        target = problem.target.retract(estimate.state, delta)
         if len(values):
             problem = problem.with_pose_values(values)
         return linearise(problem, Estimate(estimate.X, target))
@@ -304,7 +304,7 @@ class Solution:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
         if self.conservative is not None:
             return self.conservative.target_std
-        std = np.zeros(len(self.problem.method.labels))
+        std = np.zeros(len(self.problem.target.labels))
         variances = np.diag(self.covariance)
         std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
         for block, own in slices(self.blocks, self.unknowns):

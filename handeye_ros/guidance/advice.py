@@ -99,8 +99,8 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     which the field of view is learnt; refused: poses of the flange (4, 4) at which stops gave no
     sample. The limits of guidance.* are relative to the first sample.
     """
-    method = targets.method_for(config)
-    what, sweeping = noun(method), config.sampling.moving
+    target = targets.target_for(config)
+    what, sweeping = noun(target), config.sampling.moving
     if found is None or not samples:
         return _before_an_answer(f'take the first sample: hold the sensor square to the target, '
                                  f'with the {what} in the middle of the view')
@@ -110,12 +110,12 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     mapped = mapped_points(solution.estimate.X, view) if solution else None
     if solution is None or mapped is None or (
             mapped.std(solution.reported[:6, :6]) > ROUGHLY_KNOWN):
-        refusal = found.refusal if solution is None and len(samples) >= method.minimum else None
+        refusal = found.refusal if solution is None and len(samples) >= target.minimum else None
         if sweeping:
             return _before_an_answer(
                 f'continue to sweep over the {what}: to and fro across it, with tilts about all '
                 'axes, near and far, with changes of speed', None, refusal)
-        move = next_move(len(samples), method, config, view)
+        move = next_move(len(samples), target, config, view)
         return _before_an_answer(move.text, move, refusal)
 
     sigmas = sigma_table(solution.reported[:6, :6], mapped, config)
@@ -219,13 +219,13 @@ def missing(solution: Solution, view: View, first: Array, config: Config) -> lis
     X = solution.estimate.X[:3, :3]
     turn, tilt = turn_and_tilt(first[:3, :3] @ X, problem.poses[:, :3, :3] @ X)
     places = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
-    most_tilt, place = WANTED_TILT * keys.tilt, f'place of the {noun(problem.method)} '
+    most_tilt, place = WANTED_TILT * keys.tilt, f'place of the {noun(problem.target)} '
     wanted = [('tilt about the laser line', tilt[:, 0], most_tilt, 'degrees'),
               ('tilt about the normal of the light plane', tilt[:, 1], most_tilt, 'degrees'),
               ('turn about the viewing direction', turn, min(WANTED_TURN, WANTED_TILT * keys.turn),
                'degrees'),
               (place + 'in range', places[:, 1], WANTED_PLACES * view.size[1] / 2, 'mm')]
-    if problem.method.essential:  # others fill the view
+    if problem.target.essential:  # others fill the view
         wanted.append((place + 'along the laser line', places[:, 0],
                        WANTED_PLACES * view.size[0] / 2, 'mm'))
     found = []

@@ -99,7 +99,7 @@ def anchor_of(problem: Problem, station: int) -> Array:
 
 
 def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
-    at_edge = np.isin(obs.kind, problem.method.essential_kinds)
+    at_edge = np.isin(obs.kind, problem.target.essential_kinds)
     return at_edge if at_edge.any() else ~at_edge
 
 
@@ -177,14 +177,14 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
 
     points: (n, c, 2) of the stations of linear; together: (c, c) 1 where conditions are of one.
     """
-    problem, obs, method = linear.problem, before.problem.observations, linear.problem.method
+    problem, obs, target = linear.problem, before.problem.observations, linear.problem.target
     sampling = problem.config.sampling
     strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1])
     A = linear.by_point.reshape(points.shape)
     good = view.room(points).min(axis=1) > -1e-4
     good &= np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
     # steeply: moves along the laser line show at an edge, moves in the plane at a face
-    of_edges = np.isin(obs.kind, method.essential_kinds) @ together > 0
+    of_edges = np.isin(obs.kind, target.essential_kinds) @ together > 0
     steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ together
     good &= (steep > np.sin(strict.min_crossing_angle) ** 2).all(axis=1)
     # from the same side as the template; the conditions of a point depend on the choice of axes
@@ -193,13 +193,13 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     towards = (A[..., 1] * seen) @ together > SMALLEST_COSINE * size
     good &= (towards | (size <= SMALLEST_COSINE)).all(axis=1)
     # with as much of the faces as is needed to find what lies between them
-    if not method.essential and len(method.kinds) == 2:
+    if not target.essential and len(target.kinds) == 2:
         good &= _corner_seen(A, points, before, view)
     elif len(obs) == together[0].sum():  # an edge point alone
         good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)
     # and with the same labels
-    labelled = method.relabel(problem.observations, problem.points_in_base(linear.estimate.X),
-                              linear.estimate.target, replace(problem.config, sampling=strict))
+    labelled = target.relabel(problem.observations, problem.points_in_base(linear.estimate.X),
+                              linear.estimate.state, replace(problem.config, sampling=strict))
     return np.asarray(good & (labelled.kind.reshape(A.shape[:2]) == obs.kind).all(axis=1))
 
 

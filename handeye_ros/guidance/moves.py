@@ -74,14 +74,14 @@ class Move:
     beside: float = 0.0
 
 
-def noun(method: Target) -> str:
+def noun(target: Target) -> str:
     """Return the feature that the laser line must show, in words."""
-    return 'edge' if method.essential else method.name
+    return 'edge' if target.essential else target.name
 
 
-def next_move(taken: int, method: Target, config: Config, view: View) -> Move:
+def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = method.kinds == ('arc',), len(method.essential) > 1
+    is_round, two_edges = target.kinds == ('arc',), len(target.essential) > 1
     steps = SPHERE if is_round else TWO_EDGES if two_edges else ONE_EDGE
     turn, *shares, beside = steps[taken % len(steps)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
@@ -97,14 +97,14 @@ def next_move(taken: int, method: Target, config: Config, view: View) -> Move:
         angle = min(np.pi / 2 - angle, config.guidance.turn)
     every_other = -1.0 if taken // len(steps) % 2 else 1.0
     turn = float(np.copysign(angle, turn * every_other))
-    return Move(_in_words(method, turn, tilt, place, edge, beside), turn, tilt, place, edge,
+    return Move(_in_words(target, turn, tilt, place, edge, beside), turn, tilt, place, edge,
                 float(beside))
 
 
-def _in_words(method: Target, turn: float, tilt: Array, place: Array, edge: int, beside: float
+def _in_words(target: Target, turn: float, tilt: Array, place: Array, edge: int, beside: float
               ) -> str:
     at = ('at the other edge, that meets the first one in the corner, ' if edge else
-          'at the same edge, ' if len(method.essential) > 1 else '')
+          'at the same edge, ' if len(target.essential) > 1 else '')
     turns = ', then '.join(f'{np.degrees(angle):+.0f} degrees about {axis}' for angle, axis in (
         (turn, 'its viewing direction'), (tilt[0], 'the laser line'),
         (tilt[1], 'the normal of the light plane')) if angle)
@@ -113,5 +113,5 @@ def _in_words(method: Target, turn: float, tilt: Array, place: Array, edge: int,
     side = 'positive' if beside > 0 else 'negative'
     crossing = f'; let the line cross the ball {abs(beside):.1f} of its radius beside the top, ' \
                f'its middle on the {side} side of the light plane' if beside else ''
-    return (f'from the pose of the first sample, {at}{turned}; keep the {noun(method)} in view, '
+    return (f'from the pose of the first sample, {at}{turned}; keep the {noun(target)} in view, '
             f'at x = {x:.0f} mm, range {z:.0f} mm{crossing}')

@@ -30,6 +30,7 @@ import time
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from handeye_ros import pipeline, se3
+from handeye_ros.agreement import Agreement, agreements, count_of, flat_crossing, sample_summary
 from handeye_ros.bags.session import (
     CONFIGURED,
     Event,
@@ -55,7 +56,6 @@ from handeye_ros.errors import (
     UnusableMessageError,
 )
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing, sample_summary
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory, Worker

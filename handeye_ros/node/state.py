@@ -13,8 +13,8 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
+from handeye_ros.agreement import Agreement, count_of, sample_summary
 from handeye_ros.data import Calibration
-from handeye_ros.evidence import Agreement, count_of, sample_summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.table import transform_rows
 from handeye_ros.sampling.session import Outcome, Session

@@ -11,13 +11,13 @@ from typing import Any, Protocol
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
+from handeye_ros.agreement import stop_snapshot
 from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session import read_session, sessions_in
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.evidence import stop_snapshot
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
@@ -168,7 +168,7 @@ def _file(live: Live, name: str) -> tuple[str, str]:
 
 def _report(calibration: Calibration, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
-    from handeye_ros.evidence import evidence
+    from handeye_ros.agreement import evidence
     from handeye_ros.results.report import html  # matplotlib
     return html(calibration, evidence(calibration, Path(session) if session else None))
 
@@ -211,7 +211,7 @@ def _edges(live: Live) -> dict[int, str]:
     if answer is None or answer.solution is None:
         return edges
     problem = answer.solution.problem
-    names, kinds = problem.method.kinds, problem.method.essential_kinds
+    names, kinds = problem.target.kinds, problem.target.essential_kinds
     number = {one.stamp: outcome.number for outcome in live.copied().outcomes if outcome.sample
               for one in outcome.sample.single or (outcome.sample,)}
     for station, i in enumerate(answer.solution.used.tolist()):
@@ -277,7 +277,7 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
-    form = shape(problem.method.describe(estimate.target, solution.target_std),
+    form = shape(problem.target.describe(estimate.state, solution.target_std),
                  config.target.size, points)
     ball = form.ball and (_rounded(form.ball[0]), form.ball[1])
     return {'edges': [_rounded(line) for line in form.edges], 'ball': ball,

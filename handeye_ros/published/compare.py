@@ -90,7 +90,7 @@ class Comparison:
 
 def own_method(config: Config) -> Config:
     """Return the configuration with the method of its target; raises BadValueError."""
-    targets.method_for(config)
+    targets.target_for(config)
     return replace(config, method='auto')
 
 

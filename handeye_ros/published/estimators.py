@@ -15,6 +15,7 @@ import math
 from typing import Any, TypeAlias
 
 from handeye_ros import pipeline, se3
+from handeye_ros.calibration import measured_points
 from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, EdgePoint, Sample
@@ -22,7 +23,6 @@ from handeye_ros.errors import SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import fit as fit_target
-from handeye_ros.outcome import measured_points
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.tabulated.method import FileMethod, require_trusted, solve
 from handeye_ros.targets import line, plate
@@ -73,8 +73,8 @@ class Stations:
     def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
-        given = _GivenTransform(part.method, part.poses, part.observations, part.config)
-        estimate = fit_target(given, Estimate(X, self.estimate.target), self.noise)
+        given = _GivenTransform(part.target, part.poses, part.observations, part.config)
+        estimate = fit_target(given, Estimate(X, self.estimate.state), self.noise)
         points = measured_points(self.samples, self.problem)
         return points.select(np.isin(points.station, measured)).residuals(self.problem, estimate)
 
@@ -166,7 +166,7 @@ def _ball(stations: Stations) -> tuple[Array, Array]:
             if isinstance(f, Arc)]
     poses = stations.problem.poses[[i for i, _ in arcs]]
     T_plane_base = se3.inverse(poses @ stations.estimate.X)
-    centre = se3.apply(T_plane_base, stations.estimate.target[None, :3])[:, 0]
+    centre = se3.apply(T_plane_base, stations.estimate.state[None, :3])[:, 0]
     return poses, fixed_point.ball_centres(
         np.array([arc.centre for _, arc in arcs]), np.array([arc.radius for _, arc in arcs]),
         radius, np.where(centre[:, 1] < 0, -1.0, 1.0))

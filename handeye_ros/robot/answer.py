@@ -26,7 +26,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.robot.outcome import Outcome
+from handeye_ros.robot.outcome import ArmOutcome
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
@@ -46,10 +46,10 @@ HEADER = """\
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class ArmAnswer:
     """The corrected arm, and the hand-eye transform that belongs to it; warnings: sentences."""
 
-    outcome: Outcome
+    outcome: ArmOutcome
     calibration: Calibration
     warnings: tuple[str, ...]
 
@@ -94,7 +94,7 @@ class Answer:
         return f'{saved}, {KINEMATICS_FILE}, {URDF_FILE}'
 
 
-def _content(answer: Answer) -> dict[str, Any]:
+def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.arm, answer.calibration
     assert arm.covariance is not None
@@ -118,7 +118,7 @@ def _content(answer: Answer) -> dict[str, Any]:
                        **calibration.provenance, 'warnings': list(answer.warnings)}}
 
 
-def table(answer: Answer) -> RenderableType:
+def table(answer: ArmAnswer) -> RenderableType:
     """Return the joints with their errors, and the cross-validation error of each model."""
     joints, models = (Table(*header, box=box.SIMPLE_HEAD, pad_edge=False) for header in (
         ('joint', 'zero offset', 'axis direction', 'axis position', 'not known'),

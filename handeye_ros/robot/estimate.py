@@ -35,7 +35,7 @@ LARGEST = 1e3  # largest prior scale
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ArmFit:
     """
     The least-squares estimate of the used stops (n,) with its weights.
 
@@ -85,7 +85,7 @@ def _by_priors(stops: Stops, stds: Array) -> Array:
 
 
 def fitted(stops: Stops, state: State, noise: Array, variances: Array, used: NDArray[np.bool_]
-           ) -> Fit:
+           ) -> ArmFit:
     """Return the least-squares estimate with priors near a state."""
     stds = state.stds * np.sqrt(variances[state.kinds])
     sigma = noise[np.arange(len(stops.station)) % stops.axes]
@@ -98,10 +98,10 @@ def fitted(stops: Stops, state: State, noise: Array, variances: Array, used: NDA
     state = System(rows, stops.moved, block).least_squares(
         state, np.append(used.astype(float), 1.0), 20, 1e-4)
     r, J = stops.linearised(state)
-    return Fit(stops, state, noise, variances, used, r / sigma, J / sigma[:, None])
+    return ArmFit(stops, state, noise, variances, used, r / sigma, J / sigma[:, None])
 
 
-def estimated_weights(fit: Fit, conservative: bool = False) -> tuple[Array, Array]:
+def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
     """Return noise and variances as a fit shows them; conservative: those for the report."""
     variances, u = fit.variances, fit.stops.unknowns
     if len(variances):
@@ -120,7 +120,7 @@ def estimated_weights(fit: Fit, conservative: bool = False) -> tuple[Array, Arra
     return np.maximum(noise, LEAST_NOISE), variances
 
 
-def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
+def adjusted(fit: ArmFit, conservative: bool = False, rounds: int = ROUNDS) -> ArmFit:
     """Return a fit with estimated weights; see estimated_weights."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
@@ -131,14 +131,14 @@ def adjusted(fit: Fit, conservative: bool = False, rounds: int = ROUNDS) -> Fit:
     return fit
 
 
-def without_outliers(fit: Fit) -> Fit:
+def without_outliers(fit: ArmFit) -> ArmFit:
     """Return a fit without the stops that the others do not predict."""
     every = np.arange(len(fit.stops))
 
-    def fitted_to(before: Fit | None, used: NDArray[np.intp]) -> Fit:
+    def fitted_to(before: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
         return adjusted(replace(before or fit, used=np.isin(every, used)))
 
-    def judged(found: Fit) -> tuple[Array, NDArray[np.intp]]:
+    def judged(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
         _, block = np.unique(found.stops.station[found.rows], return_inverse=True)
         r, freedom = found.residuals[found.rows], np.bincount(block)
         left_out = leave_one_out(r, found.jacobian[found.rows], found.covariance, block)
@@ -146,18 +146,18 @@ def without_outliers(fit: Fit) -> Fit:
     return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 
-def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float = 1.0) -> Fit:
+def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float = 1.0) -> ArmFit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
     return adjusted(fitted(stops, state, np.full(stops.axes, noise), np.zeros(0), used))
 
 
-def with_arm(fit: Fit, arm: Arm) -> Fit:
+def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     """Return the fit with the errors of an arm, at their configured sigmas."""
     state = replace(fit.state, arm=arm)
     return fitted(fit.stops, state, fit.noise, np.ones(len(set(state.kinds))), fit.used)
 
 
-def reported_covariance(fit: Fit, chosen: State) -> tuple[Fit, Array]:
+def reported_covariance(fit: ArmFit, chosen: State) -> tuple[ArmFit, Array]:
     """
     Return a fit with conservative prior scales, and the covariance of a chosen estimate.
 

@@ -19,7 +19,7 @@ from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     adjusted,
-    Fit,
+    ArmFit,
     MINIMUM,
     reported_covariance,
     with_arm,
@@ -50,7 +50,7 @@ class Model:
     """A fit with some kinds of errors; left_out: (n,) cross-validation errors (m)."""
 
     kinds: tuple[str, ...]
-    fit: Fit
+    fit: ArmFit
     left_out: Array
 
     @property
@@ -70,7 +70,7 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class ArmOutcome:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
@@ -105,7 +105,7 @@ class Start:
     and with the sensor on the other side.
     """
 
-    fit: Fit
+    fit: ArmFit
     total: int
     limit: float
     in_hand: bool
@@ -127,7 +127,7 @@ def require_enough(usable: int) -> None:
 
 
 @single_threaded
-def solve(start: Start) -> Outcome:
+def solve(start: Start) -> ArmOutcome:
     """Return the corrected arm and its hand-eye transform; raises DataError."""
     fit = start.fit
     if fit.used.sum() < max(MINIMUM, AGREEING * start.total) or (
@@ -147,7 +147,7 @@ def solve(start: Start) -> Outcome:
         chosen = model if _better(model, chosen) else chosen
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
-    return Outcome(models, chosen, covariance * _misfit(models[-1]), _known(chosen.fit),
+    return ArmOutcome(models, chosen, covariance * _misfit(models[-1]), _known(chosen.fit),
                    wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
@@ -167,7 +167,7 @@ def _regions(q: Array) -> NDArray[np.intp]:
     return region
 
 
-def _left_out(fit: Fit, fold: NDArray[np.intp]) -> Array:
+def _left_out(fit: ArmFit, fold: NDArray[np.intp]) -> Array:
     """Return the errors (n,) of stops, each predicted without its region."""
     errors = np.empty(len(fit.stops))
     for number in range(int(fold.max()) + 1):
@@ -196,13 +196,13 @@ def _misfit(model: Model) -> float:
     return max(1.0, float((model.left_out_rms / fit.residual_rms) ** 2 * (1 - h) / (1 + h)))
 
 
-def _known(fit: Fit) -> Array:
+def _known(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
     stated, u = replace(fit, variances=np.ones_like(fit.variances)), fit.stops.unknowns
     return np.sqrt(np.diag(stated.covariance)[u:]) / stated.stds
 
 
-def _require_mount(fit: Fit) -> None:
+def _require_mount(fit: ArmFit) -> None:
     std = np.sqrt(np.diag(fit.covariance)[:6])
     for quantity, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
                                   ('position', std[:3].max(), LARGEST_SHIFT)):

@@ -14,9 +14,9 @@ from handeye_ros.data import Array, Calibration, Quality, SampleReport
 from handeye_ros.estimation.least_squares import graduated, Rows, System
 from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.published import fixed_point
-from handeye_ros.robot.answer import Answer
-from handeye_ros.robot.estimate import first_fit, Fit, LEAST_NOISE
-from handeye_ros.robot.outcome import joint_notes, Outcome, require_enough, solve, Start
+from handeye_ros.robot.answer import ArmAnswer
+from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
+from handeye_ros.robot.outcome import ArmOutcome, joint_notes, require_enough, solve, Start
 from handeye_ros.robot.stops import Points, State, Stops
 from handeye_ros.tables import ANGLE, LENGTH, Table
 import numpy as np
@@ -75,13 +75,13 @@ def start_of(rows: PointRows, arm: Arm, limit: float) -> Start:
     """Return the hand-eye transform alone, with the arm as stated; raises DataError."""
     require_enough(len(rows))
 
-    def changed(joints: Array, other_side: bool) -> Fit:
+    def changed(joints: Array, other_side: bool) -> ArmFit:
         return _alone(replace(rows, q=rows.q @ joints.T, in_hand=rows.in_hand != other_side), arm)
     return Start(changed(np.eye(len(arm.joints)), False), len(rows), limit, rows.in_hand, rows.q,
                  lambda joints, other_side: changed(joints, other_side).residual_rms)
 
 
-def _alone(rows: PointRows, arm: Arm) -> Fit:
+def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, whatever its residuals."""
     parts = [rows.target == k for k in range(len(rows.names))]
     stops = Stops.of(rows.q, tuple(Points(rows.points[part], rows.in_hand) for part in parts))
@@ -104,7 +104,8 @@ def _alone(rows: PointRows, arm: Arm) -> Fit:
     return first_fit(stops, state, good, ROUGH)
 
 
-def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]) -> Answer:
+def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]
+                ) -> ArmAnswer:
     """
     Return the corrected arm from a table of joint values and points (read_table).
 
@@ -112,10 +113,11 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     """
     rows, notes = read_table(path, arm, config.calibration_type == 'eye_in_hand')
     outcome = solve(start_of(rows, arm, config.limits.residual))
-    return Answer(outcome, _calibration(outcome, rows, config, inputs), (*notes, *outcome.notes))
+    return ArmAnswer(outcome, _calibration(outcome, rows, config, inputs),
+                     (*notes, *outcome.notes))
 
 
-def _calibration(outcome: Outcome, rows: PointRows, config: Config,
+def _calibration(outcome: ArmOutcome, rows: PointRows, config: Config,
                  inputs: Sequence[dict[str, str]]) -> Calibration:
     """Return the hand-eye transform found from points, as a Calibration."""
     fit = outcome.chosen.fit

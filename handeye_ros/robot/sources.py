@@ -17,7 +17,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import covering
 from handeye_ros.frames import in_mount, sensor_axes
-from handeye_ros.robot.answer import Answer
+from handeye_ros.robot.answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
 from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start, UNSOLVED
 from handeye_ros.robot.stops import Profiles, State, Stops
@@ -102,7 +102,7 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
     stops = Stops.of(np.concatenate(q), tuple(measured))
-    state = State(states[0].X, tuple(found.target for found in states), arm, np.zeros(0))
+    state = State(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
     return Start(fit, len(every), problem.config.limits.residual, problem.in_hand, every, missed)
@@ -119,12 +119,12 @@ def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
     agreed = robust_solution(problem, np.random.default_rng(SEED))
     one = Profiles(agreed.whole)
     stops = Stops.of(source.q @ joints.T, (one,))
-    state = State(agreed.estimate.X, (agreed.estimate.target,), arm, np.zeros(0))
+    state = State(agreed.estimate.X, (agreed.estimate.state,), arm, np.zeros(0))
     return float(np.median(stops.distances(state)))
 
 
 def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str, str]] = ()
-                  ) -> Answer:
+                  ) -> ArmAnswer:
     """
     Return the corrected arm, and the calibration that belongs to it; raises DataError.
 
@@ -146,7 +146,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
             sensor_axes(sources[0].problem.config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
     warnings = dict.fromkeys(words for source in sources for words in source.warnings)
-    return Answer(outcome, replace(calibration, provenance={
+    return ArmAnswer(outcome, replace(calibration, provenance={
         **calibration.provenance, 'inputs': files}), (*warnings, *outcome.notes))
 
 

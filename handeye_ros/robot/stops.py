@@ -79,7 +79,7 @@ class Profiles:
     def moved(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
         step = np.append(np.zeros(6), step)
-        return self.problem.retracted(Estimate(np.eye(4), target), step).target
+        return self.problem.retracted(Estimate(np.eye(4), target), step).state
 
 
 @dataclass(frozen=True, eq=False)

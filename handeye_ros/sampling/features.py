@@ -86,12 +86,12 @@ def _no_profiles(stop: Stop, config: Config) -> FeatureError:
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of one profile; raises FeatureError."""
-    return targets.method_for(config).extract(profile.points, config)
+    return targets.target_for(config).extract(profile.points, config)
 
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of a target with edges, with the opposite profile.range_sign."""
-    if not targets.method_for(config).essential:
+    if not targets.target_for(config).essential:
         return ()
     try:
         return features_of(profile, flipped_range(config))
@@ -121,10 +121,10 @@ def of_profiles(profiles: Sequence[Profile], config: Config
     found, reasons = _found(profiles, config)
     if not found or 2 * len(found) < len(profiles):
         raise FeatureError(Counter(reasons).most_common(1)[0][0])
-    method = targets.method_for(config)
+    target = targets.target_for(config)
     return ([profile for profile, _ in found],
             combine([features for _, features in found],
-                    1 if method.essential else len(method.kinds)))
+                    1 if target.essential else len(target.kinds)))
 
 
 def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:

@@ -73,7 +73,7 @@ class Session(StopCollector):
 
     def __init__(self, config: Config) -> None:
         """Start with no samples; raises BadValueError for a method that does not exist."""
-        targets.method_for(config)
+        targets.target_for(config)
         super().__init__(config)
 
     def clear(self) -> None:

@@ -119,8 +119,8 @@ def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
 
 def problem_at_poses(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples whose poses are known, as those of stops are."""
-    method = targets.method_for(config)
-    return Problem(method, mounted(samples, config), method.observe(samples), config)
+    target = targets.target_for(config)
+    return Problem(target, mounted(samples, config), target.observe(samples), config)
 
 
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
@@ -155,7 +155,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
         # end shifts by up to half the exposure times the velocity across it, always inwards
-        inwards = np.sign(linear.problem.method.feature_errors(linear))
+        inwards = np.sign(linear.problem.target.feature_errors(linear))
         moved = linear.by_twists(model.at(linear.problem.pose_values)[1][:, :, :1])
         std = exposure / 2
         yield ParameterBlock('exposure', inwards * np.abs(moved) * std, std)

@@ -33,7 +33,7 @@ from handeye_ros.frames import in_mount, mount_frame
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.calibration_file import input_values, transform_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.method import Answer, FileMethod, Index, Input, Misreading, Values
+from handeye_ros.tabulated.method import FileMethod, Index, Input, Misreading, TableAnswer, Values
 import numpy as np
 
 MOST_PAIRS = 2000
@@ -71,7 +71,7 @@ class Views(Values):
             raise TooFewError('A X = X B', MINIMUM, 'poses', len(self.T))
         require_rotations(self.T, mount_frame(config), 'the position along it is free')
 
-    def solve(self, config: Config) -> Answer:
+    def solve(self, config: Config) -> TableAnswer:
         """Return the least squares, weighted by the noise that its residuals show."""
         on_base = config.calibration_type == 'eye_on_base'
         state = self.closed_form()
@@ -90,7 +90,7 @@ class Views(Values):
         X, Z = fit.state
         target = {'pose': transform_values(Z), 'residual_angle': angle,
                   'left_out_angle': holdout_angle}
-        return Answer(X, fit.covariance[:6, :6], np.isin(np.arange(len(off)), fit.used),
+        return TableAnswer(X, fit.covariance[:6, :6], np.isin(np.arange(len(off)), fit.used),
                       off[:, 0], rms, holdout, self.subset(fit.used), angle, target)
 
     def adjusted(self, state: State, variances: Array, on_base: bool

@@ -49,7 +49,7 @@ class Values(ABC):
         """Raise DataError for values that leave something of the transform free."""
 
     @abstractmethod
-    def solve(self, config: Config) -> Answer:
+    def solve(self, config: Config) -> TableAnswer:
         """Return the answer; raises DataError."""
 
     @abstractmethod
@@ -78,7 +78,7 @@ class Misreading(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class TableAnswer:
     """
     The transform X (4, 4) from the mount to the frame of the values, with its statistics.
 
@@ -171,7 +171,7 @@ def plane_axes(method: FileMethod, config: Config) -> Array:
     return sensor_axes(config) if method.profiles else np.eye(4)
 
 
-def solve(method: FileMethod, values: Values, config: Config) -> Answer:
+def solve(method: FileMethod, values: Values, config: Config) -> TableAnswer:
     """Return the answer of values that agree; raises DataError, which names a misreading."""
     answer = None
     try:
@@ -210,7 +210,7 @@ def _name_misreading(values: Values, before: float, config: Config) -> None:
                         f'{mm(after)}: {remedy}', reason='convention')
 
 
-def require_trusted(method: FileMethod, answer: Answer, config: Config) -> None:
+def require_trusted(method: FileMethod, answer: TableAnswer, config: Config) -> None:
     """Raise DataError for an answer beyond the limits."""
     require_certain(answer.covariance, config, method.advice)
     require_left_out(answer.holdout_rms, answer.residual_rms, config.limits.residual)

@@ -15,12 +15,12 @@ from handeye_ros.estimation.least_squares import adjust, BELIEVED_SHARE, Rows, S
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.method import (
-    Answer,
     FileMethod,
     Index,
     Input,
     Misreading,
     rms,
+    TableAnswer,
     Values,
 )
 import numpy as np
@@ -56,7 +56,7 @@ class Pairs(Values):
             raise DataError('the points lie in one line, so a turn about it is free; put some of '
                             'them well outside it')
 
-    def solve(self, config: Config) -> Answer:
+    def solve(self, config: Config) -> TableAnswer:
         """Return the least squares of the differences, without outliers."""
         def rows(T: Array) -> Rows:
             turned = self.in_camera @ T[:3, :3].T
@@ -72,7 +72,7 @@ class Pairs(Values):
         fit = adjust(System(rows, se3.perturb, np.repeat(every, 3)), start, MINIMUM)
         off = SIGMA * np.linalg.norm(fit.residuals, axis=1)
         left_out = SIGMA * np.linalg.norm(fit.left_out, axis=1)
-        return Answer(fit.state, fit.covariance, np.isin(every, fit.used), off,
+        return TableAnswer(fit.state, fit.covariance, np.isin(every, fit.used), off,
                       rms(off[fit.used]), rms(left_out), self.subset(fit.used),
                       target={'point_noise': SIGMA * max(fit.variance_factor, 1.0) ** 0.5})
 

@@ -20,12 +20,12 @@ from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import FIELD, field_points
 from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.method import (
-    Answer,
     FileMethod,
     Index,
     Input,
     LARGEST_DROPPED_SHARE,
     rms,
+    TableAnswer,
     Values,
 )
 from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
@@ -47,7 +47,7 @@ DRAWS, SEED = 100, 0  # of the noise, for the covariance
 
 
 @dataclass(frozen=True, eq=False)
-class Session(Values):
+class TrackerSession(Values):
     """
     The points of both instruments.
 
@@ -82,12 +82,12 @@ class Session(Values):
         names, index = np.unique(self.part, return_inverse=True)
         return np.array([statistic(values[index == k]) for k in range(len(names))])[index]
 
-    def select(self, mask: NDArray[np.bool_]) -> Session:
+    def select(self, mask: NDArray[np.bool_]) -> TrackerSession:
         """Return the points where the mask (n,) is true; the samples stay."""
         return replace(self, part=self.part[mask], points=self.points[mask],
                        sigma=self.sigma[mask], sample=self.sample[mask])
 
-    def subset(self, samples: Index) -> Session:
+    def subset(self, samples: Index) -> TrackerSession:
         some = self.select(np.isin(self.sample, samples))
         return replace(some, sample=np.searchsorted(samples, some.sample),
                        kinds=tuple(self.kinds[i] for i in samples))
@@ -119,7 +119,7 @@ class Session(Values):
             raise DataError(f'the arc spans {np.degrees(turn):.1f} degrees; turn R2 by 30 degrees '
                             'or more')
 
-    def solve(self, config: Config) -> Answer:
+    def solve(self, config: Config) -> TableAnswer:
         """Return the published answer without wrong points, its covariance by draws of noise."""
         # the distance of a reflector from a swept face has the noise of both instruments
         by_both = np.isin(self.part, ('face_c', 'face_d'))
@@ -144,7 +144,7 @@ class Session(Values):
                            for of in (self.sample, self.sample[good]))
         used = 2 * believed >= total
         squares = np.bincount(self.sample, off ** 2, minlength=count)
-        return Answer(X, agreed.covariance(X, excess, config.tracker.noise), used,
+        return TableAnswer(X, agreed.covariance(X, excess, config.tracker.noise), used,
                       np.sqrt(squares / np.maximum(total, 1)), rms(off[good]), rms(left_out),
                       agreed.subset(np.flatnonzero(used)),
                       target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
@@ -171,7 +171,7 @@ class Session(Values):
         off = np.array([se3.difference(one.chain().T_flange_sensor, X) for one in drawn])
         return np.asarray(off.T @ off / DRAWS)
 
-    def distances(self, X: Array, fitted: Session) -> Array:
+    def distances(self, X: Array, fitted: TrackerSession) -> Array:
         """Return the distances (n,) of the points from what those of `fitted` show with X."""
         arc, line = fitted.of('arc'), fitted.of('line')
         centre, axis = jing2020.fit_arc(arc)
@@ -257,7 +257,8 @@ def read_table(path: Path) -> list[tuple[str, Array]]:
     return list(zip(kinds, points, strict=True))
 
 
-def session_of(reflector: Sequence[tuple[str, Array]], sweep: Sweep, config: Config) -> Session:
+def session_of(reflector: Sequence[tuple[str, Array]], sweep: Sweep, config: Config
+               ) -> TrackerSession:
     """Return the session; its samples are the rows of the file, then the profiles."""
     rows = [(row, kind, point) for row, (kind, point) in enumerate(reflector, 1) if kind != 'ball']
     ball = np.mean([point for kind, point in reflector if kind == 'ball'], axis=0)
@@ -268,7 +269,7 @@ def session_of(reflector: Sequence[tuple[str, Array]], sweep: Sweep, config: Con
         for stamp, ball in zip(stamps, of_ball, strict=True)]
     known = config.tracker
     toward = sensor_axes(config)[:3, :3].T @ np.array(known.direction)
-    return Session(
+    return TrackerSession(
         np.concatenate([[kind for _, kind, _ in rows], np.array(SWEPT)[sweep.part]]),
         np.concatenate([[point for *_, point in rows], sweep.points]),
         np.concatenate([np.full(len(rows), known.noise), sweep.sigma]),

@@ -12,14 +12,14 @@ from handeye_ros.targets.plate import PLATE
 from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.wedge import WEDGE
 
-METHODS: dict[str, Target] = {
+TARGETS: dict[str, Target] = {
     'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE, 'wedge': WEDGE}
 FROM_FILES = ('points', 'hand_eye', 'tracker')  # see files
 
 
-def method_for(config: Config) -> Target:
+def target_for(config: Config) -> Target:
     """
-    Return the method that a configuration asks for.
+    Return the target that a configuration asks for.
 
     Raises InputError for a name that does not exist, or a target that is solved from files.
     """
@@ -28,7 +28,7 @@ def method_for(config: Config) -> Target:
                          'stream of profiles: run "handeye solve INPUT --config FILE"')
     key, name = ('target.type', config.target.type) if config.method == 'auto' else (
         'method', config.method)
-    if name not in METHODS:
-        known = [*METHODS, *FROM_FILES] if key == 'target.type' else METHODS
+    if name not in TARGETS:
+        known = [*TARGETS, *FROM_FILES] if key == 'target.type' else TARGETS
         raise BadValueError(key, name, 'one of ' + ', '.join(known))
-    return METHODS[name]
+    return TARGETS[name]

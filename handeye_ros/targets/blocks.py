@@ -53,7 +53,7 @@ def ends_of(obs: Observations) -> Ends:
 
 def setbacks(linear: Linear) -> Blocks:
     """Yield the blocks of the set-back of faces from their edges, one per kind of end."""
-    std, kinds = linear.problem.config.target.setback_std, linear.problem.method.kinds
+    std, kinds = linear.problem.config.target.setback_std, linear.problem.target.kinds
     obs = linear.problem.observations
     ends = ends_of(obs)
     outwards = ends.outwards(linear)
@@ -77,14 +77,14 @@ def edge_shapes(linear: Linear) -> Blocks:
     for kind in sorted({kind for kind, _ in ends.parts}):
         rows = np.any([own for (k, _), own in ends.parts.items() if k == kind], axis=0)
         # it comes from few points of a curve, and is extrapolated
-        yield ParameterBlock(f'shape_{linear.problem.method.kinds[kind]}',
+        yield ParameterBlock(f'shape_{linear.problem.target.kinds[kind]}',
                              np.where(rows, outwards, 0.0)[:, None], 1.0, least=1.0)
 
 
 def flatness(linear: Linear) -> Blocks:
     """Yield the blocks of bowed faces: polynomials over each face, by degree."""
     problem, std = linear.problem, linear.problem.config.noise.flatness
-    faces = [i for i, name in enumerate(problem.method.kinds) if name.startswith('face')]
+    faces = [i for i, name in enumerate(problem.target.kinds) if name.startswith('face')]
     if not std or not faces:
         return
     p = problem.points_in_base(linear.estimate.X)
@@ -98,7 +98,7 @@ def flatness(linear: Linear) -> Blocks:
 def grazing(linear: Linear) -> Blocks:
     """Yield the block of the range error of faces seen at grazing incidence."""
     problem, std = linear.problem, linear.problem.config.noise.distortion
-    faces = [i for i, name in enumerate(problem.method.kinds) if name.startswith('face')]
+    faces = [i for i, name in enumerate(problem.target.kinds) if name.startswith('face')]
     on_face, points = np.isin(problem.observations.kind, faces), problem.observations.points
     along = np.abs((linear.by_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
     cosine = np.where(on_face, along, 1.0)

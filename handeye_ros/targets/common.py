@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
-FACE = 0  # the kind of a condition on a face, in every method that has them
+FACE = 0  # the kind of a condition on a face, in every target that has them
 SOURCES = 64  # per feature, at most
 GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
@@ -28,7 +28,7 @@ def out_of_face(linear: Linear) -> Array:
 
 @dataclass
 class ObservationRows:
-    """Collects the conditions of a method, feature by feature."""
+    """Collects the conditions of a target, feature by feature."""
 
     points: list[Array] = field(default_factory=list)
     noise: list[Array] = field(default_factory=list)

@@ -52,9 +52,9 @@ CONDITIONS = 2  # of one edge point
 GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDS)])
 
 
-def _turns(observations: Observations, p: Array, target: Array) -> Array:
+def _turns(observations: Observations, p: Array, state: Array) -> Array:
     """Return the angle (n,) of the face of each station about the line, from y (rad)."""
-    T, face = target.reshape(4, 4), observations.kind == FACE
+    T, face = state.reshape(4, 4), observations.kind == FACE
     local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
     y, z = (np.bincount(observations.station[face], values, observations.station.max() + 1)
             for values in local.T)
@@ -64,15 +64,15 @@ def _turns(observations: Observations, p: Array, target: Array) -> Array:
 def _nearness(problem: Problem, estimate: Estimate) -> float:
     """Return the distance (m) from the line within which most stations have an edge point."""
     edge = problem.observations.select(problem.observations.kind == EDGE_Y)
-    away = _away(edge.in_base(problem.poses, estimate.X), estimate.target)
+    away = _away(edge.in_base(problem.poses, estimate.X), estimate.state)
     nearest = np.full(len(problem.poses), np.inf)
     np.minimum.at(nearest, edge.station, away)
     return float(np.quantile(nearest[np.isfinite(nearest)], BELIEVED_SHARE))
 
 
-def _away(p: Array, target: Array) -> Array:
+def _away(p: Array, state: Array) -> Array:
     """Return the distances (m,) from the line of points (m, 3) in base."""
-    T = target.reshape(4, 4)
+    T = state.reshape(4, 4)
     return np.asarray(np.linalg.norm(((p - T[:3, 3]) @ T[:3, :3])[:, 1:], axis=1))
 
 
@@ -85,16 +85,16 @@ def line_candidates(problem: Problem) -> list[Estimate]:
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     """Return the estimate with the target's z along the normal of the most frequent face."""
-    T = estimate.target.reshape(4, 4)
+    T = estimate.state.reshape(4, 4)
     p = problem.points_in_base(estimate.X)
-    angle = 2 * _turns(problem.observations, p, estimate.target)
+    angle = 2 * _turns(problem.observations, p, estimate.state)
     near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
     middle = angle[np.argmax(near.sum(axis=1))]
     chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]
     middle = np.angle(np.exp(1j * chosen).sum()) / 2
     y, z = np.cos(middle), np.sin(middle)
     turn = np.array([[1.0, 0, 0], [0, y, -z], [0, z, y]])
-    return replace(estimate, target=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
+    return replace(estimate, state=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
 
 
 def one_end(problem: Problem) -> Iterator[list[Problem]]:
@@ -163,7 +163,7 @@ class Line(FaceTarget):
         """Return that the turn about the line is none, without a face."""
         return {} if config.target.use_face else {'rx': (0.0, 0.0)}
 
-    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """
         Return the observations labelled, unused ones marked.
@@ -171,20 +171,20 @@ class Line(FaceTarget):
         Of several edge points of a station, only the nearest to the line is used. A station that
         shows another face (the edge of a block has two) takes part with its edge point alone.
         """
-        edge, away = observations.kind != FACE, _away(p, target)
+        edge, away = observations.kind != FACE, _away(p, state)
         nearest = np.full(observations.station.max() + 1, np.inf)
         np.minimum.at(nearest, observations.station[edge], away[edge])
         with_face = np.zeros(len(nearest), dtype=bool)
         if config.target.use_face:
-            turn = np.abs(_turns(observations, p, target))
+            turn = np.abs(_turns(observations, p, state))
             with_face = np.minimum(turn, np.pi - turn) < SAME_FACE
         idle = np.where(with_face[observations.station], EDGE_Z, FACE)
         unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))
         return replace(observations, kind=np.where(unused, UNUSED, observations.kind))
 
-    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+    def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return a point of the line and its direction."""
-        T = target.reshape(4, 4)
+        T = state.reshape(4, 4)
         return {'point': xyz(T[:3, 3]), 'direction': T[:3, 0].tolist()}
 
 

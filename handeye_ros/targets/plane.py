@@ -68,10 +68,10 @@ def one_surface(problem: Problem) -> list[Problem]:
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     """Return the distance (m) from the plane within which most stations have a surface."""
     p = problem.points_in_base(estimate.X)
-    labelled = PLANE.relabel(problem.observations, p, estimate.target, problem.config)
+    labelled = PLANE.relabel(problem.observations, p, estimate.state, problem.config)
     used = labelled.kind != UNUSED
     station, n = labelled.station[used], len(problem.poses)
-    away = PLANE.conditions(p[used], labelled.kind[used], estimate.target, problem.config).g
+    away = PLANE.conditions(p[used], labelled.kind[used], estimate.state, problem.config).g
     count = np.maximum(np.bincount(station, minlength=n), 1)
     return float(np.quantile(np.bincount(station, away ** 2, n) / count, BELIEVED_SHARE) ** 0.5)
 
@@ -95,7 +95,7 @@ class Plane(FaceTarget):
 
     def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
-        problem = some_of(replace(whole, method=PLANE), rng)
+        problem = some_of(replace(whole, target=PLANE), rng)
         found: list[Estimate] = []
         for more in (1, NORMALS // CANDIDATES) if whole.few else (1,):
             known = len(found)
@@ -110,7 +110,7 @@ class Plane(FaceTarget):
     def one_view(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words that all samples see the plane at one angle, '' if they do not."""
         range_axes = problem.poses[:, :3, :3] @ estimate.X[:3, 2]
-        normal = estimate.target.reshape(4, 4)[:3, 2]
+        normal = estimate.state.reshape(4, 4)[:3, 2]
         angles = np.degrees(np.arccos(np.clip(np.abs(range_axes @ normal), 0.0, 1.0)))
         if np.ptp(angles) > ONE_ANGLE:
             return ''
@@ -125,18 +125,18 @@ class Plane(FaceTarget):
         return local[..., 2], np.broadcast_to([0.0, 0.0, 1.0], local.shape), np.empty(
             (*local.shape[:-1], 0))
 
-    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return the observations with one surface per station: the longest of the near ones."""
         if not self.ambiguous(observations):
             return observations
-        squares = self.conditions(p, observations.kind, target, config).g ** 2
+        squares = self.conditions(p, observations.kind, state, config).g ** 2
         chosen = nearest_piece(observations, self.pieces(observations), squares)
         return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
 
-    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+    def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the plane's normal and distance from the base."""
-        T = target.reshape(4, 4)
+        T = state.reshape(4, 4)
         return {'normal': T[:3, 2].tolist(), 'distance': float(T[:3, 2] @ T[:3, 3])}
 
 

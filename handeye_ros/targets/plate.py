@@ -49,11 +49,11 @@ def state(T_base_target: Array, config: Config) -> Array:
     return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
 
 
-def _edge_points(observations: Observations, p: Array, target: Array
+def _edge_points(observations: Observations, p: Array, state: Array
                  ) -> tuple[NDArray[np.intp], Array]:
     """Return the rows (k,) of edge points, and the directions (k, 2) outwards from the face."""
     rows = np.flatnonzero(observations.kind != FACE)
-    T = target[:16].reshape(4, 4)
+    T = state[:16].reshape(4, 4)
     flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
     outward = flat[rows] - _face_centres(observations, flat, rows)
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
@@ -81,15 +81,15 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
     """Return the estimate with its corner taken for that at the other end of edge p."""
-    T, length = estimate.target[:16].reshape(4, 4), estimate.target[SIZE][0]
+    T, length = estimate.state[:16].reshape(4, 4), estimate.state[SIZE][0]
     turned = se3.transform(np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
                            np.array([0.0, length, 0.0]))
-    return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.target[16:]))
+    return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.state[16:]))
 
 
 def _facing_sensor(problem: Problem, plane: Estimate) -> Array:
     """Return the plane's frame with z towards the sensor."""
-    T = plane.target.reshape(4, 4)
+    T = plane.state.reshape(4, 4)
     looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
     looking *= problem.config.profile.range_sign
     flip = np.diag([1.0, -1.0, -1.0, 1.0]) if T[:3, 2] @ looking > 0 else np.eye(4)
@@ -214,7 +214,7 @@ class Plate(FaceTarget):
             'edge_angle': (np.pi / 2, target.edge_angle_std)}
         return {'size_p': (size_p, std), 'size_q': (size_q, std), **angle}
 
-    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """
         Return the observations with each edge point assigned to the nearest edge.
@@ -222,10 +222,10 @@ class Plate(FaceTarget):
         An edge is possible if the face is on its right side and the laser crosses it steeply
         enough. Points far from all edges are not used, such as ends at the limit of the range.
         """
-        rows, outward = _edge_points(observations, p, target)
+        rows, outward = _edge_points(observations, p, state)
         kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
         distance = np.array([np.abs(self.conditions(
-            p[rows], np.full(len(rows), k), target, config).g) for k in kinds])
+            p[rows], np.full(len(rows), k), state, config).g) for k in kinds])
         steepness = OUTWARD[kinds] @ outward.T
         distance[steepness < np.sin(config.sampling.min_crossing_angle)] = np.inf
         nearest, far = kinds[np.argmin(distance, axis=0)], np.min(distance, axis=0)
@@ -233,13 +233,13 @@ class Plate(FaceTarget):
         kind[rows] = np.where(far > _gate(far), UNUSED, nearest)
         return replace(observations, kind=kind)
 
-    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+    def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the target's pose and edge angle as plain values."""
-        T = target[:16].reshape(4, 4)
+        T = state[:16].reshape(4, 4)
         x, y, z, w = map(float, se3.quaternion(T))
         return {'pose': {'translation': xyz(T[:3, 3]),
                          'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
-                'edge_angle': float(target[ANGLE]), 'edge_angle_std': float(std[8])}
+                'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
 
     def relax(self, config: Config) -> Config | None:
         """Return the configuration with a free edge angle, None if it is free already."""
@@ -247,21 +247,21 @@ class Plate(FaceTarget):
             return None
         return replace(config, target=replace(config.target, edge_angle_free=True))
 
-    def elsewhere(self, observations: Observations, p: Array, target: Array, config: Config
+    def elsewhere(self, observations: Observations, p: Array, state: Array, config: Config
                   ) -> str:
         """
         Return in words where edge points lie that are on no edge of the plate, '' if unknown.
 
         observations, p: all of these stations; where several points agree, it is another edge.
         """
-        rows, outward = _edge_points(observations, p, target)
+        rows, outward = _edge_points(observations, p, state)
         size, found = config.target.size, []
         for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
             if opposite in (P_FAR, Q_FAR) and not size:
                 continue
             facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
             ends = p[rows[facing]]
-            away = np.abs(self.conditions(ends, np.full(len(ends), opposite), target, config).g)
+            away = np.abs(self.conditions(ends, np.full(len(ends), opposite), state, config).g)
             middle = float(np.median(away)) if len(away) else 0.0
             count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
             if count > 1:

@@ -154,24 +154,24 @@ class Sphere(ProfileTarget):
         some = replace(problem, observations=_fewer(problem.observations))
         yield from best_of(some, _candidates(problem, problem.config.target.radius))
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
         """Return the distances from the sphere of points p (..., m, 3) in base."""
-        outward = p - target[..., None, :3]
+        outward = p - state[..., None, :3]
         x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
         distance = np.sqrt(x * x + y * y + z * z)
         outward /= distance[..., None]
         by_target = np.full((*p.shape[:-1], 4), -1.0)
         np.negative(outward, out=by_target[..., :3])
-        return Conditions(distance - target[..., 3:], outward, by_target)
+        return Conditions(distance - state[..., 3:], outward, by_target)
 
-    def retract(self, target: Array, delta: Array) -> Array:
+    def retract(self, state: Array, delta: Array) -> Array:
         """Return centres and radii (..., 4) after a step delta."""
-        return target + delta
+        return state + delta
 
-    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+    def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
-        return {'centre': xyz(target[:3]), 'radius': float(target[3]), 'radius_std': float(std[3])}
+        return {'centre': xyz(state[:3]), 'radius': float(state[3]), 'radius_std': float(std[3])}
 
     def relax(self, config: Config) -> Config | None:
         """Return the configuration with a free radius, None if it is free already."""

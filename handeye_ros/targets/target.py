@@ -104,26 +104,26 @@ class FaceTarget(ProfileTarget):
         """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
         return R
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], target: Array, config: Config
+    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
         """Return the conditions of points (..., m, 3) in base for targets (..., 16 + j)."""
-        T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-        g, by_local, by_measures = self.on_target(offset @ R, kind, target[..., 16:])
+        g, by_local, by_measures = self.on_target(offset @ R, kind, state[..., 16:])
         dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
         by_pose = np.concatenate([-dg_dp @ axes, -se3.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
             [by_pose[..., list(self.moves)], by_measures], axis=-1))
 
-    def retract(self, target: Array, delta: Array) -> Array:
+    def retract(self, state: Array, delta: Array) -> Array:
         """Return targets (..., 16 + j) after a step of moves and measures."""
-        T = target[..., :16].reshape(*target.shape[:-1], 4, 4)
+        T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
         moves, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
         moves[..., list(self.moves)] = delta[..., :len(self.moves)]
         step = np.concatenate([np.einsum('...ij,...j->...i', axes, part)
                                for part in (moves[..., :3], moves[..., 3:])], axis=-1)
-        pose = se3.perturb(T, step).reshape(*target.shape[:-1], 16)
-        return np.concatenate([pose, target[..., 16:] + delta[..., len(self.moves):]], axis=-1)
+        pose = se3.perturb(T, step).reshape(*state.shape[:-1], 16)
+        return np.concatenate([pose, state[..., 16:] + delta[..., len(self.moves):]], axis=-1)
 
     def blocks(self, linear: Linear) -> Blocks:
         """Yield the blocks of set-backs, shapes of edges, and flatness of faces."""

@@ -79,13 +79,13 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
     right, the left lines lie in one plane and the right lines in another.
     """
     corners = crossings(problem.observations)
-    edges = replace(problem, method=edge_line.LINE, observations=corners)
+    edges = replace(problem, target=edge_line.LINE, observations=corners)
     yield from _refined(problem, [_with_faces(problem, e) for e in best_of(
         edges, edge_line.line_candidates(edges))])
     for side in range(len(KINDS)):
         lines = problem.observations.select(problem.observations.kind == side)
         lines = replace(lines, kind=np.zeros_like(lines.kind))
-        faces = replace(problem, method=plane.PLANE, observations=lines)
+        faces = replace(problem, target=plane.PLANE, observations=lines)
         yield from _refined(problem, [
             _with_faces(problem, _edge_in(corners, problem.poses, e))
             for e in best_of(faces, plane.plane_candidates(faces))])
@@ -96,7 +96,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # by their labels
     for start in starts:
         p = problem.observations.in_base(problem.poses, start.X)
-        labelled = WEDGE.relabel(problem.observations, p, start.target, problem.config)
+        labelled = WEDGE.relabel(problem.observations, p, start.state, problem.config)
         part = replace(problem, observations=labelled)
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
     found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
@@ -132,7 +132,7 @@ def _edge_in(corners: Observations, poses: Array, face: Estimate) -> Estimate:
 
 def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     """Return the estimate with the turns of both faces fitted to the points."""
-    T = edge.target.reshape(4, 4).copy()
+    T = edge.state.reshape(4, 4).copy()
     T[:3, :3] = se3.nearest_rotation(T[:3, :3])
     obs = problem.observations
     local = (obs.in_base(problem.poses, edge.X) - T[:3, 3]) @ T[:3, :3]
@@ -184,25 +184,25 @@ class Wedge(FaceTarget):
         return (c * y + s * z, np.stack([np.zeros_like(c), c, s], axis=-1),
                 np.stack([by_turn, SHARE[kind] * by_turn], axis=-1))
 
-    def retract(self, target: Array, delta: Array) -> Array:
+    def retract(self, state: Array, delta: Array) -> Array:
         """Return targets (..., 18) after a step: moves, and the turn and angle of both faces."""
         turns = delta[..., 4:5] + SHARE * delta[..., 5:]
-        return super().retract(target, np.concatenate([delta[..., :4], turns], axis=-1))
+        return super().retract(state, np.concatenate([delta[..., :4], turns], axis=-1))
 
-    def relabel(self, observations: Observations, p: Array, target: Array, config: Config
+    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return two lines per station, the best fitting ones, assigned to the two faces."""
         kind, pair = observations.kind, self.pieces(observations)
         group = observations.station * (int(pair.max()) + 1) + pair
-        as_is, swapped = (self.conditions(p, k, target, config).g ** 2 for k in (kind, 1 - kind))
+        as_is, swapped = (self.conditions(p, k, state, config).g ** 2 for k in (kind, 1 - kind))
         better = (np.bincount(group, swapped) < np.bincount(group, as_is))[group]
         kind = np.where(better, 1 - kind, kind)
         chosen = nearest_piece(observations, pair, np.where(better, swapped, as_is))
         return replace(observations, kind=np.where(chosen, kind, UNUSED))
 
-    def describe(self, target: Array, std: Array) -> dict[str, Any]:
+    def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the edge's point and direction, the faces' normals and their angle (rad)."""
-        T, (first, second) = target[:16].reshape(4, 4), target[16:]
+        T, (first, second) = state[:16].reshape(4, 4), state[16:]
         between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
         return {'point': xyz(T[:3, 3]),
                 'direction': T[:3, 0].tolist(),

@@ -24,7 +24,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.problem import Target, UNUSED
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 from handeye_ros.verification.fit import agreeing, contradictions, root_of, StationSet
 from handeye_ros.verification.stations import compared
 import numpy as np
@@ -164,7 +164,7 @@ class _Comparison:
     (6 + k, 6 + k): their joint covariance; noise_scale: factor of the stated noise.
     """
 
-    method: Target
+    target: Target
     stations: StationSet
     X: Array
     state: Array
@@ -185,7 +185,7 @@ class _Comparison:
         if cause == 'target':
             p = (p - self.middle - move[:3]) @ back.T + self.middle
         obs, noise = self.stations.observations, self.config.noise
-        at = self.method.conditions(p, obs.kind, self.state, self.config)
+        at = self.target.conditions(p, obs.kind, self.state, self.config)
         by_p = at.dg_dp @ back
         by_X = np.einsum('mi,mij->mj', by_p, self.stations.by_calibration(X))
         errors = np.hstack([np.hstack([by_X, at.dg_dtarget]) @ root_of(self.covariance),
@@ -211,8 +211,8 @@ class _Comparison:
 def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str
                 ) -> _Comparison:
     try:
-        method, joint = METHODS[calibration.method], calibration.target['joint']
-        size = 6 + len(method.labels)
+        target, joint = TARGETS[calibration.method], calibration.target['joint']
+        size = 6 + len(target.labels)
         state = np.array(joint['state'], dtype=float)
         covariance = np.array(joint['covariance'], dtype=float).reshape(size, size)
         scale = math.sqrt(max(float(joint['variance_factor']), 1.0))
@@ -220,13 +220,13 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
         raise InputError(
             f'the calibration (method {calibration.method}) does not hold what a check compares '
             'with: the target with its covariance. Solve its recording again with this version, '
-            f'as one of {", ".join(METHODS)}, or measure a known object with "handeye verify"'
+            f'as one of {", ".join(TARGETS)}, or measure a known object with "handeye verify"'
             ) from error
-    stations = StationSet.of(samples, method.observe(samples), config).without((), reason)
+    stations = StationSet.of(samples, target.observe(samples), config).without((), reason)
     X = calibration.T_flange_sensor @ frames.sensor_axes(config)
-    obs = method.relabel(stations.observations, stations.points(X), state, config)
+    obs = target.relabel(stations.observations, stations.points(X), state, config)
     stations = replace(stations, observations=obs.select(obs.kind != UNUSED))
-    return _Comparison(method, stations, X, state, covariance, config, scale)
+    return _Comparison(target, stations, X, state, covariance, config, scale)
 
 
 def _prior(scale: float) -> Array:

@@ -30,7 +30,7 @@ from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount, mounted, sensor_axes
 from handeye_ros.sampling.sweep import evenly_chosen, Pairing, single_samples
 from handeye_ros.sampling.trajectory import Trajectory
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 from handeye_ros.targets.common import edge_noise, ObservationRows
 from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
@@ -101,7 +101,7 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
     two distances from the line, three from the point.
     """
     if routine.target != 'line':
-        return METHODS[routine.target].observe(samples)
+        return TARGETS[routine.target].observe(samples)
     edges = [(k, f) for k, s in enumerate(samples) for f in s.features if isinstance(f, EdgePoint)]
     rows = ObservationRows()
     if edges:

@@ -15,17 +15,17 @@ from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction
 from handeye_ros.se3 import worst_translation
 from handeye_ros.simulate import FAULTS, Scenario
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
 
-every_method = pytest.mark.parametrize('name', METHODS)
+every_method = pytest.mark.parametrize('name', TARGETS)
 everywhere = pytest.mark.parametrize(('where', 'frame'), [
     ('eye_in_hand', 'flange'), ('eye_on_base', 'base')])
 
 
 def scenario(name: str, motion: str = 'general', where: str = 'eye_in_hand') -> Scenario:
-    return replace(scenario_of(METHODS[name]), motion=motion, calibration_type=where)
+    return replace(scenario_of(TARGETS[name]), motion=motion, calibration_type=where)
 
 
 def refusal(made: Cell) -> DataError:
@@ -139,13 +139,13 @@ def test_the_weakest_direction_is_reported_with_the_answer(name: str) -> None:
 @every_method
 def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> None:
     made = cell(scenario(name), method=name)
-    few = made.samples[:METHODS[name].minimum - 1]
+    few = made.samples[:TARGETS[name].minimum - 1]
     rejects = [Reject(i, reason) for i, reason in enumerate(['no edge', 'dark', 'no edge'])]
     with pytest.raises(DataError, match='usable samples') as caught:
         pipeline.solve(few, rejects, made.config, 'laser')
     message = str(caught.value)
     assert message.startswith(f'{len(few)} usable samples (3 stations gave none')
-    assert 'most often: no edge' in message and str(METHODS[name].minimum) in message
+    assert 'most often: no edge' in message and str(TARGETS[name].minimum) in message
     with pytest.raises(DataError, match='usable samples'):
         pipeline.solve([], [], made.config, 'laser')
 

@@ -16,13 +16,13 @@ from cells import (
     solved,
 )
 from handeye_ros import pipeline, se3
+from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate
 from handeye_ros.estimation.search import evaluate, fit
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.outcome import measured_points
 import numpy as np
 import pytest
 
@@ -126,7 +126,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     solution = solved(made.problem)
     moved = made.problem.poses.copy()
     sigma = made.config.noise.robot_translation
-    normal = solution.estimate.target[:16].reshape(4, 4)[:3, 2]
+    normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
     there = evaluate(replace(solution.problem, poses=moved), solution.estimate)
     mine = there.problem.observations.station == 3

@@ -16,11 +16,11 @@ import pytest
 
 def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:
     """Return the Jacobian (m, 6 + k) by central differences, of all parameters."""
-    k = len(problem.method.labels)
+    k = len(problem.target.labels)
 
     def residuals(delta: Array) -> Array:
         moved = Estimate(se3.perturb(at.X, delta[:6]),
-                         problem.method.retract(at.target, delta[6:]))
+                         problem.target.retract(at.state, delta[6:]))
         return linearise(problem, moved).residuals
     steps = h * np.eye(6 + k)
     return np.column_stack([(residuals(d) - residuals(-d)) / (2 * h) for d in steps])
@@ -29,10 +29,10 @@ def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:
 def somewhere(problem: Problem, solution: Solution, seed: int) -> tuple[Problem, Estimate]:
     """Return a problem and an estimate off the solution, where nothing vanishes by chance."""
     rng = np.random.default_rng(seed)
-    at, method = solution.estimate, problem.method
+    at, target = solution.estimate, problem.target
     at = Estimate(se3.perturb(at.X, rng.normal(size=6) * 0.02),
-                  method.retract(at.target, rng.normal(size=len(method.labels)) * 0.02))
-    kinds = rng.integers(0, len(method.kinds), len(problem.observations))
+                  target.retract(at.state, rng.normal(size=len(target.labels)) * 0.02))
+    kinds = rng.integers(0, len(target.kinds), len(problem.observations))
     return replace(problem, observations=replace(problem.observations, kind=kinds)), at
 
 

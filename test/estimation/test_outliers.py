@@ -10,11 +10,11 @@ from cells import Cell, cell, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
 
-every_method = pytest.mark.parametrize('name', METHODS)
+every_method = pytest.mark.parametrize('name', TARGETS)
 
 
 def solve(samples: Iterable[Sample], made: Cell) -> Calibration:
@@ -41,7 +41,7 @@ def assert_as_good(answer: Calibration, clean: Calibration, tolerance: float = 1
 @pytest.mark.parametrize('size', [3e-3, 0.05])
 def test_stations_with_a_wrong_pose_are_left_out(name: str, size: float) -> None:
     for seed in range(2):
-        made = cell(scenario_of(METHODS[name]), seed, method=name)
+        made = cell(scenario_of(TARGETS[name]), seed, method=name)
         rng = np.random.default_rng(seed)
         bad = rng.permutation(len(made.samples))[:2]
         steps = rng.normal(size=(len(made.samples), 6))

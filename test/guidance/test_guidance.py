@@ -173,7 +173,7 @@ def test_before_there_is_an_answer_it_tells_moves_within_the_limits(target: str,
                                                                     ) -> None:
     found = cell(target, 2)
     config = with_values(found.config, {'guidance.turn': turn}, 'test')
-    method, view = targets.method_for(config), learn_view(found.samples)
+    method, view = targets.target_for(config), learn_view(found.samples)
     first = advise(found.samples[:1], config, Answer((), None, False, None, None))
     assert first.next is None and first.move is not None and not first.enough
     assert 'turn the sensor' in first.text and 'in view' in first.text

@@ -33,7 +33,7 @@ def test_moves_tell_more_than_poses_at_random(target):
     def sigma(seed, operator):
         """Return how well points in view are known after the stations an answer needs + 1."""
         cell = bench.world(target, ROBOT, seed, bench.KNOWN)
-        for _ in range(targets.method_for(cell.config).minimum):
+        for _ in range(targets.target_for(cell.config).minimum):
             bench.insist(cell, bench.advised(cell, None) if operator == 'advice'
                          else lambda: bench.anywhere(cell))
         solution = bench.solved(cell)

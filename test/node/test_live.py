@@ -76,7 +76,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
     assert ' profiles used, ' in text
 
 
-MINIMUM = targets.METHODS['sphere'].minimum
+MINIMUM = targets.TARGETS['sphere'].minimum
 
 
 def test_once_the_samples_suffice_each_has_its_residuals() -> None:

@@ -16,7 +16,7 @@ from handeye_ros.published.estimators import ESTIMATORS
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.tabulated import FILE_METHODS
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
 import yaml
@@ -59,14 +59,14 @@ def nearly_exact(scenario: str, **values: object) -> Cell:
 
 
 def test_every_target_has_its_own_method_first() -> None:
-    assert ESTIMATORS.keys() == METHODS.keys() | FILE_METHODS.keys()
+    assert ESTIMATORS.keys() == TARGETS.keys() | FILE_METHODS.keys()
     for target, estimators in ESTIMATORS.items():
-        method = METHODS.get(target) or FILE_METHODS[target]
+        method = TARGETS.get(target) or FILE_METHODS[target]
         assert estimators[0].name == method.name == target
         assert len({e.name for e in estimators}) == len(estimators)
 
 
-@pytest.mark.parametrize('target', METHODS)
+@pytest.mark.parametrize('target', TARGETS)
 def test_without_noise_all_estimators_find_the_truth(target: str) -> None:
     made = nearly_exact(target)
     comparison = compared(made)

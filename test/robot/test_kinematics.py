@@ -23,7 +23,7 @@ from handeye_ros.robot.stops import Points, Profiles, State, Stops
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
-from handeye_ros.targets import method_for
+from handeye_ros.targets import target_for
 import numpy as np
 import pytest
 
@@ -121,7 +121,7 @@ def profile_stops(arm, q, in_hand, rng):
     samples, _ = simulate_samples(scenario, rng)
     config = Config(calibration_type=scenario.calibration_type,
                     target=TargetConfig(type='sphere'))
-    method = method_for(config)
+    method = target_for(config)
     one = Profiles(Problem(method, in_mount(arm.forward(q), config), method.observe(samples),
                            config))
     targets = np.array([0.1, 0.2, 0.3, 0.02]), np.array([0.2, -0.1, 0.4, 0.02])
@@ -333,7 +333,7 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
     q = arm.joints_near(real)
     np.testing.assert_allclose(arm.forward(q), real, atol=1e-9)
     config = Config(target=TargetConfig(type='sphere'), robot_effector_frame='flange')
-    method = method_for(config)
+    method = target_for(config)
     problem = Problem(method, stated.forward(q), method.observe(samples), config)
     answer = sources.solve_sources([sources.Source(Session(config), samples, problem, q)], stated)
     answer.save(simulated_arm.urdf(), tmp_path, ())

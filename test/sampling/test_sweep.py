@@ -7,10 +7,10 @@ from dataclasses import replace
 import math
 
 from handeye_ros import pipeline, se3
+from handeye_ros.agreement import agreements
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import HandeyeError
-from handeye_ros.evidence import agreements
 from handeye_ros.guidance.advice import advise
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder

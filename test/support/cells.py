@@ -47,8 +47,8 @@ class Cell:
 
 
 def problem(samples: Sequence[Sample], config: Config) -> Problem:
-    method = targets.method_for(config)
-    return Problem(method, mounted(samples, config), method.observe(samples), config)
+    target = targets.target_for(config)
+    return Problem(target, mounted(samples, config), target.observe(samples), config)
 
 
 def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:
@@ -85,15 +85,15 @@ def exact_cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: obje
 
 
 @lru_cache
-def scenario_of(method: Target) -> Scenario:
+def scenario_of(target: Target) -> Scenario:
     """Return the scenario of a method: of its own name, or the first whose samples it can use."""
-    if method.name in SCENARIOS:
-        return SCENARIOS[method.name]
+    if target.name in SCENARIOS:
+        return SCENARIOS[target.name]
     for scenario in SCENARIOS.values():
         samples, _ = simulate_samples(scenario, np.random.default_rng(0))
-        if len(method.observe(samples)):
+        if len(target.observe(samples)):
             return scenario
-    raise LookupError(f'the simulator has no scene for {method.name}')
+    raise LookupError(f'the simulator has no scene for {target.name}')
 
 
 def solved(problem: Problem, seed: int = 0) -> Solution:
@@ -133,13 +133,13 @@ def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10
                     config(made, **values))
 
 
-every_method = pytest.mark.parametrize('name', targets.METHODS)
+every_method = pytest.mark.parametrize('name', targets.TARGETS)
 WHERE = ('eye_in_hand', 'eye_on_base')
 
 
 def scenario_for(name: str, where: str = 'eye_in_hand') -> Scenario:
     """Return the scenario of a method, with the sensor on the flange or beside the robot."""
-    return replace(scenario_of(targets.METHODS[name]), calibration_type=where)
+    return replace(scenario_of(targets.TARGETS[name]), calibration_type=where)
 
 
 @lru_cache

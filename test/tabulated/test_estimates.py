@@ -12,7 +12,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.published import cn105021139a, jing2020, wu2017
 from handeye_ros.simulate.measured import RADIUS, simulate_tracker, TrackerCell
 from handeye_ros.tabulated.hand_eye import HAND_EYE, Views
-from handeye_ros.tabulated.method import Answer, solve
+from handeye_ros.tabulated.method import solve, TableAnswer
 from handeye_ros.tabulated.points import Pairs, POINTS
 from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
 from handeye_ros.tabulated.tracker import session_of, TRACKER
@@ -25,7 +25,7 @@ IN_HAND = Config()
 ON_BASE = with_values(IN_HAND, {'calibration_type': 'eye_on_base'}, 'test')
 
 
-def chi_squared(found: Answer, T_true: Array) -> float:
+def chi_squared(found: TableAnswer, T_true: Array) -> float:
     """Return the squared error over the covariance, 1 on average."""
     delta = se3.difference(found.X, T_true)
     return float(delta @ np.linalg.solve(found.covariance, delta) / 6)
@@ -207,7 +207,8 @@ SENSOR = 3.7e-5
 CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 'test')
 
 
-def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep, noise: float = SENSOR) -> Answer:
+def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep, noise: float = SENSOR
+            ) -> TableAnswer:
     """Return the answer; noise: 1 sigma of the sensor, or more than 1 mm of both instruments."""
     parts = [sweep.ball, sweep.face_c, sweep.face_d]
     count = [len(points) for points in parts]

@@ -25,7 +25,7 @@ from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_METHODS
 from handeye_ros.tabulated.method import calibrate, FileMethod, Input
-from handeye_ros.targets import FROM_FILES, method_for, METHODS
+from handeye_ros.targets import FROM_FILES, target_for, TARGETS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -345,15 +345,15 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('name', FILE_METHODS)
 def test_every_target_has_all_that_belongs_to_it(name: str) -> None:
-    assert FROM_FILES == tuple(FILE_METHODS) and not METHODS.keys() & FILE_METHODS.keys()
+    assert FROM_FILES == tuple(FILE_METHODS) and not TARGETS.keys() & FILE_METHODS.keys()
     config = load(ROOT / 'config' / f'{name}.yaml')
     assert tabulated.of(config) is FILE_METHODS[name] and tabulated.of(Config()) is None
     assert name in FILE_SCENES
     assert ESTIMATORS[name][0].name == name
     with pytest.raises(InputError, match=f'{name} is solved from files, .*: run "handeye solve'):
-        method_for(config)
+        target_for(config)
     with pytest.raises(BadValueError):
-        method_for(with_values(Config(), {'method': name}, 'test'))
+        target_for(with_values(Config(), {'method': name}, 'test'))
 
 
 HEADER = 'camera_x [mm], camera_y [mm], camera_z [mm], base_x [m], base_y [m], base_z [m]'

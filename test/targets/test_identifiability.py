@@ -11,7 +11,7 @@ import re
 from cells import Cell, exact_cell
 from handeye_ros.estimation.problem import Estimate, linearise, UNUSED
 from handeye_ros.simulate import SCENARIOS
-from handeye_ros.targets import METHODS
+from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
 
@@ -43,18 +43,18 @@ def at_truth(made: Cell) -> Estimate:
                'line': T.ravel(), 'plane': T.ravel(),
                'sphere': np.append(T[:3, 3], radius),
                'wedge': np.append(T.ravel(), WEDGE_TURNS)}
-    return Estimate(made.truth.T_flange_sensor, targets[made.problem.method.name])
+    return Estimate(made.truth.T_flange_sensor, targets[made.problem.target.name])
 
 
 def singular_values(name: str, motion: str) -> np.ndarray:
     """Return those of the derivatives by all unknowns, each column scaled to length 1."""
-    method = name.split()[0]
-    stations = (20, 20) if method == 'plate' else (40, 0)
-    scenario = replace(SCENARIOS[method], motion=ROWS[motion], stations=stations)
+    target = name.split()[0]
+    stations = (20, 20) if target == 'plate' else (40, 0)
+    scenario = replace(SCENARIOS[target], motion=ROWS[motion], stations=stations)
     made = exact_cell(scenario, **VALUES.get(name, {}))
     problem, estimate = made.problem, at_truth(made)
     p = problem.points_in_base(estimate.X)
-    observations = problem.method.relabel(problem.observations, p, estimate.target,
+    observations = problem.target.relabel(problem.observations, p, estimate.state,
                                                    problem.config)
     used = observations.select(observations.kind != UNUSED)
     problem = replace(problem, observations=used)
@@ -67,7 +67,7 @@ def singular_values(name: str, motion: str) -> np.ndarray:
 def test_the_table_is_whole() -> None:
     cells = list(table())
     assert {motion for motion, *_ in cells} == set(ROWS)
-    assert {name.split()[0] for _, name, *_ in cells} == set(METHODS)
+    assert {name.split()[0] for _, name, *_ in cells} == set(TARGETS)
 
 
 @pytest.mark.parametrize(('motion', 'name', 'rank', 'unknowns'), list(table()))

@@ -58,7 +58,7 @@ def test_six_points_are_too_few() -> None:
     made = cell(LINE, 0)
     with pytest.raises(DataError, match='line needs at least 7'):
         pipeline.solve(made.samples[:6], [], made.config, 'laser')
-    assert targets.method_for(made.config).name == 'line'
+    assert targets.target_for(made.config).name == 'line'
 
 
 @pytest.mark.thorough

@@ -16,6 +16,7 @@ from pathlib import Path
 from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session import is_session, read_session
+from handeye_ros.calibration import left_out, measured_points
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, EdgePoint, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
@@ -23,7 +24,6 @@ from handeye_ros.estimation.problem import Problem, UNUSED
 from handeye_ros.estimation.search import relabelled
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
-from handeye_ros.outcome import left_out, measured_points
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.evidence import Evidence, recording_of, StopSnapshot
@@ -191,7 +191,7 @@ def _rms(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
 def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
     """Return a sentence if the laser crosses an edge at too small an angle, else ''."""
     points = np.array([f.point for f in sample.features if isinstance(f, EdgePoint)])
-    kinds, smallest = solution.problem.method.essential, config.sampling.min_crossing_angle
+    kinds, smallest = solution.problem.target.essential, config.sampling.min_crossing_angle
     if not len(points) or not kinds:
         return ''
     angles = [(*_crossing(sample, points, solution, kind, config), kind) for kind in kinds]
@@ -206,12 +206,12 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
 def _crossing(sample: Sample, points: Array, solution: Solution, name: str, config: Config
               ) -> tuple[float, float]:
     """Return distance to an edge (m) and crossing angle (rad) of the nearest of points (n, 2)."""
-    method, estimate = solution.problem.method, solution.estimate
+    target, estimate = solution.problem.target, solution.estimate
     pose = mounted([sample], config)[0] @ estimate.X
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
-    found = [method.conditions(in_base, np.full(len(points), kind), estimate.target, config)
-             for kind in _with(solution.problem, method.kinds.index(name))]
+    found = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)
+             for kind in _with(solution.problem, target.kinds.index(name))]
     distance = np.linalg.norm([one.g for one in found], axis=0)
     nearest = int(np.argmin(distance))
     across = np.array([one.dg_dp[nearest] for one in found])

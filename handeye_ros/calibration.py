@@ -54,7 +54,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     if warnings:
         provenance['warnings'] = list(warnings)
     return Calibration(
-        config.name or config.target.type, problem.method.name, parent, frame_id or 'laser',
+        config.name or config.target.type, problem.target.name, parent, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)),
         solution.reported[:6, :6],
         _described_target(solution, config), quality,
@@ -64,7 +64,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
 
 def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
     """Return the estimates of the target and of all nuisance parameters."""
-    described = solution.problem.method.describe(solution.estimate.target, solution.target_std)
+    described = solution.problem.target.describe(solution.estimate.state, solution.target_std)
     described |= reported_parameters(solution) | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
     notes = [*notes_of(solution, config), *filter(None, [_other_surfaces(solution)])]
@@ -75,21 +75,21 @@ def _other_surfaces(solution: Solution) -> str:
     """Return in words which of several visible surfaces is the target, '' with one surface."""
     observed, problem = solution.whole.subset(solution.used), solution.problem
     several = len(observed.observations) > len(problem.observations)
-    if problem.method.essential or not several:
+    if problem.target.essential or not several:
         return ''
     estimate, obs = solution.estimate, observed.observations
     unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
         [problem.observations.station, problem.observations.source]) @ [1, 1j])
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
-    height, of_sensor = (problem.method.conditions(
-        p, obs.kind[unused], estimate.target, problem.config).g
+    height, of_sensor = (problem.target.conditions(
+        p, obs.kind[unused], estimate.state, problem.config).g
         for p in (observed.points_in_base(estimate.X)[unused], sensors[:, :3]))
     nearer = height * np.sign(of_sensor) > 0
     side = 'nearer and farther' if 0 < nearer.sum() < len(nearer) else (
         'nearer' if nearer.any() else 'farther')
     stations = len(np.unique(obs.station[unused]))
     return (f'{stations} of {len(solution.used)} samples show other surfaces too, {side} than the '
-            f'{problem.method.name} that was used in all of them')
+            f'{problem.target.name} that was used in all of them')
 
 
 def _joint(solution: Solution) -> dict[str, Any]:
@@ -100,10 +100,10 @@ def _joint(solution: Solution) -> dict[str, Any]:
     as the data show them, so that errors in common cancel.
     """
     problem = solution.problem
-    size = 6 + len(problem.method.labels)
+    size = 6 + len(problem.target.labels)
     C, rows = np.zeros((size, size)), problem.columns
     C[np.ix_(rows, rows)] = solution.covariance[:solution.unknowns, :solution.unknowns]
-    return {'state': solution.estimate.target.tolist(), 'covariance': C.ravel().tolist(),
+    return {'state': solution.estimate.state.tolist(), 'covariance': C.ravel().tolist(),
             'variance_factor': solution.variance_factor}
 
 
@@ -114,19 +114,19 @@ def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.
     own = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
     reports = []
     for i, edges in enumerate(_edges_used(problem)):
-        note = ONLY_FACE if problem.method.essential and not edges else ''
+        note = ONLY_FACE if problem.target.essential and not edges else ''
         reports.append(SampleReport(used[i].stamp, True, edges, float(own[i]), note))
     return reports
 
 
 def _edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
-    obs, method = problem.observations, problem.method
+    obs, target = problem.observations, problem.target
     bounds = np.searchsorted(obs.station, np.arange(len(problem.poses) + 1))
-    if not method.essential:
+    if not target.essential:
         return [''] * len(problem.poses)
-    return [', '.join(method.kinds[k] for k in dict.fromkeys(obs.kind[first:last].tolist())
-                      if method.kinds[k] in method.essential)
+    return [', '.join(target.kinds[k] for k in dict.fromkeys(obs.kind[first:last].tolist())
+                      if target.kinds[k] in target.essential)
             for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
@@ -153,8 +153,8 @@ def left_out(solution: Solution, measured: Measured, fold: NDArray[np.intp] | No
     by_fold, kind, residuals = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
     ends = np.cumsum(np.bincount(fold[measured.station], minlength=len(estimates))).tolist()
     for first, last, estimate in zip([0, *ends], ends, estimates, strict=False):
-        residuals[order[first:last]] = problem.method.conditions(
-            by_fold[first:last], kind[first:last], estimate.target, problem.config).g
+        residuals[order[first:last]] = problem.target.conditions(
+            by_fold[first:last], kind[first:last], estimate.state, problem.config).g
     return residuals
 
 
@@ -166,7 +166,7 @@ def rms(values: Array) -> float:
 @dataclass(frozen=True, eq=False)
 class Measured:
     """
-    All measured points of the used samples, represented by the method's observations.
+    All measured points of the used samples, represented by the target's observations.
 
     points: (k, 2) of the sensor plane; kind: (k,); station: (k,) the problem's.
     """
@@ -187,7 +187,7 @@ class Measured:
         poses: (n, 4, 4) instead of the reported ones, such as without the robot's smooth error.
         """
         p = self.mapped((problem.poses if poses is None else poses) @ estimate.X)
-        return problem.method.conditions(p, self.kind, estimate.target, problem.config).g
+        return problem.target.conditions(p, self.kind, estimate.state, problem.config).g
 
     def mapped(self, T: Array) -> Array:
         """Return the points (k, 3) mapped by T (n, 4, 4) of their stations."""
@@ -209,7 +209,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     """
     obs = problem.observations
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
-    parts = [problem.method.measured(sample, obs.points[first:last], obs.kind[first:last])
+    parts = [problem.target.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
     count = np.array([len(kind) for _, kind in parts])
     step = max(-(-int(count.sum()) // MOST_POINTS), 1)

@@ -9,11 +9,11 @@ from pathlib import Path
 from cells import cell, solved
 from command import ROOT
 from handeye_ros import pipeline, se3
+from handeye_ros.agreement import evidence, flat_crossing
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session import SessionFiles
 from handeye_ros.config import load, with_values
 from handeye_ros.estimation.search import evaluate
-from handeye_ros.evidence import evidence, flat_crossing
 import numpy as np
 import pytest
 
@@ -39,7 +39,7 @@ def test_stops_that_were_taken_again_are_no_second_run(tmp_path: Path) -> None:
 def test_the_crossing_angle_does_not_depend_on_the_axes_across_a_line(turned: float) -> None:
     found = cell('line', 1)
     solution = solved(found.problem)
-    T = solution.estimate.target.reshape(4, 4)
+    T = solution.estimate.state.reshape(4, 4)
     about_line = se3.transform(se3.exp_rotation(np.array([turned, 0.0, 0.0])), np.zeros(3))
     elsewhere = evaluate(solution.problem, replace(
         solution.estimate, target=(T @ about_line).reshape(-1)))
