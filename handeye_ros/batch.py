@@ -149,6 +149,9 @@ def _listed(path: Path, base: Job) -> Iterator[Job]:
                          'wanted, label, config, settings, args')
     folder = path.absolute().parent
     for row in rows:
+        if None in row or not row['bag']:
+            raise InputError(f'{path}: line {rows.line_num} names no bag, or holds more values '
+                             'than the header: put quotes around a value with commas')
         bag, config = folder / row['bag'], row.get('config')
         yield replace(
             base, bag=str(bag), label=row.get('label') or bag.stem,

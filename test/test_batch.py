@@ -122,9 +122,13 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     assert jobs[0].settings == ('target.radius=0.02', 'name=x')
     assert jobs[0].bag == str(tmp_path / 'a') and jobs[1].config == 'c.yaml'
     assert jobs[1].args == ('--stations', 's.csv')
-    (tmp_path / 'jobs.csv').write_text('bag,lable\na,first\n')
-    with pytest.raises(InputError, match='it has the columns bag, lable; expected'):
-        jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
+    for text, sentence in (
+            ('bag,lable\na,first\n', 'it has the columns bag, lable; expected'),
+            ('bag,settings\na,verify.lengths=[0.1,0.2] name=x\n', 'line 2 .* more values'),
+            ('label,bag\na,b\nc\n', 'line 3 names no bag')):
+        (tmp_path / 'jobs.csv').write_text(text)
+        with pytest.raises(InputError, match=sentence):
+            jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
     (tmp_path / 'empty').mkdir()
     for source in ('empty', 'missing.csv'):
         with pytest.raises(DataError, match='no recording'):

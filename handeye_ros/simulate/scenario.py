@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 import math
+import re
 from typing import Any
 
 
@@ -221,10 +222,10 @@ class Scenario:
     def description(self) -> str:
         """Return the scene and the differences from a plain recording."""
         own, plain = _flat(asdict(self)), _flat(asdict(Scenario(target=type(self.target)())))
-        values = [f'{key} {value:.4g}' if isinstance(value, float) else f'{key} {value}'
-                  for key, value in own.items()
+        values = [f'{key} {value}' for key, value in own.items()
                   if key not in NOT_DESCRIBED and value != plain.get(key, key)]
-        return ', '.join([self.scene, *values])
+        return re.sub(r'\d+\.\d{5,}', lambda number: f'{float(number[0]):.4g}',
+                      ', '.join([self.scene, *values]))
 
     @property
     def profiles_per_stop(self) -> int:
