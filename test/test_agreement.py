@@ -42,7 +42,7 @@ def test_the_crossing_angle_does_not_depend_on_the_axes_across_a_line(turned: fl
     T = solution.estimate.state.reshape(4, 4)
     about_line = se3.transform(se3.exp_rotation(np.array([turned, 0.0, 0.0])), np.zeros(3))
     elsewhere = evaluate(solution.problem, replace(
-        solution.estimate, target=(T @ about_line).reshape(-1)))
+        solution.estimate, state=(T @ about_line).reshape(-1)))
     config = with_values(found.config, {'sampling.min_crossing_angle': 1.5}, 'test')
     for sample in found.samples[:5]:  # whose laser lines are not square to it
         laser = sample.T_base_flange[:3, :3] @ solution.estimate.X[:3, 0]

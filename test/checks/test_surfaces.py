@@ -28,8 +28,8 @@ def clamped(scenario: Scenario) -> tuple[Solid, ...]:
     return (*scenes.SCENES['plate'].solids(scenario), *clamps)
 
 
-@pytest.mark.parametrize(('name', 'seed'), [
-    ('line', 0), pytest.param('plate', 1, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize(('name', 'seed'), [('line', 0), ('plate', 1)])
 def test_the_stops_that_show_a_clamp_are_named(monkeypatch: pytest.MonkeyPatch, name: str,
                                                seed: int) -> None:
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
