@@ -8,10 +8,8 @@ from dataclasses import replace
 from command import assert_refused, handeye, PLATE
 from handeye_ros import simulate
 from handeye_ros.bags import bag_write
-from handeye_ros.results.calibration_file import read_calibration
 import numpy as np
 import pytest
-from recordings import rewrite, scan
 
 pytestmark = pytest.mark.once
 
@@ -51,25 +49,13 @@ def test_the_good_recording_is_good(good, solve):
 
 
 @pytest.mark.parametrize(('content', 'words'), [
-    (None, 'no such file or folder'), ('folder', 'no .mcap or .db3 file'), (b'', ''),
-    (b'\x89MCAP0\r\n', '')])
+    (None, 'no such file or folder'), ('folder', 'no .mcap or .db3 file'), (b'', '')])
 def test_a_file_that_is_no_bag(tmp_path, solve, content, words):
     if content == 'folder':
         (tmp_path / 'x.mcap').mkdir()
     elif content is not None:
         (tmp_path / 'x.mcap').write_bytes(content)
     assert_refused(solve(tmp_path / 'x.mcap'), 2, 'x.mcap', words)
-
-
-def test_a_cut_mcap_answers_and_says_so(good, tmp_path, solve):
-    file = rewrite(good, tmp_path / 'cut.mcap', chunk_size=1 << 16)
-    whole = file.read_bytes()
-    file.write_bytes(whole[:len(whole) * 4 // 5])
-    run = solve(file, '--out', 'out')
-    assert run.returncode == 0, run.stderr
-    assert 'warning: cut.mcap is cut off or damaged: read ' in run.stderr
-    calibration = read_calibration(tmp_path / 'work' / 'out' / 'calibration.yaml')
-    assert 8 <= calibration.quality.samples_used <= 10
 
 
 def zero_quaternions(profiles, poses):
@@ -95,28 +81,13 @@ def test_messages_that_cannot_be_used(tmp_path, solve, change, code, words):
     assert_refused(solve(made(tmp_path / 'bag', change=change)), code, *words)
 
 
-def thorough(*values):
-    return pytest.param(*values, marks=pytest.mark.thorough)
-
-
 @pytest.mark.parametrize(('differs', 'words'), [
     ({'empty': True}, ('no edge of a face in the profile', 'with the laser across the target')),
     ({'motion': 'one_orientation'}, ('one orientation', 'tilt the tool')),
-    thorough({'motion': 'tilt_only'}, ('one rotation axis', 'tilt the tool')),
-    thorough({'motion': 'yaw_only'}, ('one rotation axis', 'tilt the tool')),
-    thorough({'convention_errors': ('inverted',)}, ('inverse poses',)),
-    thorough({'convention_errors': ('wxyz',)}, ('w x y z',)),
-    thorough({'convention_errors': ('millimetres',)}, ('in mm',))])
+    pytest.param({'convention_errors': ('inverted',)}, ('inverse poses',),
+                 marks=pytest.mark.thorough)])
 def test_recordings_that_cannot_carry_an_answer(tmp_path, solve, differs, words):
     assert_refused(solve(made(tmp_path / 'bag', replace(BASE, **differs))), 3, *words)
-
-
-def test_time_going_backwards(good, tmp_path, solve):
-    _, messages = scan(good)
-    duration = messages[-1].log_time - messages[0].log_time + 1_000_000_000
-    again = [m._replace(log_time=m.log_time + duration) for m in messages]
-    looped = rewrite(good, tmp_path / 'looped.mcap', messages + again)
-    assert_refused(solve(looped), 3, 'jump back', 'record one run')
 
 
 @pytest.mark.parametrize(('assignment', 'words'), [
@@ -125,9 +96,7 @@ def test_time_going_backwards(good, tmp_path, solve):
                              '--set profile_topic=/profile')),
     ('pose_topic=/profile', ('set pose_topic',)),
     ('target.tipe=plate', ('unknown key "target.tipe"', 'did you mean "target.type"?')),
-    ('name=a/b', ('folder',)),
-    ('method=magic', ('magic',)), ('target.type=cone', ('cone',)),
-    ('target.radius=20 furlong', ('target.radius',))])
+    ('target.type=cone', ('cone',)), ('target.radius=20 furlong', ('target.radius',))])
 def test_settings_that_do_not_fit(good, solve, assignment, words):
     assert_refused(solve(good, '--set', assignment), 2, *words)
 

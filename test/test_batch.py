@@ -105,14 +105,6 @@ def test_only_answers_of_one_sensor_are_compared(tmp_path):
     assert 'no calibration differs' in front and 'the calibration changed between' in rear
 
 
-def test_the_page_says_since_when_a_cell_has_changed(tmp_path):
-    rows = [{'label': f'{cell}/night_{k}', 'verb': 'check', 'exit_code': int(k == 5), 'stamp': -k,
-             'verdict': 'sensor' if k == 5 else 'unchanged', 'rms': 2e-5, 'seconds': 1.0}
-            for k in range(6) for cell in 'ab']
-    write_table(rows, tmp_path)
-    assert 'sensor; unchanged since a/night_4' in (tmp_path / 'report.html').read_text()
-
-
 def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'jobs.csv').write_text(
         'bag,label,settings,args\na,first,target.radius=0.02 name=x,\nb,,,--stations s.csv\n'

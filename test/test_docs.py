@@ -105,18 +105,6 @@ def test_make(page: Path, command: str) -> None:
     assert run.returncode == 0, run.stderr
 
 
-@pytest.mark.parametrize(('page', 'command'), of('python'))
-def test_python(page: Path, command: str) -> None:
-    arguments = words(command, 'python')
-    if not arguments or not arguments[0].endswith('.py'):
-        pytest.skip('no script of the project')
-    source = (ROOT / arguments[0]).read_text(encoding='utf-8')
-    if 'trials.add_options' in source:
-        source += (ROOT / 'bench' / 'trials.py').read_text(encoding='utf-8')
-    for flag in (word for word in arguments[1:] if word.startswith('--')):
-        assert f"'{flag}'" in source
-
-
 @pytest.mark.parametrize(('page', 'command'), of('ros2'))
 def test_ros2(page: Path, command: str) -> None:
     verb, *arguments = words(command, 'ros2')

@@ -12,7 +12,6 @@ from handeye_ros import config as configs
 from handeye_ros.bags.messages import (
     DATATYPES,
     pose_from_cdr,
-    PROBE,
     profile_from_cdr,
     ProfileReader,
     rows_of,
@@ -33,7 +32,7 @@ CLOUD, POSE = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
 STAMP = 3_000_000_005
 METRES = ProfileConfig()
-F32, U8, U16, U32 = 7, 2, 4, 6
+F32, U8 = 7, 2
 XZ, XYZ = {'x': (0, F32), 'z': (8, F32)}, {'x': (0, F32), 'y': (4, F32), 'z': (8, F32)}
 X = np.array([-0.02, -0.01, 0.0, 0.01, 0.02, 0.03])
 Z = np.array([0.171, 0.172, np.nan, 0.174, np.inf, -np.inf])
@@ -151,21 +150,6 @@ def test_drivers_whose_clouds_change_their_size_and_layout() -> None:
     made.point_step = 11
     with pytest.raises(UnusableMessageError, match='1 x .* points of 11 bytes, .* do not fit'):
         reader.take(serialised(made)).read()
-
-
-def test_the_points_of_most_profiles_are_not_looked_at() -> None:
-    reader, step = ProfileReader(METRES), PROBE // 100
-    for i in range(5):  # profiles without returns tell nothing of the unit
-        reader.take(serialised(message(np.nan, stamp=10**18 - 5 + i)))
-    refused = []
-    for i in range(700):
-        wrong = i % 7 == 3 or 300 <= i < 500
-        try:
-            reader.take(serialised(message(170.0 if wrong else 0.17, stamp=10**18 + i * step)))
-        except UnusableMessageError as error:
-            assert 'set profile.unit to mm' in str(error)
-            refused.append(i)
-    assert refused == [*range(300, 501)], 'once in PROBE, and all after a wrong one'
 
 
 # -- clouds
@@ -360,14 +344,7 @@ def marked(values: np.ndarray, mark: float) -> np.ndarray:
 MESSAGES: dict[str, tuple[dict[str, np.ndarray], dict[str, tuple[int, int]], int]] = {
     'scancontrol': ({'x': WIDE, 'y': FLAT, 'z': marked(DEPTH, np.inf), 'intensity': FLAT + 1},
                     {**XYZ, 'intensity': (16, F32)}, 32),
-    'scancontrol_lls': (
-        {'x': WIDE, 'y': FLAT, 'z': DEPTH, 'm0': FLAT, 'm1': FLAT, 'width': FLAT,
-         'intensity': FLAT, 'threshold': FLAT},
-        {**XYZ, 'm0': (12, U32), 'm1': (16, U32), 'width': (20, U16), 'intensity': (22, U16),
-         'threshold': (24, U16)}, 26),
-    'keyence': ({'x': WIDE, 'y': FLAT, 'z': marked(HEIGHT, np.inf)}, XYZ, 16),
     'Gocator': ({'x': WIDE * 1e3, 'y': FLAT, 'z': marked(HEIGHT, np.nan) * 1e3}, XYZ, 12),
-    'wenglor wecat3d': ({'x': WIDE, 'y': FLAT + 0.37, 'z': DEPTH}, XYZ, 16),
     'Mech-Mind': ({'x': WIDE, 'y': FLAT, 'z': marked(HEIGHT, np.nan), 'intensity': FLAT + 9},
                   {**XYZ, 'intensity': (12, U8)}, 16)}
 

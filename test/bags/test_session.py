@@ -176,17 +176,6 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     assert np.abs(third.calibration.T_flange_sensor - found).max() < 1e-9
 
 
-def test_other_settings_read_the_stored_profiles(tmp_path: Path) -> None:
-    live = feed(stored(tmp_path), stops=4)
-    shown = taken(state_of(live))
-    changed(live, sampling__min_points=5000)
-    assert taken(state_of(live)) == 0
-    other = again(live)
-    assert other.config.sampling.min_points == 5000 and taken(state_of(other)) == 0
-    third = again(other, sampling__min_points=20)
-    assert taken(state_of(third)) == shown
-
-
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
     before = Path(live.path)

@@ -70,19 +70,6 @@ def test_clocks_that_are_set_back_wild_stamps_and_times_that_start_again():
         tracker.restart()
 
 
-def test_missing_says_what_was_received():
-    tracker = FlangeTracker('base', 'flange')
-    assert tracker.missing().endswith('frames received: none')
-    added(tracker, ('base_link', 'tool0', T_1), stamp=1)
-    assert 'from "base" to "flange"; frames received: base_link, tool0' in tracker.missing()
-    added(tracker, ('base', 'flange', T_1), static=True)
-    assert tracker.missing() == 'all transforms between "base" and "flange" are static'
-    added(tracker, ('base', 'flange', T_1), stamp=1)
-    assert tracker.missing() == ''
-    loop = [('a', 'flange', np.eye(4)), ('flange', 'a', np.eye(4))]
-    assert added(FlangeTracker('base', 'flange'), *loop, stamp=1) == []
-
-
 def test_frames_without_end_are_refused_and_those_known_go_on():
     tracker = FlangeTracker('base', 'flange')
     added(tracker, ('base', 'flange', T_1), stamp=1)

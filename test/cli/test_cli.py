@@ -55,15 +55,6 @@ def test_simulate_writes_the_same_bag_with_its_truth_for_the_same_seed(tmp_path)
         np.testing.assert_array_equal(one.read().points, other.read().points)
 
 
-def test_simulate_knows_its_scenarios(tmp_path):
-    run = handeye('simulate', '--list', cwd=tmp_path)
-    shown = dict(line.split(maxsplit=1) for line in run.stdout.splitlines())
-    assert run.returncode == 0 and 'sensor.reflections 0.3' in shown['plate_reflections']
-    run = handeye('simulate', 'plat', 'x', cwd=tmp_path)
-    assert_refused(run, 2, 'there is no scenario "plat"; did you mean "plate"?')
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_table_for_a_target_of_profiles_names_the_targets_it_fits(tmp_path):
     table = tmp_path / 'points.csv'
     table.write_text('camera_x [m]\n1\n')
@@ -127,9 +118,8 @@ def test_version_and_help(tmp_path):
 
 
 @pytest.mark.parametrize('arguments', [
-    ['solv', 'x'], ['solve'], ['solve', 'x', '--rate', '2'], ['simulate', 'plate'],
-    ['simulate', 'plate', 'x', '--seed', '-1'], ['replay', 'x', '--rate', 'fast'],
-    ['seam', 'x.ply', '--line', 'third'], ['batch', 'x', '--out', 'y', '--verb', 'seam']])
+    ['solv', 'x'], ['solve'], ['solve', 'x', '--rate', '2'],
+    ['simulate', 'plate', 'x', '--seed', '-1'], ['batch', 'x', '--out', 'y', '--verb', 'seam']])
 def test_wrong_usage_is_2(arguments, tmp_path):
     run = handeye(*arguments, cwd=tmp_path)
     assert run.returncode == 2

@@ -262,22 +262,15 @@ def interrupted(*args, **options):
 
 Node.{0} = interrupted
 """
-AT_EXECUTOR = """
-import time
-""" + AT_CALL.replace('rclpy.node import Node', 'rclpy.executors import Executor as Node').replace(
-    '    return', '    time.sleep(0.5)\n    return')
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(('before', 'what'), [
-    (AT_IMPORT, 'numpy'), (AT_IMPORT, 'rclpy._rclpy_pybind11'), (AT_IMPORT, 'std_srvs.srv'),
-    (AT_CALL, 'declare_parameters'), (AT_CALL, 'create_timer'), (AT_EXECUTOR, '__init__')])
+    (AT_IMPORT, 'numpy'), (AT_IMPORT, 'std_srvs.srv'), (AT_CALL, 'create_timer')])
 def test_a_signal_while_it_starts_ends_it_cleanly(before: str, what: str, number: int) -> None:
     block = (f'import os, sys\n{before.format(what, number)}\n'
              'from handeye_ros.node.main import main; sys.exit(main())')
     run = subprocess.run([sys.executable, '-c', block], cwd=ROOT, capture_output=True, text=True,
                          check=False)
-    # rclpy complains of the executor that it did not make
-    ours = run.stderr.partition('Exception ignored in: <function Executor.__del__')[0]
-    assert (run.returncode, 'Traceback' in ours) == (0, False), run.stderr
+    assert (run.returncode, 'Traceback' in run.stderr) == (0, False), run.stderr

@@ -108,28 +108,18 @@ def command(node: Any, folder: Path) -> list[str]:
     return words
 
 
-def test_by_default_only_the_node_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     (node,) = nodes('calibrate', monkeypatch)
     time, file = node.parameters
     # a file that says what the time is comes last, and wins
-    assert time == {'use_sim_time': False}
+    assert time == {'use_sim_time': False} and (node.name, node.executable) == (
+        'handeye', 'calibrate')
     assert config.load(Path(file)).target.type == 'plate'
-    assert (node.name, node.executable) == ('handeye', 'calibrate')
-
-
-def test_what_is_set_here_wins_over_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    (node,) = nodes('calibrate', monkeypatch, profile_topic='/scan', base_frame='base_link',
-                    name='mine', use_sim_time='true')
-    assert node.parameters[0] == {'use_sim_time': True}
-    assert node.parameters[-1] == {'profile_topic': '/scan', 'robot_base_frame': 'base_link',
-                                   'name': 'mine'}
-
-
-def test_every_key_that_is_set_exists(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments, _ = described(ROOT / 'launch' / 'calibrate.launch.py', monkeypatch)
     given = {a.name: '8080' for a in arguments if a.name not in ('config', 'rviz_layout')}
-    node = nodes('calibrate', monkeypatch, **given)[0]
+    node = nodes('calibrate', monkeypatch, **given | {'base_frame': 'base_link'})[0]
     assert node.parameters[-1].keys() <= {p.key for p in config.parameters()}
+    assert node.parameters[-1]['robot_base_frame'] == 'base_link'
 
 
 @pytest.mark.thorough

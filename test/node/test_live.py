@@ -10,17 +10,16 @@ import json
 from pathlib import Path
 import re
 import threading
-import time
 
 from cells import recorded
 from command import PATIENCE
-from handeye_ros import pipeline, se3, targets
+from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, HandeyeError, InputError
 from handeye_ros.node import live as lives
 from handeye_ros.node.pool import PoolEndedError
-from handeye_ros.node.state import MessageCount, samples_message, state_of, status_message, taken
+from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
@@ -74,23 +73,6 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
     offline = pipeline.calibrate(made.profiles, made.poses, config)
     assert np.allclose(live.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
     assert ' profiles used, ' in text
-
-
-MINIMUM = targets.TARGETS['sphere'].minimum
-
-
-def test_once_the_samples_suffice_each_has_its_residuals() -> None:
-    live, count = new(), 0
-    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
-        (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
-        assert len(live.copied().outcomes) == count, 'a message is never judged by who brings it'
-        if live.waiting:
-            live.update()
-            count, state = len(live.copied().outcomes), state_of(live)
-            residuals = [s['number'] for s in state['samples'] if s['left_out'] is not None]
-            suffice = count >= MINIMUM
-            assert bool(residuals) == (state['review'] == '') == suffice, state['review']
-            assert sorted(state['worst']) == residuals
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
@@ -206,31 +188,7 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     assert str(tmp_path / 'other' / 'calibration.yaml') in other.save_calibration()
 
 
-def test_why_there_is_no_sample_is_told() -> None:
-    live = fed(set_to(SPHERE.config, sampling__mode='manual'))
-    assert 'no sample was requested: sampling.mode is manual' in (
-        state_of(live)['session']['trouble'])
-    with pytest.raises(DataError, match='no sample was requested'):
-        live.compute_calibration()
-    with pytest.raises(DataError, match='there is no sample to remove'):
-        live.remove_last_sample()
-    live = new(set_to(SPHERE.config, sampling__mode='manual'))
-    for stamp in range(10**18, 10**18 + 4 * 10**8, 2 * 10**7):
-        live.add_poses([TimedPose(stamp, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))])
-    with pytest.raises(DataError, match=r'but for 0\.\d s: wait 0\.\d s more'):
-        live.take_sample()
-
-
 # -- streams that are disturbed
-
-
-def test_clocks_an_hour_apart_are_reported_with_their_size() -> None:
-    live = new()
-    for profile in later(SPHERE.profiles[:50], 3600):
-        live.add_profile(profile)
-    live.add_poses(SPHERE.poses[:50])
-    assert 'the profiles are 1.00 hours ahead of those of the poses' in (
-        state_of(live)['session']['trouble'])
 
 
 def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_nothing() -> None:
@@ -243,48 +201,6 @@ def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_noth
         with pytest.raises(InputError, match='robot_base_frame is "base"'):
             ask()
     assert live.calibration is not None
-
-
-def test_a_foreign_frame_for_a_while_disturbs_only_that_while() -> None:
-    live = fed()
-    live.compute_calibration()
-    end = SPHERE.poses[-1].stamp
-    foreign = [replace(p, frame_id='other') for p in SPHERE.profiles[-400:]]
-    for profile in foreign:
-        live.add_profile(profile)
-    assert 'two frames' in state_of(live)['session']['trouble']
-    with pytest.raises(InputError, match='two frames'):
-        live.compute_calibration()
-    assert live.calibration is not None, 'it is not withdrawn'
-    seconds = (end - SPHERE.poses[0].stamp) // 10**9 + 10
-    feed(live, later([*SPHERE.poses, *SPHERE.profiles], seconds))
-    assert state_of(live)['session']['trouble'] == ''
-    assert live.compute_calibration().startswith('laser in flange')
-
-
-def test_poses_that_are_silent_while_profiles_come_take_no_sample(
-        monkeypatch: pytest.MonkeyPatch) -> None:
-    live = fed(set_to(SPHERE.config, sampling__mode='manual'))
-    monkeypatch.setattr(live.messages['pose'], '_received', time.monotonic() - 3.0)
-    with pytest.raises(DataError, match='no pose has come for 3.0 s'):
-        live.take_sample()
-
-
-def test_malformed_and_lost_messages_are_told_from_one_in_a_hundred_on() -> None:
-    poses = MessageCount('pose')
-    for stamp in range(1000):
-        poses.add(stamp)
-    for count in range(1, 7):
-        poses.add_malformed('a reason')
-        assert bool(poses.trouble) == (count >= 3), 'so many in a row'
-    poses.add(1)
-    assert not poses.trouble
-    for _ in range(100):
-        poses.add_malformed('a reason')
-        poses.add(2)
-    assert '106 of 1207 poses cannot be used; the last reason: a reason' in poses.trouble
-    poses.lost = poses.count
-    assert 'were lost on their way' in poses.trouble
 
 
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
@@ -448,12 +364,3 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert (report['verdict'], report['stations']) == ('pass', 6)
     assert report['created'] and not report['calibration_file']  # it is the answer, no file
     assert not state_of(live)['session']['notes']
-
-
-def test_take_tells_that_stops_do_not_count_while_a_gauge_is_scanned() -> None:
-    live = fed()
-    live.compute_calibration()
-    changed(live, verify__routine='tooth', verify__lengths=[0.01, 0.02])
-    live.verify_start()
-    with pytest.raises(DataError, match='stops do not count, points are taken while the robot m'):
-        live.take_sample()

@@ -17,7 +17,6 @@ import yaml
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
-from rcl_interfaces.srv import DescribeParameters  # noqa: E402
 from rclpy.qos import DurabilityPolicy  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
@@ -204,18 +203,6 @@ def test_a_stop_is_judged_while_the_robot_stands(
     assert client.until_counted(profiles=47, poses=46)['dropped'] == ''
     assert client.call('remove_last_sample').message.startswith('removed sample 1, the last one')
     assert client.state()['samples'] == '0'
-
-
-def test_parameters_explain_themselves(client: Client, node: subprocess.Popen[str]) -> None:
-    keys = ['noise.sensor', 'profile.axes', 'page.port', 'sampling.min_points']
-    sensor, axes, port, points = client.request(
-        DescribeParameters, 'describe_parameters', DescribeParameters.Request(names=keys)
-    ).descriptors
-    assert 'Range noise' in sensor.description
-    assert sensor.floating_point_range[0].to_value == 0.01
-    assert points.integer_range[0].to_value == 100000
-    assert 'one of x, y, z, -x, -y, -z' in axes.additional_constraints
-    assert 'fixed while the node runs' in port.additional_constraints
 
 
 def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> None:

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.page import server as servers  # noqa: E402, I100
-from handeye_ros.page.contents import plain, Source  # noqa: E402
+from handeye_ros.page.contents import Source  # noqa: E402
 from handeye_ros.page.server import PageServer, token_of  # noqa: E402
 
 pytestmark = pytest.mark.once
@@ -189,8 +189,3 @@ def test_a_port_in_use_and_an_address_that_is_none(here: tuple[PageServer, Cell]
         PageServer(Source(dict, {}), '127.0.0.1', here[0].port)
     with pytest.raises(InputError, match='expected an IP address'):
         PageServer(Source(dict, {}), 'everywhere', 1)
-
-
-def test_json_knows_no_nan() -> None:
-    assert plain({'a': [math.nan, 1.0, (math.inf, 'b')], 1: None}) == {
-        'a': [None, 1.0, [None, 'b']], '1': None}

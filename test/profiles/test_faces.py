@@ -24,7 +24,6 @@ from profiles import (
     PITCH,
     roof,
     step_up_to,
-    X,
 )
 import pytest
 
@@ -69,26 +68,6 @@ def test_an_edge_is_found_where_it_is(shape: Callable[..., Callable[[Array], Arr
         assert_edge(only, -side * edge, face(edge, tilt_of_face), side, kind)
         assert abs(line.direction @ only.direction) == pytest.approx(1)
         assert (only.point - line.centre) @ only.direction > 0, 'the edge leads out of the face'
-
-
-def test_a_roof_edge_is_far_better_than_a_column() -> None:
-    errors = [found(marked(roof(0.003), seed))[1][0].point[0] - 0.003 for seed in range(30)]
-    stated = found(marked(roof(0.003)))[1][0].std
-    assert np.std(errors) < PITCH / 12 ** 0.5
-    assert np.std(errors) == pytest.approx(stated, rel=0.4)
-
-
-@pytest.mark.parametrize('tilt', [-0.5, 0.0, 0.3])
-def test_the_face_line_is_as_certain_as_it_says(tilt: float) -> None:
-    offsets, turns = [], []
-    for seed in range(60):
-        line, _ = found(marked(gap_up_to(-0.005, tilt), seed))
-        normal = np.array([-np.sin(tilt), np.cos(tilt)])
-        offsets.append(((line.centre - [0, face(0.0, tilt)]) @ normal) / line.std)
-        turns.append(line.direction @ normal * line.spread / line.std)
-    assert np.std(offsets) == pytest.approx(1, abs=0.35)
-    assert np.std(turns) == pytest.approx(1, abs=0.35)
-    assert abs(np.corrcoef(offsets, turns)[0, 1]) < 0.4
 
 
 @pytest.mark.parametrize('tilt', [-0.5, 0.0, 0.3])
@@ -140,23 +119,6 @@ def test_lost_points_inside_the_face_are_no_edge() -> None:
     assert edge.point[0] == pytest.approx(-0.012, abs=3 * PITCH)
 
 
-def test_two_lost_points_at_the_border_are_no_edge() -> None:
-    points = marked(face)
-    points[:2], points[-1] = np.nan, np.nan
-    with pytest.raises(FeatureError, match='border'):
-        face_features(points, CONFIG)
-
-
-def test_mixed_points_widen_the_edge_instead_of_moving_it() -> None:
-    clean = found(marked(step_up_to(1e-5)))[1][0]
-    points = marked(step_up_to(1e-5))
-    at = int(np.flatnonzero(X > 1e-5)[0]) - 1
-    points[at, 1] = face(X[at]) + 0.004  # of a drop of 10 mm
-    mixed = found(points)[1][0]
-    assert mixed.std > 1.5 * clean.std
-    assert abs(mixed.point[0] - clean.point[0]) < PITCH
-
-
 def test_outliers_and_speckle_do_not_move_an_edge() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -167,19 +129,6 @@ def test_outliers_and_speckle_do_not_move_an_edge() -> None:
         edges = found(points)[1]
         nearest = min(abs(edge.point[0] - 0.0021) for edge in edges)
         assert len(edges) == 1 and nearest < 6 * PITCH
-
-
-def test_a_nearer_object_beside_the_face_does_not_make_an_edge() -> None:
-    # what stands in front hides where the face ends, if it ends there at all
-    def height(x: Array) -> Array:
-        return np.where(x > 0.012, face(x) - 0.008, np.where(x > -0.004, face(x), np.nan))
-    points = marked(height)
-    line, edges = found(points)
-    for edge in edges:
-        assert np.abs(edge.point[0] - 0.012) < 3 * PITCH and edge.direction[0] < 0 or (
-            np.abs(edge.point[0] + 0.004) < 3 * PITCH)
-    assert all(not (abs(edge.point[0] - 0.012) < 1e-3 and edge.direction[0] > 0)
-               for edge in edges)
 
 
 @pytest.mark.parametrize(('mirror', 'step'), [([1, 1], -1), ([-1, 1], 1)])
@@ -234,19 +183,6 @@ def assert_finite(features: tuple[Feature, ...]) -> None:
         assert np.linalg.norm(f.direction) == pytest.approx(1) and f.std >= 0
 
 
-def test_a_bent_end_is_not_in_the_line() -> None:
-    # 120 points of a face, 14 of which bend away within the tolerance of the line
-    def height(x: Array) -> Array:
-        return np.where(x > -0.0125, face(x, 0.0) + np.maximum(-0.01165 - x, 0) ** 2 / 0.008,
-                        np.nan)
-    errors = []
-    for seed in range(20):
-        points = marked(height, seed)[:240]
-        line, _ = found(np.concatenate([points, np.full((5, 2), np.nan)]))
-        errors.append((line.points[:, 1] - 0.17) / line.points_std)
-    assert np.abs(np.mean(errors, axis=0)).max() < 1.5
-
-
 @pytest.mark.parametrize('slope', [-0.3, 0.0, 0.3])
 def test_of_two_surfaces_side_by_side_the_nearer_is_the_face(slope: float) -> None:
     def height(x: Array) -> Array:
@@ -255,11 +191,3 @@ def test_of_two_surfaces_side_by_side_the_nearer_is_the_face(slope: float) -> No
         return np.where(x > -0.0065, np.where(x > -0.005, lower, beyond), beyond)
     line, _ = found(marked(height))
     assert line.centre[0] < -0.0065, 'the lower one is longer, and ends in a step too'
-
-
-def test_a_splinter_beside_a_face_is_none() -> None:
-    def height(x: Array) -> Array:
-        splinter = (x > -0.009) & (x < -0.0075)
-        return np.where(x > -0.005, 0.17, np.where(splinter, 0.168, 0.18))
-    line, (edge, *_) = found(marked(height))
-    assert line.centre[0] > 0 and abs(edge.point[0] + 0.005) < 1e-4

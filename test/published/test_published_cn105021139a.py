@@ -64,29 +64,6 @@ def test_the_truth_without_noise(seed: int, count: int) -> None:
     assert np.abs(se3.difference(found, X)).max() < 1e-6
 
 
-def test_vanishing_point_is_the_harmonic_conjugate() -> None:
-    """Cross ratio (A, B; O, V) = -1, for any four points of a line; at infinity for a middle."""
-    a, direction = np.array([100.0, 50.0]), np.array([0.8, 0.6])
-    v = patent.vanishing_point(a, a + 300 * direction, a + 130 * direction)
-    s = (v[:2] / v[2] - a) @ direction
-    assert (130 / (130 - 300)) / (s / (s - 300)) == pytest.approx(-1.0)
-    middle = patent.vanishing_point(a, a + 300 * direction, a + 150 * direction)
-    assert abs(middle[2]) < 1e-9
-    np.testing.assert_allclose(middle[:2] / np.linalg.norm(middle[:2]), direction)
-
-
-def test_rotation_is_the_nearest_to_both_directions() -> None:
-    _, _, views, _ = session(1, 3, 2.0)
-    a, b, c, d, o = views[0].points
-    raw = [np.linalg.solve(CAMERA.matrix, patent.vanishing_point(p, q, o))
-           for p, q in ((a, b), (c, d))]
-    x, y = (v / np.linalg.norm(v) for v in raw)
-    assert abs(x @ y) > 1e-3
-    np.testing.assert_allclose(patent.target_rotation(views[0].points, CAMERA.matrix),
-                               se3.nearest_rotation(np.column_stack([x, y, np.cross(x, y)])),
-                               atol=1e-9)
-
-
 def test_views_without_the_centre_are_refused() -> None:
     _, _, (view, *_), _ = session(1)
     ray = np.linalg.solve(CAMERA.matrix, np.append(view.points[4], 1.0))

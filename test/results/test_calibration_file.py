@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from rich.console import Console
 import yaml
 
 
@@ -86,9 +85,7 @@ def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
 
 
 @pytest.mark.parametrize('keys', [
-    'format', 'name', 'child_frame', 'transform', 'transform.rotation', 'transform.rotation.w',
-    'covariance', 'target', 'quality.samples_used', 'quality.holdout_rms', 'samples',
-    'provenance'])
+    'format', 'transform.rotation.w', 'covariance', 'quality.samples_used', 'samples'])
 @pytest.mark.parametrize('damage', ['missing', 'of another type'])
 def test_damage_is_named(path, keys, damage):
     content = content_of(CALIBRATION, path)
@@ -105,11 +102,9 @@ def test_damage_is_named(path, keys, damage):
 
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
     ('calibration/1', 'calibration/2', 'newer than this version'),
-    ('calibration/1', 'calibration/x', 'expected handeye_ros/calibration/1'),
     ('handeye_ros/calibration/1', 'easy_handeye/1', 'expected handeye_ros/calibration/1'),
     ('x: 0.0123', 'x: .nan', 'transform.translation.x is nan'),
     ('x: 0.0123', f'x: 1{400 * "0"}', 'transform.translation.x is 1'),
-    ('covariance: [', f'covariance: [1{400 * "0"}, ', 'does not hold 36 numbers'),
     ('rpy: [', f'rpy: [1{400 * "0"}, ', 'does not hold 3 numbers'),
     ('w: 0', 'w: 2', 'a quaternion of length'),
     ('used: true', 'used: 1', r'samples\[0\].used is 1'),
@@ -145,37 +140,6 @@ def test_written_whole_or_not_at_all(tmp_path, path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ['calibration.yaml', 'folder']
 
 
-def printed(calibration):
-    console = Console(width=160, color_system=None)
-    with console.capture() as capture:
-        console.print(table.table(calibration))
-    return capture.get()
-
-
-def row(text, name):
-    return next(line.split() for line in text.splitlines() if line.split()[:1] == [name])
-
-
-def test_reasons_that_differ_in_their_figures_are_one_line():
-    wrong = tuple(SampleReport(k, False, reason=f'contradicts the others: {k}.5 times')
-                  for k in range(7))
-    text = printed(replace(CALIBRATION, samples=wrong))
-    assert '7 rejected: contradicts the others' in text and text.count('contradicts') == 1
-
-
-def test_the_report_has_millimetres_and_degrees(path):
-    text = printed(CALIBRATION)
-    std = np.sqrt(np.diag(CALIBRATION.covariance))
-    assert row(text, 'x') == ['x', '12.300', f'{std[0] * 1e3:.3f}', 'mm']
-    roll = math.degrees(se3.rpy(CALIBRATION.T_flange_sensor)[0])
-    assert row(text, 'roll')[1] == f'{roll:.4f}'
-    assert row(text, 'roll')[3] == 'degrees'
-    assert 'position along z of flange: 0.040 mm (1 sigma)' in text
-    assert '1 rejected: no edge in sight' in text
-    assert '40.000 mm, given' in text
-    assert '90.0002 degrees, 1 sigma 0.0057' in text
-
-
 def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
     T = CALIBRATION.T_flange_sensor
     draws = np.random.default_rng(6).multivariate_normal(
@@ -183,11 +147,6 @@ def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
     rpy = [se3.rpy(se3.perturb(T, np.concatenate([np.zeros(3), d]))) for d in draws]
     assert table.rpy_std(T, CALIBRATION.covariance[3:, 3:]) == pytest.approx(
         np.std(rpy, axis=0), rel=0.05)
-
-
-def test_roll_and_yaw_have_no_sigma_where_they_are_one():
-    upright = se3.transform(se3.exp_rotation(np.array([0.0, math.pi / 2, 0.0])), np.zeros(3))
-    assert 'undefined' in printed(replace(CALIBRATION, T_flange_sensor=upright))
 
 
 def test_errors_of_known_differences():

@@ -135,10 +135,6 @@ FRAMES = st.text(st.characters(blacklist_categories=('C', 'Z')), min_size=1, max
 UPRIGHT = 0.5 ** 0.5
 
 
-def test_the_formats_are_those_of_the_configuration() -> None:
-    assert tuple(exports.FORMATS) == config.SAVE_FORMATS == tuple(READERS)
-
-
 @pytest.mark.parametrize('name', READERS)
 @settings(max_examples=20)
 @given(place=st.tuples(FINITE, FINITE, FINITE), turn=QUATERNIONS, frames=st.tuples(FRAMES, FRAMES),

@@ -15,11 +15,9 @@ from handeye_ros.bags.bag import read
 from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.frames import in_mount
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import points, sources
-from handeye_ros.robot.outcome import one_configuration, solve
-from handeye_ros.robot.stops import Points, Profiles, State, Stops
+from handeye_ros.robot.outcome import solve
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -106,42 +104,6 @@ def test_twists_are_the_derivatives_of_the_pose(urdf):
                                    atol=2e-6)
 
 
-def point_stops(arm, q, in_hand, rng):
-    """Return stops at two points that fit nearly, and their state."""
-    X, ball = se3.perturb(np.eye(4), rng.normal(size=6)), rng.normal(size=3)
-    T = arm.forward(q) if in_hand else se3.inverse(arm.forward(q))
-    seen = se3.apply(se3.inverse(T @ X), ball[None])[:, 0]
-    return Stops(np.vstack([q, q]), (Points(seen, in_hand), Points(seen, in_hand)),
-                 rng.normal(size=(2 * len(q), 1))), State(X, (ball, ball), arm, np.zeros(3))
-
-
-def profile_stops(arm, q, in_hand, rng):
-    """Return stops at two spheres, and a state."""
-    scenario = replace(SCENARIOS['sphere' if in_hand else 'sphere_on_flange'], stations=(12, 0))
-    samples, _ = simulate_samples(scenario, rng)
-    config = Config(calibration_type=scenario.calibration_type,
-                    target=TargetConfig(type='sphere'))
-    method = target_for(config)
-    one = Profiles(Problem(method, in_mount(arm.forward(q), config), method.observe(samples),
-                           config))
-    targets = np.array([0.1, 0.2, 0.3, 0.02]), np.array([0.2, -0.1, 0.4, 0.02])
-    return Stops(np.vstack([q, q]), (one, one), rng.normal(size=(2 * len(q), 1))), State(
-        np.eye(4), targets, arm, np.zeros(3))
-
-
-@pytest.mark.parametrize('in_hand', [True, False])
-@pytest.mark.parametrize('measured', [point_stops, profile_stops])
-def test_residuals_have_their_derivatives(monkeypatch, measured, in_hand):
-    monkeypatch.setattr('handeye_ros.robot.stops.whitening', lambda *given: lambda values: values)
-    rng = np.random.default_rng(4)
-    arm = arm_of(simulated_arm.urdf()).freed(GEOMETRY)
-    stops, state = measured(arm, rng.uniform(-1, 1, (12, 6)), in_hand, rng)
-    J = stops.linearised(state)[1]
-    for k, step in enumerate(1e-6 * np.eye(J.shape[1])):
-        r = [stops.linearised(stops.moved(state, s * step))[0] for s in (1, -1)]
-        np.testing.assert_allclose(J[:, k], (r[0] - r[1]) / 2e-6, atol=1e-5)
-
-
 def solve_rows(rows, arm):
     return solve(points.start_of(rows, arm, 1e-3))
 
@@ -187,22 +149,6 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
     first, other = fit.state.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
-
-
-def test_a_fifth_of_wrong_rows_is_left_out():
-    cell = bench.draw(bench.Case(on_flange=False), 40, 6)
-    points = cell.data.points.copy()
-    points[::5] += np.random.default_rng(0).normal(size=(8, 3)) * 0.1
-    outcome = solve_rows(replace(cell.data, points=points), cell.arm.freed(()))
-    assert np.flatnonzero(~outcome.chosen.fit.used).tolist() == list(range(0, 40, 5))
-
-
-def test_another_elbow_and_wrist_at_once_is_another_configuration():
-    arm = arm_of(bench.urdf(bench.SIX))
-    q = np.array([[0.0, 0.1, 0.3, 0.0, 1.0, 0.0], [0.1, 0.2, 0.4, 0.2, 0.8, 0.3]])
-    flipped = [0.0, 0.9, -2.2, 0.0, -1.0, 0.0]
-    assert one_configuration(arm, q)
-    assert not one_configuration(arm, np.vstack([q, flipped]))
 
 
 @pytest.mark.parametrize(('change', 'words'), [
@@ -299,8 +245,6 @@ def test_two_recordings_give_one_answer(recorded):
 @pytest.mark.parametrize(('words', 'change'), [
     ('joint_5 seems to turn the other way', lambda r, c: (
         replace(r, joints=r.joints * [1, 1, 1, 1, -1, 1]), c)),
-    pytest.param('set calibration_type to eye_in_hand', lambda r, c: (
-        r, replace(c, calibration_type='eye_on_base')), marks=pytest.mark.thorough),
     ('11 of 30 samples have no joint values', lambda r, c: (
         replace(r, poses=r.poses[:len(r.poses) * 6 // 10],
                 joints=r.joints[:len(r.poses) * 6 // 10]), c)),

@@ -9,7 +9,6 @@ from handeye_ros.sampling.stream import interpolate
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
 from streams import pose, START
 
 
@@ -41,14 +40,6 @@ def test_poses_between_are_linear_and_on_the_great_circle(seed: int, at: float) 
     translation = (1 - share) * a.translation + share * b.translation
     expected = se3.from_quaternion(translation, slerp(a.quaternion, b.quaternion, share))
     assert np.allclose(interpolate(poses, [stamp])[0], expected, atol=1e-6)
-
-
-@pytest.mark.parametrize('beyond', [-1, 1])
-def test_nothing_is_extrapolated(beyond: int) -> None:
-    poses = random_walk(1)
-    stamp = poses[0].stamp - 1 if beyond < 0 else poses[-1].stamp + 1
-    with pytest.raises(ValueError, match='outside'):
-        interpolate(poses, [poses[1].stamp, stamp])
 
 
 def test_stamps_of_this_century_keep_their_nanoseconds() -> None:

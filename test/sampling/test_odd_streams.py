@@ -29,12 +29,6 @@ def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
     assert kinds == [('dropped a pose', '4 times)'), ('dropped a profile', '1 times)')]
 
 
-def test_a_clock_that_is_set_goes_on() -> None:
-    late = [*stops((100, 101)), *profiles(100, 101)]
-    session = played([*stops((0, 1)), *late], [*profiles(0, 1)])
-    assert len(session.samples) == 2 and not session.warnings
-
-
 @pytest.mark.parametrize('config', [CONFIG, MANUAL])
 def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     session = played(stops((100, 101), (102, 103)), profiles(100, 103), config, finish=False)
@@ -84,18 +78,6 @@ def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:
     assert 2.0 <= seconds < 3.0 and isinstance(result_of(stop, CONFIG), Reject)
 
 
-@pytest.mark.parametrize(('frame', 'beside', 'name', 'words'), [
-    ('laser', 0.0005, 'laser', None), ('', 0.0, 'sensor', 'have no frame_id'),
-    ('laser', -0.012, 'laser', 'up to 12.0 mm beside the plane of x and z')])
-def test_what_is_odd_about_the_frame_of_the_profiles_is_reported(
-        frame: str, beside: float, name: str, words: str | None) -> None:
-    odd = [replace(p, frame_id=frame, beside=beside) for p in profiles(0, 1)]
-    session = played(stops((0, 1)), odd)
-    assert len(session.samples) == 1 and session.frame_id == name
-    assert len(session.warnings) == (words is not None)
-    assert words is None or words in session.warnings[0]
-
-
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> None:
     session = played(stops((0, 1)), profiles(0, 1), finish=False)
@@ -113,12 +95,6 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
         session.finish()
 
 
-def test_a_stray_that_comes_first_is_the_stray() -> None:
-    session = played(stops((0, 1)), [profile(-0.1, BAD, 'other'), *profiles(0, 3)])
-    assert session.frame_id == 'laser' and not session.conflict
-    assert session.warnings == ('dropped a profile of frame "other" (1 times)',)
-
-
 def test_no_poses_no_stops_and_millimetres_are_distinguished() -> None:
     with pytest.raises(DataError, match='no flange pose'):
         played([], profiles(0, 3)).require_stations()
@@ -134,14 +110,6 @@ def test_no_poses_no_stops_and_millimetres_are_distinguished() -> None:
     wide = with_values(CONFIG, {'sampling.max_pose_gap': 2.0}, 'test')
     assert len(played(sparse, profiles(0, 60), wide).samples) == 6
     played(stops((0, 1)), []).require_stations()
-
-
-def test_values_that_are_not_finite_end_in_no_sample() -> None:
-    poses = stops((0, 1))
-    poses[20] = replace(poses[20], translation=np.array([np.nan, 0.2, 0.3]))
-    session = played(poses, profiles(0, 1))
-    for sample in session.samples:
-        assert np.isfinite(sample.T_base_flange).all()
 
 
 def test_silent_poses_are_reported() -> None:

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from handeye_ros.data import Profile, Reject, Sample, TimedPose
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import LONGEST, NS
+from handeye_ros.sampling.stops import NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
-from streams import add, BAD, CONFIG, key, played, profiles, results, START, stops
+from streams import add, BAD, CONFIG, key, played, profiles, results, stops
 
 STREAM_POSES = stops((0, 1), (2, 2.8), (3.5, 4.5), rate=25.0)
 STREAM_PROFILES = [*profiles(0.02, 2.9, rate=8.0), *profiles(3.4, 4.5, rate=8.0, points=BAD)]
@@ -36,41 +36,9 @@ def test_the_order_of_arrival_changes_nothing(pose_next: list[bool], collecting:
         *(o for o in outcomes if isinstance(o, Reject))])
 
 
-@pytest.mark.parametrize('first', ['poses', 'profiles'])
-def test_one_whole_stream_may_come_before_the_other(first: str) -> None:
-    session = Session(CONFIG)
-    order = [STREAM_POSES, STREAM_PROFILES]
-    for stream in order if first == 'poses' else order[::-1]:
-        for item in stream:
-            add(session, item)
-    assert key(session.finish()) == IN_ORDER
-
-
-def test_a_station_is_reported_once_and_as_soon_as_both_streams_have_passed_it() -> None:
-    session, result = Session(CONFIG), []
-    for item in sorted([*STREAM_POSES, *STREAM_PROFILES], key=lambda item: item.stamp):
-        add(session, item)
-        result += [(o, item.stamp) for o in session.collect()]
-    result += [(o, 0) for o in session.finish()]
-    assert key([o for o, _ in result]) == IN_ORDER
-    assert START + NS < result[0][1] < START + round(1.3 * NS)
-    assert session.collect() == [] == session.finish()
-
-
-def test_profiles_of_the_past_are_forgotten() -> None:
-    session = Session(CONFIG)
-    most = 0
-    for item in sorted([*stops((0, 60), rate=10.0), *profiles(0, 60)],
-                       key=lambda item: item.stamp):
-        add(session, item)
-        session.collect()
-        most = max(most, len(session._profiles.items))
-    assert most < 1.2 * 20 * LONGEST / NS
-
-
-@pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 30.0, 1e9])
+@pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
-@pytest.mark.parametrize('place', [0, 7, 8])
+@pytest.mark.parametrize('place', [0, 7])
 def test_one_wild_stamp_changes_nothing_but_that_message(
         jump: float, kind: str, place: int) -> None:
     streams: dict[str, list[TimedPose | Profile]] = {

@@ -5,41 +5,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros.data import Profile
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.sampling.session import Outcome, Session
-from handeye_ros.sampling.stops import LONGEST, NS
 import numpy as np
 import pytest
-from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops, taken
+from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, stops, taken
 
 
 def removed_last(session: Session) -> Outcome:
     last = session.outcomes[-1]
     session.remove(last)
     return last
-
-
-def test_a_sensor_that_is_triggered_once_at_each_stop() -> None:
-    session = Session(MANUAL)
-    for stop in (0, 20, 40):
-        for t in np.arange(stop, stop + 1, 0.02):
-            add(session, pose(t, x=0.01 * stop))
-        add(session, profile(stop + 0.5))
-        sample = taken(session)
-        assert (sample.profiles, sample.stamp) == (1, START + round((stop + 0.5) * NS))
-    assert len(session.samples) == 3 and not session.warnings
-
-
-def test_however_often_one_spot_is_taken_it_is_one_sample() -> None:
-    session = Session(MANUAL)
-    length = 1.5 * LONGEST / NS
-    for item in sorted([*stops((0, length)), *profiles(0, length, rate=2.0)],
-                       key=lambda item: item.stamp):
-        add(session, item)
-        if isinstance(item, Profile) and item.stamp > START + NS:
-            taken(session)
-        assert len(session.samples) <= 1
 
 
 def test_a_sample_is_kept_when_taking_it_again_fails() -> None:
@@ -108,19 +84,3 @@ def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:
     for item in again:
         add(session, item)
     assert len(session.finish()) == 1 and session.frame_id == 'x'
-
-
-def test_automatic_samples_can_be_switched_on_and_off() -> None:
-    session = Session(MANUAL)
-    for item in sorted([*stops((0, 1), (2, 3)), *profiles(0, 3)], key=lambda item: item.stamp):
-        if item.stamp > START + round(1.5 * NS):
-            session.configure(CONFIG)
-        add(session, item)
-    session.finish()
-    assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.1]
-
-
-def test_a_moving_robot_is_reported_its_speed() -> None:
-    creeping = [pose(t, x=4e-3 * t) for t in np.arange(0, 2, 0.02)]
-    with pytest.raises(DataError, match=r'it moves by 4\.0 mm/s and 0\.0 degrees/s'):
-        taken(played(creeping, profiles(0, 2), MANUAL, finish=False))

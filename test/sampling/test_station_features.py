@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cells import config as settings_of
 from cells import recorded
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
@@ -13,7 +12,6 @@ from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.sampling.features import combine
 from handeye_ros.sampling.session import Session
-from handeye_ros.simulate import SCENARIOS
 import numpy as np
 from profiles import (
     COLUMNS,
@@ -21,37 +19,11 @@ from profiles import (
     face,
     gap_up_to,
     many,
-    marked,
     NOISE,
-    PITCH,
     step_up_to,
     with_lost,
 )
 import pytest
-
-
-def test_more_profiles_make_the_face_line_better() -> None:
-    line, edge = combine(many(step_up_to(0.002), 16))
-    single, _ = many(step_up_to(0.002), 1)[0]
-    assert line.std == pytest.approx(single.std / 4, rel=0.5)
-    assert abs(edge.point[0] - 0.002) < 4 * edge.std
-    errors = [combine(many(step_up_to(0.002), 8, s))[0] for s in range(20)]
-    offsets = [(f.centre[1] - face(f.centre[0])) * np.cos(0.1) / f.std for f in errors]
-    assert np.std(offsets) == pytest.approx(1, abs=0.4)
-
-
-def test_the_rounding_to_a_column_does_not_average_out() -> None:
-    edge = combine(many(step_up_to(0.002), 30))[1]
-    assert isinstance(edge, EdgePoint) and edge.std > 0.9 * PITCH / 12 ** 0.5
-
-
-def test_what_scatters_between_profiles_is_less_certain() -> None:
-    rng = np.random.default_rng(1)
-    calm = combine(many(step_up_to(0.002)))
-    moved = [face_features(marked(step_up_to(0.002)) + [s, 0.05 * s], Config())
-             for s in rng.normal(0, 4e-4, 15)]
-    shaken = combine(moved)
-    assert shaken[1].std > 3 * calm[1].std and shaken[0].std > 2 * calm[0].std
 
 
 @pytest.mark.parametrize('wrong', [
@@ -77,7 +49,7 @@ def test_an_edge_that_few_profiles_show_is_left_out() -> None:
     assert len([f for f in features if isinstance(f, EdgePoint)]) == 2
 
 
-@pytest.mark.parametrize('apart', [0.0007, 0.0019, 0.004])
+@pytest.mark.parametrize('apart', [0.0007, 0.004])
 def test_a_station_that_was_bumped_is_refused_with_a_reason(apart: float) -> None:
     for count in (6, 7):
         halves = [*many(step_up_to(0.002), 7),
@@ -110,8 +82,9 @@ def test_frozen_speckle_of_a_face_does_not_average_out(count: int) -> None:
 # -- against the truth of a simulated recording
 
 
-@pytest.mark.parametrize('name', ['plate', 'plate_in_air', 'plate_clutter', 'plate_resampled',
-                                  'plate_reflections', 'plate_omit', 'plate_x_reversed'])
+@pytest.mark.parametrize('name', [
+    'plate', 'plate_reflections', *(pytest.param(name, marks=pytest.mark.thorough) for name in (
+        'plate_in_air', 'plate_clutter', 'plate_resampled', 'plate_omit', 'plate_x_reversed'))])
 def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None:
     along, across = [], []
     for seed in range(2):
@@ -137,16 +110,3 @@ def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None
     some = z[:, (z < 6).all(axis=0)]
     assert some.shape[1] >= len(along) - 2
     assert ((some ** 2).mean(axis=1) ** 0.5 < 1.7).all() and ((some ** 2).mean(axis=1) > 0.3).all()
-
-
-def test_the_settings_of_every_plate_scenario_fit_its_profiles() -> None:
-    for name in ('plate_z_up', 'plate_y_along_line', 'plate_inf'):
-        recording = recorded(name, 0, rate=3.0, columns=640)
-        config = settings_of(SCENARIOS[name])
-        found_in = 0
-        for profile in recording.profiles:
-            try:
-                found_in += bool(face_features(profile.points, config))
-            except FeatureError:
-                continue
-        assert found_in > 0.4 * len(recording.profiles)

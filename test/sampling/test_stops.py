@@ -9,7 +9,7 @@ from functools import partial
 from handeye_ros.config import Config, ProfileConfig, with_values
 from handeye_ros.data import EdgePoint, Profile, RawProfile
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.stops import LONGEST, MOST_PROFILES, NS, ProfileBuffer
+from handeye_ros.sampling.stops import MOST_PROFILES, NS, ProfileBuffer
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -62,20 +62,6 @@ def test_a_gap_in_the_poses_ends_a_stop() -> None:
     assert len(session.samples) == 2
     wide = with_values(CONFIG, {'sampling.max_pose_gap': 1.0}, 'test')
     assert len(played(poses, profiles(0, 3), wide).samples) == 1
-
-
-def test_profiles_beyond_the_poses_are_never_used() -> None:
-    config = with_values(CONFIG, {'sampling.settle_time': 0.0}, 'test')
-    session = played(stops((1, 2)), profiles(0, 3), config)
-    sample, = session.samples
-    assert START + NS <= sample.stamp and sample.profiles == 20
-
-
-def test_a_long_stop_uses_its_first_seconds() -> None:
-    length = LONGEST / NS
-    session = played(stops((0, length + 5)), profiles(0, length + 5, rate=5.0))
-    sample, = session.samples
-    assert sample.profiles <= 5 * length + 1 and sample.stamp < START + NS
 
 
 def test_a_fast_sensor_is_thinned_out_evenly() -> None:
@@ -140,13 +126,6 @@ def never(data: bytes, config: ProfileConfig) -> Profile:
 
 def raw(stamp: int, size: int) -> RawProfile:
     return RawProfile(stamp, 'laser', partial(bytes, size), never, ProfileConfig(), size)
-
-
-def test_what_lies_in_a_file_takes_no_memory() -> None:
-    kept = ProfileBuffer(1000)
-    kept.add(raw(stamp, 0) for stamp in range(5000))
-    kept.add([Profile(5000, 'laser', np.zeros((9, 2)))])
-    assert len(kept.items) == 5001 and not kept.warning
 
 
 @given(st.lists(st.tuples(st.integers(0, 400), st.integers(0, 30), st.integers(0, 30)),

@@ -12,7 +12,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.results.calibration_file import config_of, write_calibration
+from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.cloud import cloud_writer, read_cloud
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions
@@ -199,13 +199,6 @@ def test_a_cloud_that_breaks_off_is_not_there(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_settings_come_with_the_calibration():
-    config = config_of(calibration(**{'profile_topic': 'laser/points', 'noise.sensor': 1e-5,
-                                      'of_tomorrow': 3, 'profile.unit': 'furlong'}))
-    assert (config.profile_topic, config.noise.sensor, config.profile.unit) == (
-        'laser/points', 1e-5, 'm')
-
-
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
     bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100), layout='scancontrol')
@@ -231,18 +224,6 @@ def test_the_verb_refuses_in_words(tmp_path):
                       cwd=tmp_path)
         assert_refused(run, code, sentence)
     assert not (tmp_path / 'c.ply').exists()
-
-
-def test_a_bag_that_was_cut_off_gives_what_can_be_read(tmp_path):
-    write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    bag_write.write(tmp_path / 'bag', plane_profiles(300, 400), moving(300))
-    file = next((tmp_path / 'bag').glob('*.mcap'))
-    file.write_bytes(file.read_bytes()[:file.stat().st_size // 2])
-    run = handeye('scan', file, '--calibration', 'calibration.yaml', '--out', 'c.pcd',
-                  cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    assert 'cut off or damaged' in run.stderr
-    assert len(read_cloud(tmp_path / 'c.pcd'))
 
 
 def test_sparse_poses_of_a_curved_way_are_interpolated_smoothly():

@@ -14,8 +14,6 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import cloud_writer
 from handeye_ros.scanning.curves import cubic, spline, through
 from handeye_ros.scanning.seam import find_seam, measures, sentences, tool_frames
-from handeye_ros.scanning.seam_edges import spacing_of
-from handeye_ros.scanning.seam_sheets import sheets_of
 from handeye_ros.simulate.measuring import Preform, preform_cloud
 import joints
 import numpy as np
@@ -88,47 +86,6 @@ def test_joints_as_a_sensor_sees_them(name):
     assert off_approach(truth, frames.T_base_tool) < 1.0
     assert seam.curve.length == pytest.approx(0.04, abs=1e-3)
     assert seam.residual < 10 * seam.noise
-
-
-def test_a_narrow_root_gap_of_a_v_is_none_that_the_bevels_close():
-    truth = joints.scanned(joints.vee(8, 0.6, 45.0, length=40.0), np.random.default_rng(1))
-    seam = find_seam(truth.points)
-    assert seam.kind == 'v'
-    assert off_line(truth, tool_frames(seam, 5e-3).T_base_tool[:, :3, 3]).max() < 1e-4
-
-
-def plate_of(rng):
-    points = np.stack(np.meshgrid(np.arange(0, 20e-3, 1e-4), np.arange(0, 20e-3, 4e-4), [0.0],
-                                  indexing='ij'), axis=-1).reshape(-1, 3)
-    return points + rng.normal(size=points.shape) * [0, 0, 3e-5]
-
-
-def test_single_profiles_are_no_sheets_and_a_displaced_one_divides_none():
-    rng, up = np.random.default_rng(0), np.array([0.0, 0.0, 1.0])
-    plate = plate_of(rng)
-    rows = np.stack(np.meshgrid([4e-3, 5.2e-3, 6.4e-3], [-1e-3], -np.arange(0, 20e-3, 1e-4),
-                                indexing='ij'), axis=-1).reshape(-1, 3)
-    rows[:, 1] += 3e-5 * rng.normal(size=len(rows))  # the errors of a row are in one plane
-    points = np.concatenate([plate, rows])  # a face seen at a low angle
-    label = sheets_of(points, cKDTree(points), spacing_of(points), up).label
-    assert (label[len(plate):] >= 0).mean() < 0.1 and (label[:len(plate)] >= 0).all()
-    plate[np.isclose(plate[:, 1], 10e-3), 2] += 1.2e-4
-    label = sheets_of(plate, cKDTree(plate), spacing_of(plate), up).label
-    assert (label == label[0]).mean() > 0.99
-
-
-@pytest.mark.thorough
-def test_columns_at_the_same_places_in_all_profiles_limit_what_is_known_of_an_edge():
-    errors, stds = [], []
-    for width in (60.0, 60.6, 61.3, 62.0):
-        truth = joint_of('butt 3, backing 5', width=width)
-        seam = find_seam(truth.points, line='first')
-        errors.append(np.median(off_line(truth, seam.first)) - 1.5e-3)
-        stds.append(np.median(seam.std[:, 0]))
-    assert np.sqrt(np.mean(np.square(errors))) < 2 * np.mean(stds)
-    assert 0.7 < np.mean(stds) / (62e-3 / 640 / np.sqrt(12)) < 1.5
-    flank = find_seam(joint_of('corner of 90 degrees').points)
-    assert np.median(flank.std[:, 0]) < 0.3 * np.mean(stds)  # a root needs no end of a sheet
 
 
 def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():

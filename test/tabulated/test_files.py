@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 import hashlib
 from pathlib import Path
 
@@ -14,10 +13,9 @@ from handeye_ros import orientations, se3, tabulated
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli import simulated
 from handeye_ros.config import Config, load, with_values
-from handeye_ros.errors import BadValueError, InputError
+from handeye_ros.errors import InputError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published.compare import compare_files
-from handeye_ros.published.estimators import ESTIMATORS
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, measured
@@ -25,7 +23,6 @@ from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table
 from handeye_ros.tabulated import FILE_METHODS
 from handeye_ros.tabulated.method import calibrate, FileMethod, Input
-from handeye_ros.targets import FROM_FILES, target_for, TARGETS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -119,19 +116,6 @@ def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path],
     back = calibration_file.read_calibration(Path('calibration.yaml'))
     back.provenance.pop('created')
     assert equal(again, back)
-
-
-def test_compare_shows_every_estimator(scene: tuple[str, Path], handeye: Run,
-                                       monkeypatch: pytest.MonkeyPatch) -> None:
-    name, folder = scene
-    quickly = partial(compare_files, folds=2)
-    monkeypatch.setattr('handeye_ros.published.compare.compare_files', quickly)
-    code, out, err = handeye('compare', *given(name, folder))
-    assert (code, err) == (0, '')
-    for estimator in ESTIMATORS[target_of(name)]:
-        transform, figures = (row for row in out.splitlines()
-                              if row.startswith(f' {estimator.name} '))
-        assert 'failed' not in transform and ' - ' not in figures
 
 
 @pytest.mark.parametrize('name', EXACT)
@@ -343,19 +327,6 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
             'tracker.csv: no such file', 'set tracker.file')
 
 
-@pytest.mark.parametrize('name', FILE_METHODS)
-def test_every_target_has_all_that_belongs_to_it(name: str) -> None:
-    assert FROM_FILES == tuple(FILE_METHODS) and not TARGETS.keys() & FILE_METHODS.keys()
-    config = load(ROOT / 'config' / f'{name}.yaml')
-    assert tabulated.of(config) is FILE_METHODS[name] and tabulated.of(Config()) is None
-    assert name in FILE_SCENES
-    assert ESTIMATORS[name][0].name == name
-    with pytest.raises(InputError, match=f'{name} is solved from files, .*: run "handeye solve'):
-        target_for(config)
-    with pytest.raises(BadValueError):
-        target_for(with_values(Config(), {'method': name}, 'test'))
-
-
 HEADER = 'camera_x [mm], camera_y [mm], camera_z [mm], base_x [m], base_y [m], base_z [m]'
 
 
@@ -369,12 +340,3 @@ def test_tables_that_cannot_be_read(tmp_path: Path, name: str, text: str, messag
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match='(?s).*' + message.replace('.', r'\.')):
         FILE_METHODS['points'].read(tmp_path / name, Config())
-
-
-def test_tables_name_their_units(tmp_path: Path) -> None:
-    values = np.random.default_rng(2).uniform(-1, 1, (5, 6))
-    rows = '\n'.join(','.join(map(repr, row))
-                     for row in (values * ([1e3] * 3 + [1] * 3)).tolist())
-    (tmp_path / 'points.csv').write_text(f'{HEADER}\n{rows}\n')
-    pairs = FILE_METHODS['points'].read(tmp_path / 'points.csv', Config()).values
-    np.testing.assert_allclose(np.hstack([pairs.in_camera, pairs.in_base]), values, atol=1e-12)

@@ -11,12 +11,9 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Arc, FaceLine
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.frames import sensor_axes
 from handeye_ros.results.verification_file import protocol
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.verification import tooth_gauge
-from handeye_ros.verification.fit import stacked
 from handeye_ros.verification.routines import ROUTINES, settings_for
 from handeye_ros.verification.verify import values, verify, yaml_text
 import numpy as np
@@ -136,20 +133,6 @@ def test_the_three_directions_of_a_step_block_give_one_result():
     assert result('step', replace(made, lengths=(0.025, 0.05, 0.1005)), found).verdict == 'fail'
 
 
-def test_a_point_without_a_reference_has_no_error_but_a_scatter():
-    made, found = measured('point')
-    unknown = result('point', replace(made, reference=()), found)
-    assert unknown.verdict == 'pass' and unknown.quantities[0].error is None
-    for name, words, count, low, high in (
-            ('point', '3 sigma', 3, 1.5e-4, 6e-4), ('square', 'flatness', 2, 2e-5, 3e-4)):
-        made, found = measured(name)
-        spread = [q.value for q in result(name, made, found).quantities if words in q.name]
-        assert len(spread) == count and all(low < value < high for value in spread), spread
-        if name == 'point':
-            expected = 3 * np.hypot(bench.AIM, bench.ROBOT.repeatability[0])
-            assert np.mean(spread) == pytest.approx(expected, rel=0.4)
-
-
 def test_a_protocol_says_what_an_inspector_asks_for():
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
@@ -163,10 +146,8 @@ def test_a_protocol_says_what_an_inspector_asks_for():
         report, replace(report, verdict='insensitive')))
     diameters = [f'{2e3 * (q["value"] - 0.02):.4f} mm' for q in read['quantities']
                  if q['characteristic'] == 'PS']
-    for words in ('A. &lt;Nother&gt;', 'KB-17', 'ISO 14253-1', '0.0020 mm', 'PF', 'PS', 'SD',
-                  '2026-11-24T13:00', '/cell/calibration.yaml', 'ab12', *diameters):
+    for words in ('A. &lt;Nother&gt;', 'KB-17', '0.0020 mm', 'ab12', *diameters):
         assert words in page
-    assert 'class="good"' in page and 'class="open"' in other and 'class="bad"' not in other
     number = re.compile(r'Protocol <b>(\w+)</b>')
     assert number.search(page)[1] == number.search(protocol(read))[1] != number.search(other)[1]
 
@@ -213,19 +194,6 @@ def test_stops_that_contradict_the_others_are_left_out_and_named_unless_they_are
         result('line', half, found)
 
 
-@pytest.mark.parametrize(('std', 'used'), [(6e-4, True), (1e-5, False)])
-def test_a_point_is_judged_by_its_own_uncertainty(std, used):
-    made, found = measured('line')
-
-    def moved(sample):
-        face, edge = sample.features[:2]
-        return face, replace(edge, point=edge.point + 1.2e-3 * edge.direction, std=std)
-
-    judged = result('line', with_features(made, moved, 3), found)
-    assert judged.per_station[3].used == used
-    assert not used or judged.verdict == 'pass'
-
-
 def test_what_cannot_be_verified_is_refused():
     made, found = measured('sphere')
     flat = with_features(made, lambda s: [FaceLine(
@@ -269,22 +237,3 @@ def test_of_points_without_noise_none_is_an_outlier():
     report = teeth(made, bench.calibration(made.T_flange_sensor, np.diag(bench.STD ** 2)))
     assert report.verdict == 'pass' and max(abs(q.error) for q in report.quantities) < 1e-6
     assert report.scatter.points > 0.5 * len(made.passes) * 960
-
-
-def test_the_noise_of_a_tilted_pass_goes_by_the_angle_of_each_face_to_the_ray():
-    made, found = measured('tooth')
-    config = of_lengths(*made.lengths)
-    seen = stacked(bench.scanned(made, config))
-    used = tooth_gauge.teeth(seen, found.T_flange_sensor @ sensor_axes(config), config.verify
-                             ).stations
-    near, far = sorted(np.median(used.observations.noise[(used.row_bags == 3) & (
-        used.observations.kind == face), 1, 0]) for face in (
-            tooth_gauge.RISING, tooth_gauge.FALLING))
-    steep = bench.PLAIN.noise * (1 + 4 * (np.deg2rad(60) / bench.PLAIN.max_incidence) ** 8)
-    assert near < 1.05 * bench.PLAIN.noise and 0.95 * steep < far < 1.2 * steep
-
-
-def test_a_height_of_which_no_top_is_seen_is_left_open():
-    right, wrong = bench.trial('tooth', 0)  # whose tops lie too far off to be taken for tops
-    assert right.quantities[1].std < 3e-6
-    assert wrong.verdict == 'fail' and wrong.quantities[1].std == np.inf
