@@ -10,6 +10,7 @@ import re
 import runpy
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 
 import handeye_ros
 from handeye_ros import config as configs
@@ -49,6 +50,15 @@ def test_the_executables() -> None:
     setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
     listed = {name.rsplit(' ', 1)[1] for name in names(section('Executables'))}
     assert listed == set(re.findall(r"'(\w+) = handeye_ros\.", setup))
+
+
+def test_the_ros_packages_that_are_imported() -> None:
+    listed = {item.text for item in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')}
+    code = '\n'.join(file.read_text(encoding='utf-8') for folder in ('handeye_ros', 'launch')
+                     for file in (ROOT / folder).rglob('*.py'))
+    imported = set(re.findall(r'^ *(?:from|import) (\w+)', code, re.MULTILINE))
+    assert {name for name in imported if name in ('rclpy', 'launch', 'launch_ros')
+            or name.endswith(('_msgs', '_srvs', '_interfaces'))} <= listed
 
 
 def test_the_launch_files() -> None:

@@ -12,7 +12,7 @@ import re
 import threading
 
 from cells import recorded
-from command import PATIENCE
+from command import PATIENCE, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
@@ -42,6 +42,15 @@ def items_of(part) -> list:
     return [*part[0], *part[1]]
 
 
+def documented(topic: str, key: str = '') -> set[str]:
+    """Return the keys of a topic by docs/cell.md, or the names told of one of its keys."""
+    page = (ROOT / 'docs' / 'cell.md').read_text(encoding='utf-8')
+    table = page.split(f'| `~/{topic}` | |\n|---|---|\n', 1)[1].split('\n\n', 1)[0]
+    rows = [[re.findall('`([^`]+)`', cell) for cell in row.split('|')[1:3]]
+            for row in table.splitlines()]
+    return {name for keys, told in rows for name in (told if key in keys else () if key else keys)}
+
+
 # -- samples and answer
 
 
@@ -60,6 +69,9 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
     assert state['calibration']['state'] == 'current' and state['calibration']['text'] == text
     samples, status = (json.loads(json.dumps(message(state)))
                        for message in (samples_message, status_message))
+    assert samples.keys() == documented('samples') and status.keys() == documented('status')
+    assert all(sample.keys() == documented('samples', 'samples') for sample in samples['samples'])
+    assert samples['attempt'].keys() <= documented('samples', 'attempt')
     assert samples['format'] == 'handeye_ros/samples/1' and len(samples['worst_first']) > 5
     assert status['state'] == 'current' and len(status['std']) == 6
 
