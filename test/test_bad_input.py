@@ -103,9 +103,9 @@ def test_settings_that_do_not_fit(good, solve, assignment, words):
 
 def test_places_that_cannot_be_written(good, tmp_path, solve):
     (tmp_path / 'file').write_text('')
-    for place in (tmp_path / 'file' / 'out', '/proc/handeye'):
-        run = handeye('solve', good, '--config', PLATE, '--out', place, cwd=tmp_path)
-        assert_refused(run, 2, 'cannot write', 'choose another place')
+    place = tmp_path / 'file' / 'out'
+    run = handeye('solve', good, '--config', PLATE, '--out', place, cwd=tmp_path)
+    assert_refused(run, 2, 'cannot write', 'choose another place')
     assert_refused(handeye('simulate', 'plate', '/proc/bag', cwd=tmp_path), 2, 'cannot write')
     assert [path.name for path in tmp_path.iterdir()] == ['file']
 

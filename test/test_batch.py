@@ -149,7 +149,8 @@ def test_an_interrupt_says_how_far_it_came_and_a_second_run_goes_on(tmp_path):
 @pytest.mark.parametrize(('words', 'sentence'), [
     (('--out', 'a.mcap'), 'cannot write'),
     (('--out', 'out', '--set', 'foo=1'), 'unknown key "foo"'),
-    (('--out', 'out', '--scheduler', 'tcp://127.0.0.1:9'), 'no Dask scheduler answers')])
+    pytest.param(('--out', 'out', '--scheduler', 'tcp://127.0.0.1:9'),
+                 'no Dask scheduler answers', marks=pytest.mark.thorough)])
 def test_a_fault_of_all_jobs_is_said_at_once(words, sentence, tmp_path):
     (tmp_path / 'a.mcap').write_text('x')
     assert_refused(handeye('batch', 'a.mcap', *words, cwd=tmp_path), 2, sentence)

@@ -89,14 +89,6 @@ def test_what_is_no_code_is_installed(workspace: Path) -> None:
         assert {file.name: file.read_bytes() for file in place.iterdir()} == expected
 
 
-def test_the_executables_run_in_this_environment(workspace: Path) -> None:
-    folder = executable(workspace, '')
-    assert {file.name for file in folder.iterdir()} == EXECUTABLES
-    for name in EXECUTABLES:
-        first = (folder / name).read_text(encoding='utf-8').splitlines()[0]
-        assert first == f'#!{sys.executable}'
-
-
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     return tmp_path / 'log'

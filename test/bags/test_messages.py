@@ -279,15 +279,6 @@ def test_points_come_in_any_order(order: np.ndarray, z: np.ndarray) -> None:
                                rtol=1e-6)
 
 
-def test_what_stays_as_the_sensor_has_it() -> None:
-    lost = np.isnan(LOST[SHUFFLED])
-    got = points(layered(np.where(lost, np.nan, LINE[SHUFFLED]), LOST[SHUFFLED]))
-    np.testing.assert_allclose(got, expected(LINE, LOST)[~np.isnan(LOST)], rtol=1e-6)
-    x = LINE.copy()
-    x[110:] -= 0.004  # rays that fan out hit what is behind the step further inside
-    np.testing.assert_allclose(points(layered(x, EDGE)), expected(x, EDGE), rtol=1e-6)
-
-
 def test_several_profiles_in_one_organised_cloud_are_one() -> None:
     z = EDGE + np.random.default_rng(3).normal(0, 3e-5, (5, 200))
     z[:, 20:30] = np.nan

@@ -86,17 +86,6 @@ def test_a_split_bag_and_one_with_a_file_missing(good_bag, tmp_path, listed):
     assert (missing in recording.warnings) == listed
 
 
-def test_names_of_types_and_files(good_bag, tmp_path):
-    short = {'/profile': 'sensor_msgs/PointCloud2', '/flange_pose': 'geometry_msgs/PoseStamped'}
-    slashes = Config(profile_topic='/profile', pose_topic='/flange_pose')
-    assert_equal_recordings(bag.read(rewrite(good_bag, tmp_path / 's.mcap', types=short), slashes))
-    # a packed file beside the unpacked one is the same
-    copy = rosbags_copy(good_bag, tmp_path / 'copy', StoragePlugin.MCAP, CompressionMode.FILE)
-    (copy / 'metadata.yaml').unlink()
-    (copy / 'copy.mcap').write_bytes((good_bag / 'good.mcap').read_bytes())
-    assert_equal_recordings(bag.read(copy, CONFIG))
-
-
 @pytest.mark.parametrize('name', NAMES)
 def test_the_bags_beside_the_code_hold_what_they_were_made_from(name):
     truth = yaml.safe_load((BAGS / name / 'truth.yaml').read_text(encoding='utf-8'))

@@ -166,7 +166,7 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     live.remove_last_sample()
     other = again(live)
     assert [s['number'] for s in state_of(other)['samples']] == [1, 2, 3, 4]
-    feed(other)
+    feed(other, stops=9)
     state = state_of(other)
     assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
     other.compute_calibration()

@@ -242,19 +242,12 @@ def test_two_recordings_give_one_answer(recorded):
     assert away @ np.linalg.solve(both.calibration.covariance, away) < 6
 
 
-@pytest.mark.parametrize(('words', 'change'), [
-    ('joint_5 seems to turn the other way', lambda r, c: (
-        replace(r, joints=r.joints * [1, 1, 1, 1, -1, 1]), c)),
-    ('11 of 30 samples have no joint values', lambda r, c: (
-        replace(r, poses=r.poses[:len(r.poses) * 6 // 10],
-                joints=r.joints[:len(r.poses) * 6 // 10]), c)),
-])
-def test_joint_values_that_contradict_profiles_are_named(recorded, words, change):
+def test_stops_without_joint_values_are_counted(recorded):
     arm, session, recording, config = recorded
-    recording, config = change(recording, config)
-    with pytest.raises(HandeyeError, match=words):
-        source = sources.source_of(session, recording, arm, config)
-        sources.solve_sources([every_other(source, 0)], arm)
+    most = len(recording.poses) * 6 // 10
+    recording = replace(recording, poses=recording.poses[:most], joints=recording.joints[:most])
+    with pytest.raises(HandeyeError, match='11 of 30 samples have no joint values'):
+        sources.source_of(session, recording, arm, config)
 
 
 def test_a_urdf_of_another_robot_is_refused(recorded):

@@ -150,6 +150,7 @@ def test_a_rotation_that_is_reported_late_and_an_exposure_are_part_of_the_model(
     assert abs(lag - 0.01) < 4 * std < 1e-3
 
 
+@pytest.mark.thorough
 def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
     scenario = sweep('sphere', 0.02, stamp_jitter=1e-3)
     made = simulate(scenario, np.random.default_rng(4))

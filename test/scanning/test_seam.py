@@ -26,8 +26,7 @@ import yaml
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
-QUICK = ('butt 3 on a table, seen all round', 'lap 5, lean 20', 'vee 6, root 2',
-         'tee 30, lean 45', 'lap 5, spatter', 'corner of 135 degrees')
+QUICK = ('butt 3 on a table, seen all round', 'vee 6, root 2', 'tee 30, lean 45')
 # lean 45: its rough course bends at the ends
 
 

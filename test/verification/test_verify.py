@@ -121,18 +121,6 @@ def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
     assert 'pattern' not in ' '.join(report.reasons)
 
 
-def test_the_three_directions_of_a_step_block_give_one_result():
-    rng = np.random.default_rng(3)
-    made = bench.step_directions(rng)
-    found = bench.calibration(made.T_flange_sensor, bench.covariance(rng))
-    report = result('step', made, found)
-    assert report.verdict == 'pass'
-    assert [q.name for q in report.quantities] == [
-        f'height of face 1 over face 0 of block {k}' for k in (1, 2, 3)]
-    assert max(abs(q.error) for q in report.quantities) < 5e-5
-    assert result('step', replace(made, lengths=(0.025, 0.05, 0.1005)), found).verdict == 'fail'
-
-
 def test_a_protocol_says_what_an_inspector_asks_for():
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
