@@ -118,6 +118,9 @@ def ros(args: Sequence[str] | None = None) -> Iterator[None]:
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
     from rclpy.signals import SignalHandlerOptions
+    if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
+        raise InputError('ROS does not start: it has no place for its logs, as none of '
+                         'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
     _on_signals(signal.default_int_handler)
     try:
         rclpy.init(args=None if args is None else list(args),

@@ -18,6 +18,8 @@ from command import PATIENCE, ROOT, running  # noqa: E402, I100
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from handeye_ros import se3  # noqa: E402
 from handeye_ros.arm import arm_of  # noqa: E402
+from handeye_ros.errors import InputError  # noqa: E402
+from handeye_ros.node.main import ros  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
 from moving_scan import calibration, moving, plane_profiles  # noqa: E402
@@ -56,6 +58,13 @@ def test_wrong_arguments_are_refused_in_a_sentence(
         module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)
     assert run.returncode == 2 and reason in run.stderr and 'Traceback' not in run.stderr
+
+
+def test_a_service_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME'):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match='no place for its logs.*set one of them'), ros():
+        pass
 
 
 # -- replay
