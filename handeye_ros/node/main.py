@@ -49,7 +49,7 @@ def own_arguments() -> list[str]:
 def main() -> int:
     """Run the executable `calibrate`; return the exit code."""
     argparse.ArgumentParser(
-        usage=USAGE, description=DESCRIPTION,
+        'calibrate', USAGE, DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
     sys.setswitchinterval(SWITCH)
     # small matrices: more threads would slow down the streams
