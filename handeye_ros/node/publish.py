@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 
 from handeye_ros.data import Calibration
-from handeye_ros.errors import InputError, NoRosError
+from handeye_ros.errors import HandeyeError, InputError, NoRosError
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import LATCHED, transform_of
 from handeye_ros.node.streams import TFMessage
@@ -18,18 +18,32 @@ from rclpy.node import Node
 
 
 def publish(paths: Sequence[Path]) -> None:
-    """Publish the calibrations of files or folders until Ctrl-C; raises InputError."""
+    """
+    Publish the calibrations of files or folders until Ctrl-C.
+
+    An unusable file is told on stderr at once, and the others are published; raises InputError at
+    the end.
+    """
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
     calibrations: dict[str, Calibration] = {}  # by the frame of the sensor
+    failed = 0
     for path in paths:
-        calibration = read_calibration(file_of(path).absolute())
-        if calibration.child_frame in calibrations:
-            raise InputError(f'{path} cannot be published: another of the files gives the pose of '
-                             f'{calibration.child_frame}, and a frame has one parent; name each '
-                             'sensor once')
-        calibrations[calibration.child_frame] = calibration
-    spin(lambda: _publisher([*calibrations.values()]))
+        try:
+            calibration = read_calibration(file_of(path).absolute())
+            if calibration.child_frame in calibrations:
+                raise InputError(f'{path} is not published: another of the files gives the pose '
+                                 f'of {calibration.child_frame}, and a frame has one parent; '
+                                 'name each sensor once')
+            calibrations[calibration.child_frame] = calibration
+        except HandeyeError as error:
+            failed += 1
+            print(error, file=sys.stderr, flush=True)
+    if calibrations:
+        spin(lambda: _publisher([*calibrations.values()]))
+    if failed:
+        raise InputError(f'{failed} of {len(paths)} calibrations not published: see above, and '
+                         'name files that handeye solve or ~/save_calibration wrote')
 
 
 def _publisher(calibrations: Sequence[Calibration]) -> Node:
