@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 import sys
 
@@ -40,7 +41,8 @@ def publish(paths: Sequence[Path]) -> None:
             failed += 1
             print(error, file=sys.stderr, flush=True)
     if calibrations:
-        spin(lambda: _publisher([*calibrations.values()]))
+        with suppress(KeyboardInterrupt):  # while the node is made
+            spin(lambda: _publisher([*calibrations.values()]))
     if failed:
         raise InputError(f'{failed} of {len(paths)} calibrations not published: see above, and '
                          'name files that handeye solve or ~/save_calibration wrote')
