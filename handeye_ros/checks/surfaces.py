@@ -5,6 +5,7 @@ Whether some stops took the face of a clamp, a second plate or the table for tha
 
 Such ends agree among themselves, so that no consensus of edges stands out. But the stops show the
 face of the plate too, beside the clamp: read for straight pieces only, they agree on one plane.
+They are named only where the other stops agree on the target as it is set.
 """
 from __future__ import annotations
 
@@ -21,7 +22,6 @@ import numpy as np
 BESIDE = 1e-3  # m: a face that is farther from the plane is another surface
 PARALLEL = 0.05  # rad: what is more inclined is no surface of a clamp or plate
 FEWEST = 2  # stops on another surface
-SHARE = 1 / 3  # smallest share of the stops on the plane itself
 
 
 def require_one_surface(session: Session, config: Config) -> None:
@@ -41,7 +41,11 @@ def require_one_surface(session: Session, config: Config) -> None:
         _height(outcome.sample, T_plane_mount @ in_mount(outcome.sample.T_base_flange, config)
                 @ estimate.X) for outcome in taken if outcome.sample])
     beside = np.abs(heights) > BESIDE
-    if beside.sum() < FEWEST or (np.abs(heights) <= BESIDE).mean() < SHARE:
+    if beside.sum() < FEWEST:
+        return
+    others = fit_of([outcome.sample for outcome, other in zip(taken, ~beside, strict=True)
+                     if other], config, all_starts=True)
+    if others is None or not others.believable:
         return
     numbers = ', '.join(str(taken[k].number) for k in np.flatnonzero(beside))
     raise DataError(

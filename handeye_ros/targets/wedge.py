@@ -111,7 +111,8 @@ def crossings(observations: Observations) -> Observations:
     for station in np.unique(observations.station):
         own = observations.select(observations.station == station)
         (a, u), (b, v) = (_fitted(own.points[own.kind == side]) for side in range(2))
-        along, _ = np.linalg.solve(np.column_stack([u, -v]), b - a)
+        # two lines that are parallel cross nowhere: any point of one of them then
+        along = np.linalg.lstsq(np.column_stack([u, -v]), b - a, rcond=None)[0][0]
         for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):
             rows.add(int(station), a + along * u, kind, 1e-5 * np.eye(2), 0)
     return rows.observations()
