@@ -132,10 +132,11 @@ def ends_of(segments: Sequence[Segment], points: Array, config: Config
     turned = [segment.reversed(n) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].rows)):
         back, own = turned[-1 - k], segments[k]
-        # pieces that meet in a corner may overlap by a few points
+        # pieces that meet in a corner may overlap by a few points; what overlaps the last end does
+        # not count: beside a surface that is 1 mm higher 16 of 20 cells were lost with it
         yield (End(back, points[::-1], n - 1 - returns[::-1],
                    [s for s in turned if s.last > back.last], near),
-               End(own, points, returns, [s for s in segments if s.last > own.last], near))
+               End(own, points, returns, [s for s in segments if s.first > own.last], near))
 
 
 def edge_at(end: End) -> EdgePoint | str:
