@@ -52,7 +52,8 @@ def require_one_surface(session: Session, config: Config) -> None:
         f'the stops {numbers} show the edge of another surface, which is '
         f'{np.median(np.abs(heights[beside])) * 1e3:.1f} mm above or below the plane that all '
         f'{len(taken)} stops show, such as a clamp, a second plate or the table: take them again '
-        'where the laser crosses the target alone', reason='surface')
+        'where the laser crosses the target alone; if it does, check profile.range_sign and '
+        'profile.axes', reason='surface')
 
 
 def _height(sample: Sample, T_plane_sensor: Array) -> float:

@@ -132,8 +132,9 @@ def ends_of(segments: Sequence[Segment], points: Array, config: Config
     turned = [segment.reversed(n) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].rows)):
         back, own = turned[-1 - k], segments[k]
-        # pieces that meet in a corner may overlap by a few points; what overlaps the last end does
-        # not count: beside a surface that is 1 mm higher 16 of 20 cells were lost with it
+        # One surface that is seen bent is split into pieces that overlap by a few points. They
+        # count as behind the first end only: alike at both ends is as correct, but loses answers
+        # beside a surface that is 1 mm higher (bench/physics.py --only neighbour).
         yield (End(back, points[::-1], n - 1 - returns[::-1],
                    [s for s in turned if s.last > back.last], near),
                End(own, points, returns, [s for s in segments if s.first > own.last], near))

@@ -110,21 +110,14 @@ class Session(StopCollector):
         return config if config.robot_base_frame else replace(
             config, robot_base_frame=self.base_frame)
 
-    def collect(self) -> list[Sample | Reject]:
-        """Return what the stops give that were completed since the last call."""
-        return self._evaluated(self.passed())
-
     def finish(self) -> list[Sample | Reject]:
         """
         Return what all remaining stops give, including the current one.
 
         Raises InputError when messages of two frames came on one topic.
         """
-        return self._evaluated(self.rest())
-
-    def _evaluated(self, stops: Sequence[Stop]) -> list[Sample | Reject]:
         return [self.put(self.outcome(stop, result_of(stop, self._config))).result
-                for stop in stops]
+                for stop in self.rest()]
 
     def early(self) -> Stop | None:
         """

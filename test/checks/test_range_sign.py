@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cells import cell, problem
+from cells import cell
 from handeye_ros import pipeline
 from handeye_ros.checks.hypotheses import deviance, Explanation
 from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import DataError
+from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import SCENARIOS, settings, simulate
 from hypothesis import given
 from hypothesis import strategies as st
@@ -44,7 +45,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        fit = Explanation.of(problem(samples, made.config))
+        fit = Explanation.of(problem_at_poses(samples, made.config))
         assert fit
         return fit
 

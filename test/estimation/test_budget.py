@@ -40,6 +40,11 @@ def test_the_command_line_shows_it(tmp_path: Path) -> None:
     shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
     assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
     assert '18 samples' in table
+    uncertain = handeye('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
+                        '--set', 'limits.translation=1e-6', '--budget', '--out', tmp_path / 'none',
+                        cwd=tmp_path)
+    assert uncertain.returncode == 3 and 'limits.translation' in uncertain.stderr
+    assert '1 sigma by cause' in uncertain.stdout and not (tmp_path / 'none').exists()
     refused = handeye('solve', ROOT / 'bags/tracker', '--config', ROOT / 'config/tracker.yaml',
                       '--budget', '--out', tmp_path, cwd=tmp_path)
     assert refused.returncode == 2 and '--budget' in refused.stderr

@@ -13,7 +13,6 @@ from cells import (
     every_method,
     exact_solution,
     noisy,
-    problem,
     solution_of,
     solved,
     WHERE,
@@ -22,6 +21,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.data import Sample
 from handeye_ros.estimation import solve
 from handeye_ros.estimation.solve import map_solution
+from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_another_base_frame_changes_nothing(name: str) -> None:
     first = solution_of(name)
     samples = [replace(s, T_base_flange=ANY_POSE @ s.T_base_flange)
                for s in noisy(name).samples]
-    second = solved(problem(samples, noisy(name).config))
+    second = solved(problem_at_poses(samples, noisy(name).config))
     assert apart(first.estimate.X, second.estimate.X) < 1e-9
     C, D = first.covariance[:6, :6], second.covariance[:6, :6]
     assert np.abs(C - D).max() < 1e-6 * np.abs(C).max()
@@ -53,7 +53,7 @@ def test_a_turned_flange_frame_turns_transform_and_covariance(name: str) -> None
     turn = ANY_POSE.copy()
     turn[:3, 3] = 0
     samples = [replace(s, T_base_flange=s.T_base_flange @ turn) for s in noisy(name).samples]
-    second = solved(problem(samples, noisy(name).config))
+    second = solved(problem_at_poses(samples, noisy(name).config))
     assert apart(se3.inverse(turn) @ first.estimate.X, second.estimate.X) < 1e-9
     Q = np.kron(np.eye(2), turn[:3, :3].T)
     C, D = first.covariance[:6, :6], second.covariance[:6, :6]
@@ -64,7 +64,7 @@ def test_a_turned_flange_frame_turns_transform_and_covariance(name: str) -> None
 def test_a_moved_flange_frame_moves_the_exact_transform(name: str) -> None:
     made, first = exact_solution(name, 'eye_in_hand')
     samples = [replace(s, T_base_flange=s.T_base_flange @ ANY_POSE) for s in made.samples]
-    second = solved(problem(samples, made.config))
+    second = solved(problem_at_poses(samples, made.config))
     assert apart(se3.inverse(ANY_POSE) @ first.estimate.X, second.estimate.X) < 2e-9
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cells import ANY_POSE, Cell, cell, problem, solved
+from cells import ANY_POSE, Cell, cell, solved
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array
@@ -25,6 +25,7 @@ from handeye_ros.guidance.candidates import anchor_of, REFUSED, with_one_more
 from handeye_ros.guidance.moves import next_move
 from handeye_ros.guidance.view import learn_view
 from handeye_ros.pipeline import Answer
+from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
@@ -162,7 +163,8 @@ def test_words_name_the_tilt_that_is_missing(axis: int, words: str) -> None:
     tilts = se3.log_rotation(R[0].T @ R)
     order = np.argsort(np.abs(tilts[:, axis]))  # the first nine hardly tilt about the axis
     few = replace(many, samples=tuple(many.samples[i] for i in sorted(order[:9])))
-    result = advice((few, solved(problem(few.samples, few.config))), guidance__accuracy=1e-6)
+    problem = problem_at_poses(few.samples, few.config)
+    result = advice((few, solved(problem)), guidance__accuracy=1e-6)
     (said,) = [s for s in result.sentences if s.startswith(words)]
     assert 'to either side so far, 15 wanted' in said
 

@@ -14,7 +14,20 @@ from handeye_ros.sampling.stops import NS
 import numpy as np
 from profiles import drawn, step_up_to, with_lost
 import pytest
-from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, START, stops, taken
+from streams import (
+    add,
+    BAD,
+    collect,
+    CONFIG,
+    MANUAL,
+    played,
+    pose,
+    profile,
+    profiles,
+    START,
+    stops,
+    taken,
+)
 
 
 def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
@@ -39,7 +52,7 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     for item in sorted([*stops((40, 42)), *profiles(40, 42)], key=lambda item: item.stamp):
         add(session, replace(item, translation=item.translation + [0.5, 0.0, 0.0])
             if isinstance(item, TimedPose) else item)
-        session.collect()
+        collect(session, config)
     assert session.late == () and session.motion.still > 1.0
     if config is MANUAL:
         taken(session)
@@ -60,7 +73,7 @@ def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_ov
         if stop:
             early.append((item.stamp - START) / NS)
             session.put(session.outcome(stop, result_of(stop, CONFIG)), over=False)
-        session.collect()
+        collect(session)
     session.finish()
     assert len(session.samples) == session.numbers == 2
     assert len(early) == 2 and 0.7 <= early[0] < 1.1 and 4.7 <= early[1] <= 5.0

@@ -11,7 +11,7 @@ from handeye_ros.sampling.stops import NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
-from streams import add, BAD, CONFIG, key, played, profiles, results, stops
+from streams import add, BAD, collect, CONFIG, key, played, profiles, results, stops
 
 STREAM_POSES = stops((0, 1), (2, 2.8), (3.5, 4.5), rate=25.0)
 STREAM_PROFILES = [*profiles(0.02, 2.9, rate=8.0), *profiles(3.4, 4.5, rate=8.0, points=BAD)]
@@ -28,7 +28,7 @@ def test_the_order_of_arrival_changes_nothing(pose_next: list[bool], collecting:
         stream = streams[which] or streams[not which]
         add(session, stream.pop(0))
         if collecting:
-            outcomes += session.collect()
+            outcomes += collect(session)
     outcomes += session.finish()
     assert key(outcomes) == IN_ORDER
     assert key([*session.samples, *session.rejects]) == key([
@@ -53,7 +53,7 @@ def test_one_wild_stamp_changes_nothing_but_that_message(
                 add(session, item)
             elif not left_out:
                 add(session, replace(item, stamp=item.stamp + round(jump * NS)))
-            session.collect()
+            collect(session)
         session.finish()
         outcomes.append(key(results(session)))
         assert not session.late

@@ -9,7 +9,19 @@ from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.sampling.session import Outcome, Session
 import numpy as np
 import pytest
-from streams import add, BAD, CONFIG, MANUAL, played, pose, profile, profiles, stops, taken
+from streams import (
+    add,
+    BAD,
+    collect,
+    CONFIG,
+    MANUAL,
+    played,
+    pose,
+    profile,
+    profiles,
+    stops,
+    taken,
+)
 
 
 def removed_last(session: Session) -> Outcome:
@@ -36,7 +48,7 @@ def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
         for t in np.arange(start, start + 1, 0.02):
             add(session, pose(t, x=0.01 * start))
         add(session, profile(start + 0.5))
-        session.collect()
+        collect(session)
     taken(session)
     session.finish()
     assert sorted(round(float(s.T_base_flange[0, 3]), 6) for s in session.samples) == [0.0, 0.2]
@@ -48,7 +60,7 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     for item in sorted([*stops((0, 1), (2, 3))[52:], *profiles(1.02, 3)],
                        key=lambda item: item.stamp):
         add(session, item)
-        session.collect()
+        collect(session)
     session.finish()
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
 

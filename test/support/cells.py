@@ -3,7 +3,6 @@
 """Simulated cells as the tests of the core want them: samples, truth and settings together."""
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -13,8 +12,8 @@ from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
 from handeye_ros.estimation.problem import Problem, Target
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mounted
 from handeye_ros.results.truth_file import mapped_point_error
+from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
@@ -39,16 +38,11 @@ class Cell:
 
     @property
     def problem(self) -> Problem:
-        return problem(self.samples, self.config)
+        return problem_at_poses(self.samples, self.config)
 
     def error(self, T: Array) -> float:
         """Return the RMS error of points mapped by T, in metres."""
         return field_error(T, self.truth, self.scenario)
-
-
-def problem(samples: Sequence[Sample], config: Config) -> Problem:
-    target = targets.target_for(config)
-    return Problem(target, mounted(samples, config), target.observe(samples), config)
 
 
 def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) -> Cell:

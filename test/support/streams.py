@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.features import sample_of
+from handeye_ros.sampling.features import result_of, sample_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NS
 import numpy as np
@@ -51,10 +51,16 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
     session = Session(config)
     for item in sorted([*poses, *profiles], key=lambda item: item.stamp):
         add(session, item)
-        session.collect()
+        collect(session, config)
     if finish:
         session.finish()
     return session
+
+
+def collect(session: Session, config: Config = CONFIG) -> list[Sample | Reject]:
+    """Return what the stops give that were completed since the last call, as the node asks."""
+    return [session.put(session.outcome(stop, result_of(stop, config))).result
+            for stop in session.passed()]
 
 
 def add(session: Session, item: TimedPose | Profile) -> None:
