@@ -11,10 +11,10 @@ what is stored is used.
 
 Threads: the drain thread; the worker (one, here), which changes all but what messages change, and
 but the note that a verdict is being computed; the threads of ROS (node.py) and of the page, which
-ask the worker and wait for it. Stops are evaluated, and reviews, solves and verifications computed, in two processes
-(pool.py); the worker waits for the stops alone. Locks: `lock` for what messages change, held for
-at most one message; one in outputs.py, so that nothing is published after the end; one in node.py,
-so that settings change one by one.
+ask the worker and wait for it. Stops are evaluated, and reviews, solves and verifications
+computed, in two processes (pool.py); the worker waits for the stops alone. Locks: `lock` for what
+messages change, held for at most one message; one in outputs.py, so that nothing is published
+after the end; one in node.py, so that settings change one by one.
 """
 from __future__ import annotations
 
