@@ -3,32 +3,24 @@
 """
 What the Monte-Carlo benches share.
 
-Trials on one process, on local workers of Dask, or on a cluster; the errors of an answer; tables
-of several estimators on the same trials.
+Trials on some processes; the errors of an answer; tables of several estimators on the same trials.
 """
 from __future__ import annotations
 
 import argparse
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-import sys
+from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
-import cloudpickle
 from handeye_ros import se3
-from handeye_ros.batch import client_of
 from handeye_ros.results.truth_file import field_points
 from handeye_ros.simulate import Scenario
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
 
-CHUNK = 4  # trials of one task: fewer cost more of Dask, more leave workers idle at the end
 DRAWS = 4000
 QUANTITIES = ('transl.', 'rotation', 'mapped')
 J, R = TypeVar('J'), TypeVar('R')
-
-cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers need not have bench/
 
 
 def add_options(parser: argparse.ArgumentParser, seeds: int) -> None:
@@ -36,8 +28,8 @@ def add_options(parser: argparse.ArgumentParser, seeds: int) -> None:
     parser.add_argument('--seeds', type=int, default=seeds, help='trials of each row')
     parser.add_argument('--first', type=int, default=0, help='the first seed')
     parser.add_argument('--only', default='', help='rows whose name holds this text')
-    parser.add_argument('--workers', default='1', help='how many processes of this machine, or '
-                        'the address of a Dask scheduler; results do not depend on it')
+    parser.add_argument('--workers', type=int, default=1,
+                        help='how many processes; results do not depend on it')
 
 
 def seeds_of(arguments: argparse.Namespace) -> range:
@@ -45,21 +37,13 @@ def seeds_of(arguments: argparse.Namespace) -> range:
     return range(arguments.first, arguments.first + arguments.seeds)
 
 
-def results(function: Callable[[J], R], jobs: Sequence[J], workers: str) -> Iterator[R]:
+def results(function: Callable[[J], R], jobs: Sequence[J], workers: int) -> Iterator[R]:
     """Yield what a function returns of each job, in their order; each draws by its own seed."""
-    if workers == '1':
+    if workers == 1:
         yield from map(function, jobs)
         return
-    number = int(workers) if workers.isdigit() else 0
-    with client_of('local' if number else workers, workers=number) as client:
-        chunks = [jobs[k:k + CHUNK] for k in range(0, len(jobs), CHUNK)]
-        futures = deque(client.map(partial(_each, function), chunks, pure=False))
-        while futures:
-            yield from futures.popleft().result()
-
-
-def _each(function: Callable[[J], R], jobs: Sequence[J]) -> list[R]:
-    return [function(job) for job in jobs]
+    with ProcessPoolExecutor(workers) as pool:
+        yield from pool.map(function, jobs)
 
 
 def field_of(scenario: Scenario) -> np.ndarray:
