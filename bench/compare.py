@@ -24,14 +24,15 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.config import Config, with_values
-from handeye_ros.published import cn105021139a, jing2020, wu2017
+from handeye_ros.published import cn105021139a, wu2017
 from handeye_ros.published.compare import compare
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
 from handeye_ros.simulate.robot import perturbed
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
-from handeye_ros.tabulated.sweeps import sweep_from, SWEPT
+from handeye_ros.tabulated.sweeps import Piece, sweep_from
+from handeye_ros.tabulated.tracker import TrackerSession
 import numpy as np
 from scipy.spatial.transform import Rotation
 import trials
@@ -68,7 +69,7 @@ def two_frames(seed: int) -> dict[str, np.ndarray]:
     base = rng.uniform(-0.15, 0.15, (10, 3))
     exact = se3.apply(se3.inverse(T), base)
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
-    found = {'points': Pairs(camera, base).solve(Config()).X,
+    found = {'points': Pairs(Config(), camera, base).solve().X,
              'Wu 2017, best of 210': wu2017.solve(camera, base).T_base_camera}
     return {name: trials.errors(X, T, exact) for name, X in found.items()}
 
@@ -111,13 +112,13 @@ class Poses:
     def answers(self, T: np.ndarray, views: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         """Yield what each makes of the poses."""
         T = se3.inverse(T) if self.on_base else T
-        poses = Views(T, views)
         config = with_values(Config(), {
             'calibration_type': 'eye_on_base' if self.on_base else 'eye_in_hand'}, 'cell')
-        yield 'A X = X B', poses.solve(config).X
+        poses = Views(config, views, T)
+        yield 'A X = X B', poses.solve().X
         (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
         known, _ = poses.adjusted(poses.closed_form(), np.array(
-            [camera + robot, camera_turn, robot_turn]), self.on_base)
+            [camera + robot, camera_turn, robot_turn]))
         yield 'A X = X B, noise known', known.state[0]
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))
         for name in OPENCV if cv2 else ():
@@ -134,12 +135,13 @@ def by_tracker(seed: int) -> dict[str, np.ndarray]:
     """Return the errors of arm, ball and block; tracker 0.02 mm, sensor 0.037 mm."""
     cell = simulate_tracker(np.random.default_rng(1000 + seed))
     config = with_values(Config(), {'noise.sensor': SENSOR.noise, 'target.radius': RADIUS,
-                                    'tracker.first_reading': cell.q3_first}, 'cell')
-    sweep = sweep_from(cell.profiles, cell.poses, config)
-    parts = {**cell.reflector, 'ball': cell.reflector['ball'].mean(axis=0)}
-    measured = jing2020.Tracker(**parts, h0=cell.h0, h1=cell.h1)
-    swept = (sweep.points[sweep.part == part] for part in range(len(SWEPT)))
-    found = jing2020.solve(measured, jing2020.Sweep(*swept, sweep.q30)).T_flange_sensor
+                                    'tracker.first_reading': cell.q3_first,
+                                    'tracker.h0': cell.h0, 'tracker.h1': cell.h1}, 'cell')
+    swept, q30 = sweep_from(cell.profiles, cell.poses, config)
+    pieces = [Piece(0, kind, points, np.zeros(len(points)))
+              for kind, points in cell.reflector.items() if kind != 'ball']
+    found = TrackerSession(config, [*pieces, *swept], cell.reflector['ball'].mean(axis=0), q30
+                           ).chain().T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
     return {'Jing 2020': trials.errors(found, cell.T_flange_sensor, field)}

@@ -57,7 +57,7 @@ def evidence(calibration: Calibration, bag: Path | None, folder: Path = Path()) 
     Raises InputError for an unreadable bag.
     """
     config = config_of(calibration)
-    if tabulated.of(config):
+    if tabulated.is_solved_from_files(config):
         return Evidence(missing='stops are shown of recordings; this was solved from files')
     missing = ''
     if bag is None:

@@ -15,7 +15,7 @@ import xml.etree.ElementTree as ElementTree
 import handeye_ros
 from handeye_ros import config as configs
 from handeye_ros.cli import command
-from handeye_ros.tabulated import FILE_METHODS
+from handeye_ros.tabulated import FILE_TARGETS
 from handeye_ros.targets import TARGETS
 import pytest
 import typer.main
@@ -70,7 +70,7 @@ def test_the_keys_and_targets() -> None:
     keys, targets = section('Keys').split('Targets:')
     known = {parameter.key for parameter in configs.parameters()}
     assert set(names(keys)) == known
-    assert set(names(targets)) == TARGETS.keys() | FILE_METHODS.keys()
+    assert set(names(targets)) == TARGETS.keys() | FILE_TARGETS.keys()
 
 
 def test_the_reference_tells_every_key() -> None:

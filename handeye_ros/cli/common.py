@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
     from handeye_ros.sampling.trajectory import Trajectory
-    from handeye_ros.tabulated.method import FileMethod
-    from handeye_ros.tabulated.method import Input as TableInput
+    from handeye_ros.tabulated.values import Input as TableInput
 
 File, Folder, Length = (partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
@@ -62,14 +61,13 @@ class Opened:
     """
     The input of a verb, and the settings it is read with.
 
-    session: the samples of a recording or a session; for a table of measured values instead its
-    method and its content. inputs: for the provenance of an answer.
+    session: the samples of a recording or a session; table: the content of a table of measured
+    values instead. inputs: for the provenance of an answer.
     """
 
     settings: 'Config'
     inputs: 'Sequence[Any]'
     session: 'Session | None' = None
-    method: 'FileMethod | None' = None
     table: 'TableInput | None' = None
 
 
@@ -79,11 +77,12 @@ def opened(path: Path, config: Path | None, assignments: list[str], angles: str 
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None, angles,
                              kinematics)
-    if method := _method_of_table(path, settings):
+    if _is_solved_from_files(path, settings):
+        from handeye_ros import tabulated
         with doing('reading the files'):
-            table = method.read(path, settings)
+            table = tabulated.read(path, settings)
         warn(*table.warnings)
-        return Opened(settings, table.inputs, method=method, table=table)
+        return Opened(settings, table.inputs, table=table)
     if stored:
         return Opened(settings, [{'path': str(path.absolute())}], stored.session(settings))
     recording = read_bag(path, settings)
@@ -134,20 +133,20 @@ def is_table(path: Path) -> bool:
     return path.suffix in TABLES and path.is_file()
 
 
-def _method_of_table(path: Path, settings: 'Config') -> 'FileMethod | None':
-    """Return the method of a target that is solved from files, None for one of profiles."""
+def _is_solved_from_files(path: Path, settings: 'Config') -> bool:
+    """Return whether the target is solved from files; False for one of profiles."""
     from handeye_ros.targets import TARGETS
     if settings.target.type in TARGETS and not is_table(path):
-        return None
+        return False
     from handeye_ros import tabulated
-    method = tabulated.of(settings)
-    if method is None and is_table(path):
-        fitting = list(tabulated.FILE_METHODS)
+    from_files = tabulated.is_solved_from_files(settings)
+    if is_table(path) and not from_files:
+        fitting = list(tabulated.FILE_TARGETS)
         raise InputError(f'{path} is a table of measured values, but target.type '
                          f'{settings.target.type} is seen by the profiles of a recording: set '
                          f'target.type to {" or ".join(fitting)}, as in --set '
                          f'target.type={fitting[0]}')
-    return method
+    return from_files
 
 
 def read_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':

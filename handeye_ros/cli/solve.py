@@ -54,15 +54,15 @@ def solve(
     settings = given.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     T_true, causes = true_transform(path), None
-    if given.session is None:
-        from handeye_ros.tabulated.method import calibrate as calibrate_table
-        assert given.method and given.table
+    if given.table:
+        from handeye_ros.tabulated.values import calibrate as calibrate_table
         if budget:
             raise InputError('--budget is of the profiles of a recording; the answer from a table '
                              'states its covariance only')
         with doing('solving'):
-            calibration = calibrate_table(given.method, given.table, settings)
+            calibration = calibrate_table(given.table)
     else:
+        assert given.session
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
         with doing('solving'):
@@ -83,9 +83,10 @@ def solve(
     if causes:
         show(causes)
     if T_true is not None:
-        field = given.table.values.field() if given.table else None
-        errors = errors_against(calibration.T_flange_sensor, T_true, field)
-        typer.echo(table.error_sentence(errors, *([given.method.over] if given.method else [])))
+        values = given.table.values if given.table else None
+        errors = errors_against(calibration.T_flange_sensor, T_true,
+                                values.field() if values else None)
+        typer.echo(table.error_sentence(errors, *([values.over] if values else [])))
     typer.echo(saved)
 
 
@@ -221,14 +222,12 @@ def compare(
     import yaml
     given, T_true = opened(path, config, assignments, angles), true_transform(path)
     with doing('comparing') as update:
-        if given.session is None:
-            assert given.method and given.table
-            comparison = comparing.compare_files(given.method, given.table, given.settings, T_true,
-                                                 progress=update)
+        if given.table:
+            comparison = comparing.compare_files(given.table, T_true, progress=update)
         else:
+            assert given.session
             comparison = comparing.compare(given.session.samples, given.session.rejects,
-                                           comparing.own_method(given.settings), T_true,
-                                           progress=update)
+                                           given.settings, T_true, progress=update)
     show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal

@@ -7,11 +7,9 @@ A block has one weight: a station, a point, a pair of poses. Levenberg-Marquardt
 not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127), then
 those that the others do not predict are dropped, worst first, by leave-one-out residuals, (12).
 
-Variance components by restricted maximum likelihood (Patterson and Thompson 1971, Biometrika
-58:545), in multiplicative fixed-point steps. A weak prior prevents zero variances from few
-residuals. In an inverse, a direction that the data do not show keeps a large, finite variance.
-Quantiles of chi-squared: scipy.stats has them too, but it takes longer to import than
-the rest of a command to start.
+In an inverse, a direction that the data do not show keeps a large, finite variance. Quantiles of
+chi-squared: scipy.stats has them too, but it takes longer to import than the rest of a command to
+start.
 """
 from __future__ import annotations
 
@@ -382,48 +380,6 @@ def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:
 def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> Array:
     """Return the probability of chi-squared above a value; nan without degrees of freedom."""
     return np.where(np.asarray(freedom) > 0, chdtrc(freedom, value), np.nan)
-
-
-def variance_components(residuals: Array, jacobian: Array, parts: Array, start: Array) -> Array:
-    """
-    Return the variances (c,) of c causes of error.
-
-    residuals: (n, k) of n independent blocks, at an adjusted state; jacobian: (n, k, u) their
-    derivatives; parts: (c, n, k, k) covariances of the residuals for unit variance of each cause,
-    whose sum is regular; start: (c,) initial variances, all positive.
-    """
-    variances = start
-    for _ in range(30):
-        whitener = inverse_roots(np.tensordot(variances, parts, 1))
-        J, whitened = whitener @ jacobian, (whitener @ residuals[..., None])[..., 0]
-        flat = J.reshape(-1, J.shape[2])
-        unknowns = np.linalg.pinv(flat.T @ flat)
-        r = whitened - J @ (unknowns @ (flat.T @ whitened.ravel()))
-        W = (whitener @ parts @ np.swapaxes(whitener, 1, 2)) * variances[:, None, None, None]
-        form = np.einsum('ni,cnij,nj->c', r, W, r, optimize=True)
-        taken = np.einsum('nia,cnij,njb,ab->c', J, W, J, unknowns, optimize=True)
-        expected = np.maximum(np.einsum('cnii->c', W) - taken, 0.0)
-        # the prior counts for half a degree of freedom, about the start
-        factors = (form + 0.5 * start / variances) / (expected + 0.5)
-        variances = variances * factors
-        if np.abs(np.log(factors)).max() < 1e-2:
-            break
-    return np.asarray(variances)
-
-
-def first_variances(residuals: Array, parts: Array) -> Array:
-    """
-    Return start values (c,): half of the variance that each cause alone would need.
-
-    residuals: (n, k), in threes of vectors (such as translation, rotation); some may be wrong.
-    parts: as for variance_components.
-    """
-    n = len(residuals)
-    lengths = np.linalg.norm(residuals.reshape(n, -1, 3), axis=2)
-    predicted_covariance = np.median(lengths, axis=0) ** 2 / chi2_isf(0.5, 3)
-    made = np.einsum('cnii->cni', parts).reshape(len(parts), n, -1, 3).mean(axis=(1, 3))
-    alone = np.divide(predicted_covariance, made, out=np.full(made.shape, np.inf), where=made > 0)
-    return np.asarray(np.maximum(alone.min(axis=1) / 2, 1e-24))
 
 
 @cache

@@ -13,24 +13,10 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.frames import sensor_axes
-from handeye_ros.published.estimators import (
-    Estimator,
-    ESTIMATORS,
-    Given,
-    Measurements,
-    Plane,
-    Stations,
-)
+from handeye_ros.published.estimators import Estimator, ESTIMATORS, Given, Stations
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.results.truth_file import errors_against, FIELD, field_points
-from handeye_ros.tabulated.method import (
-    FileMethod,
-    Input,
-    plane_axes,
-    require_trusted,
-    solve,
-)
+from handeye_ros.results.truth_file import errors_against
+from handeye_ros.tabulated.values import Input, rms, solve
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
@@ -88,12 +74,6 @@ class Comparison:
     over: str
 
 
-def own_method(config: Config) -> Config:
-    """Return the configuration with the method of its target; raises BadValueError."""
-    targets.target_for(config)
-    return replace(config, method='auto')
-
-
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
             T_true: Array | None = None, folds: int = FOLDS,
             progress: Progress = lambda doing: None) -> Comparison:
@@ -106,7 +86,8 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     believes. Raises DataError where it believes none, BadValueError for a target or method that
     does not exist.
     """
-    config = own_method(config)
+    targets.target_for(config)
+    config = replace(config, method='auto')
     progress(config.target.type)
     start = time.perf_counter()
     answer = pipeline.answer(samples, rejects, config)
@@ -114,29 +95,26 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     seconds = time.perf_counter() - start
     # the others know no motion
     used = tuple(replace(answer.samples[i], motion=None) for i in solution.used)
-    plane = Plane(sensor_axes(config), field_points(), FIELD)
-    given = Stations(used, config, solution.problem, solution.estimate, solution.noise, plane)
+    given = Stations(used, config, solution.problem, solution.estimate, solution.noise)
     rejected = len(answer.samples) + len(rejects) - len(used)
     return _compared(given, solution.estimate.X, answer.refusal, seconds, rejected, T_true, folds,
                      progress)
 
 
-def compare_files(method: FileMethod, given: Input, config: Config,
-                  T_true: Array | None = None, folds: int = FOLDS,
+def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLDS,
                   progress: Progress = lambda doing: None) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
-    progress(method.name)
-    start, refusal = time.perf_counter(), None
-    answer = solve(method, given.values, config)
+    values, refusal = given.values, None
+    progress(values.name)
+    start = time.perf_counter()
+    answer = solve(values, given.otherwise)
     try:
-        require_trusted(method, answer, config)
+        answer.require_trusted()
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start
-    plane = Plane(plane_axes(method, config), answer.agreed.field(), method.over)
-    agreed = Measurements(method, answer.agreed, config, plane)
-    rejected = len(given.values.samples) - len(agreed)
-    return _compared(agreed, answer.X, refusal, seconds, rejected, T_true, folds, progress)
+    return _compared(answer.agreed, answer.X, refusal, seconds, len(values) - len(answer.agreed),
+                     T_true, folds, progress)
 
 
 def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float, rejected: int,
@@ -156,18 +134,18 @@ def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float,
             continue
         row = Row(estimator.name, time.perf_counter() - start)
         rows.append(_judged(row, estimator, X, given, T_true, folds, progress))
-    return Comparison(tuple(rows), len(given), rejected, refusal, given.plane.over)
+    return Comparison(tuple(rows), len(given), rejected, refusal, given.over)
 
 
 def _judged(row: Row, estimator: Estimator, X: Array, given: Given, T_true: Array | None,
             folds: int, progress: Progress) -> Row:
     """Return a row with a transform X (4, 4) of the sensor plane, its errors and residuals."""
-    row = replace(row, T_flange_sensor=X @ se3.inverse(given.plane.T_sensor_plane))
+    row = replace(row, T_flange_sensor=X @ se3.inverse(given.axes))
     if T_true is not None:
-        errors = errors_against(X, T_true @ given.plane.T_sensor_plane, given.plane.points)
+        errors = errors_against(X, T_true @ given.axes, given.field())
         row = replace(row, **{f'error_{name}': value for name, value in asdict(errors).items()})
     every = np.arange(len(given))
-    row = replace(row, residual_rms=_root_mean_square(given.residuals(X, every, every)))
+    row = replace(row, residual_rms=rms(given.residuals(X, every, every)))
     if not folds or not estimator.refit:
         return row
     residuals = []
@@ -179,11 +157,7 @@ def _judged(row: Row, estimator: Estimator, X: Array, given: Given, T_true: Arra
         except (DataError, np.linalg.LinAlgError):
             return row
         residuals.append(given.residuals(X, every[~out], every[out]))
-    return replace(row, holdout_rms=_root_mean_square(np.concatenate(residuals)))
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt((values ** 2).mean()))
+    return replace(row, holdout_rms=rms(np.concatenate(residuals)))
 
 
 def tables(comparison: Comparison) -> RenderableType:

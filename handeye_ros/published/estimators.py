@@ -23,27 +23,17 @@ from handeye_ros.errors import SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import fit as fit_target
+from handeye_ros.frames import sensor_axes
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
-from handeye_ros.tabulated.method import FileMethod, require_trusted, solve
+from handeye_ros.results.truth_file import FIELD, field_points
+from handeye_ros.tabulated.hand_eye import Views
+from handeye_ros.tabulated.values import solve, Values
 from handeye_ros.targets import line, plate
 import numpy as np
 from numpy.typing import NDArray
 
 ZHENG_START_OFF = np.repeat([0.01, math.radians(5)], 3) / 3 ** 0.5
 """Offset of the start of Zheng 2018 from our answer: 10 mm and 5 degrees."""
-
-
-@dataclass(frozen=True, eq=False)
-class Plane:
-    """
-    The sensor plane T_sensor_plane (4, 4), to which estimates refer.
-
-    points: (k, 3) in it over which errors are reported; over: these in words.
-    """
-
-    T_sensor_plane: Array
-    points: Array
-    over: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +49,21 @@ class Stations:
     problem: Problem
     estimate: Estimate
     noise: Noise
-    plane: Plane
+
+    over = FIELD
 
     def __len__(self) -> int:
         """Return the number of stations."""
         return len(self.samples)
+
+    @property
+    def axes(self) -> Array:
+        """Return T_sensor_plane (4, 4), of the sensor plane in which X and field are."""
+        return sensor_axes(self.config)
+
+    def field(self) -> Array:
+        """Return points (k, 3) in the sensor plane over which errors are reported."""
+        return field_points()
 
     def subset(self, stations: NDArray[np.intp]) -> Stations:
         """Return some of the stations (ascending indices)."""
@@ -87,29 +87,7 @@ class _GivenTransform(Problem):
         return super().columns[6:]
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements:
-    """Values read from files, without those that the target's own method drops; see Stations."""
-
-    method: FileMethod
-    values: Any
-    config: Config
-    plane: Plane
-
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.values.samples)
-
-    def subset(self, samples: NDArray[np.intp]) -> Measurements:
-        """Return some of the samples (ascending indices)."""
-        return replace(self, values=self.values.subset(samples))
-
-    def residuals(self, X: Array, fitted: NDArray[np.intp], measured: NDArray[np.intp]) -> Array:
-        """Return distances (m) of `measured` samples for X, the target fitted to `fitted`."""
-        return np.asarray(self.values.residuals(X, fitted, measured))
-
-
-Given: TypeAlias = Stations | Measurements
+Given: TypeAlias = Stations | Values
 
 
 @dataclass(frozen=True)
@@ -181,20 +159,15 @@ def _zheng(stations: Stations) -> Array:
     return np.asarray(found.T_flange_sensor @ to_plane)
 
 
-def _from_files(given: Measurements) -> Array:
-    answer = solve(given.method, given.values, given.config)
-    require_trusted(given.method, answer, given.config)
+def _from_files(values: Values) -> Array:
+    answer = solve(values)
+    answer.require_trusted()
     return answer.X
 
 
-def _park(given: Measurements) -> Array:
-    given.values.require_determined(given.config)
-    return np.asarray(given.values.closed_form()[0])
-
-
-def _cn105021139a(given: Measurements) -> Array:
-    return cn105021139a.solve_motions(*cn105021139a.motions(
-        given.values.T, given.values.T_camera_target))
+def _park(views: Views) -> Array:
+    views.require_determined()
+    return views.closed_form()[0]
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
@@ -223,15 +196,16 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'points': (
         Estimator('points', _from_files),
         Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(
-            given.values.in_camera, given.values.in_base).T_base_camera),
+            given.seen, given.robot).T_base_camera),
     ),
     'hand_eye': (
         Estimator('hand_eye', _from_files),
         Estimator('closed form (Park and Martin 1994)', _park),
-        Estimator('CN105021139A', _cn105021139a),
+        Estimator('CN105021139A', lambda given: cn105021139a.solve_motions(
+            *cn105021139a.motions(given.robot, given.seen))),
     ),
     'tracker': (
-        Estimator('tracker', lambda given: given.values.chain().T_flange_sensor),
+        Estimator('tracker', lambda given: given.chain().T_flange_sensor),
     ),
 }
 """By target, its own method first."""

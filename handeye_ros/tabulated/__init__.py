@@ -3,28 +3,36 @@
 """Targets that are solved from files of measured values, one file each."""
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError
-from handeye_ros.tabulated.hand_eye import HAND_EYE
-from handeye_ros.tabulated.method import FileMethod
-from handeye_ros.tabulated.points import POINTS
-from handeye_ros.tabulated.tracker import TRACKER
+from handeye_ros.tabulated import hand_eye, points, tracker
+from handeye_ros.tabulated.values import Input, Values
 
-FILE_METHODS: dict[str, FileMethod] = {m.name: m for m in (POINTS, HAND_EYE, TRACKER)}
+READERS: dict[type[Values], Callable[[Path, Config], Input]] = {
+    points.Pairs: points.read, hand_eye.Views: hand_eye.read, tracker.TrackerSession: tracker.read}
+FILE_TARGETS = {values.name: values for values in READERS}
 
 
-def of(config: Config) -> FileMethod | None:
+def is_solved_from_files(config: Config) -> bool:
     """
-    Return the file method of a configuration, None for targets seen by profiles.
+    Return whether a configuration is of a target that is solved from files.
 
     Raises BadValueError for a method or a calibration type that it cannot be of.
     """
-    method = FILE_METHODS.get(config.target.type)
-    if method is None:
-        return None
-    for key, value, fitting in (('method', config.method, ('auto', method.name)),
-                                ('calibration_type', config.calibration_type, method.mounts)):
+    values = FILE_TARGETS.get(config.target.type)
+    if values is None:
+        return False
+    for key, value, fitting in (('method', config.method, ('auto', values.name)),
+                                ('calibration_type', config.calibration_type, values.mounts)):
         if value not in fitting:
             raise BadValueError(key, value, f'{" or ".join(fitting)} with target.type '
-                                f'{method.name}')
-    return method
+                                f'{values.name}')
+    return True
+
+
+def read(path: Path, config: Config) -> Input:
+    """Return the values of the configuration's target in a file; raises InputError, DataError."""
+    return READERS[FILE_TARGETS[config.target.type]](path, config)

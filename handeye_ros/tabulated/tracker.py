@@ -11,6 +11,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
+from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import BadValueError, DataError, InputError
@@ -19,18 +20,9 @@ from handeye_ros.published import jing2020
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import FIELD, field_points
 from handeye_ros.tables import LENGTH, Table, TableError
-from handeye_ros.tabulated.method import (
-    FileMethod,
-    Index,
-    Input,
-    LARGEST_DROPPED_SHARE,
-    rms,
-    TableAnswer,
-    Values,
-)
-from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
+from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
+from handeye_ros.tabulated.values import Index, Input, rms, TableAnswer, Values
 import numpy as np
-from numpy.typing import NDArray
 
 FEWEST = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # points in the file
 # unknowns that a fit to the points of a part has
@@ -51,60 +43,56 @@ class TrackerSession(Values):
     """
     The points of both instruments.
 
-    part: (n,) a key of UNKNOWNS; points: (n, 3), of the reflector in the tracker's frame, swept
-    ones as in Sweep; sigma: (n,) of each coordinate (m); sample: (n,) the index in samples, which
-    are the row or the stamp of each, and its kind. ball: (3,) its centre by the tracker;
-    sweeping: (3,) the sweep's rough direction, x along the line, z the range; h0, h1: as in
-    jing2020.Tracker; q30: as in Sweep.
+    pieces: of the arc, the line, the faces and the sweep; ball: (3,) its centre by the tracker;
+    q30: the reading of P3 where the flange frame is taken (metres).
     """
 
-    part: NDArray[np.str_]
-    points: Array
-    sigma: Array
-    sample: Index
-    kinds: tuple[tuple[int, str], ...]
+    pieces: Sequence[Piece]
     ball: Array
-    sweeping: Array
-    h0: float
-    h1: float
     q30: float
 
+    name = 'tracker'
+    mounts = ('eye_in_hand',)
+    advice = 'measure a longer arc and line, sweep over more of ball and faces'
+    check = 'which face is which, h0 and h1, and the readings of P3?'
+    over = FIELD
+
     @property
-    def samples(self) -> tuple[tuple[int, str], ...]:
-        return self.kinds
+    def samples(self) -> list[tuple[int, str]]:
+        return [(piece.sample, piece.part) for piece in self.pieces]
+
+    @property
+    def axes(self) -> Array:
+        """Return T_sensor_plane (4, 4)."""
+        return sensor_axes(self.config)
+
+    def subset(self, samples: Index) -> TrackerSession:
+        return replace(self, pieces=[self.pieces[i] for i in samples])
 
     def of(self, part: str) -> Array:
         """Return the points (k, 3) of a part."""
-        return np.asarray(self.points[self.part == part])
+        return np.concatenate([piece.points for piece in self.pieces if piece.part == part])
 
-    def by_part(self, values: Array, statistic: Callable[[Array], Any]) -> Array:
-        """Return for each point (n,) the statistic of the values (n,) of its part."""
-        names, index = np.unique(self.part, return_inverse=True)
-        return np.array([statistic(values[index == k]) for k in range(len(names))])[index]
-
-    def select(self, mask: NDArray[np.bool_]) -> TrackerSession:
-        """Return the points where the mask (n,) is true; the samples stay."""
-        return replace(self, part=self.part[mask], points=self.points[mask],
-                       sigma=self.sigma[mask], sample=self.sample[mask])
-
-    def subset(self, samples: Index) -> TrackerSession:
-        some = self.select(np.isin(self.sample, samples))
-        return replace(some, sample=np.searchsorted(samples, some.sample),
-                       kinds=tuple(self.kinds[i] for i in samples))
+    def by_part(self, values: Any, statistic: Callable[[Any], Any]) -> Array:
+        """Return for each piece (n,) the statistic of the values (n,) of its part."""
+        parts, index = np.unique([piece.part for piece in self.pieces], return_inverse=True)
+        return np.array([statistic(values[index == k]) for k in range(len(parts))])[index]
 
     def reflector(self) -> jing2020.Tracker:
         """Return the points of the tracker."""
+        known = self.config.tracker
         return jing2020.Tracker(self.of('arc'), self.of('line'), self.ball, self.of('face_c'),
-                                self.of('face_d'), self.h0, self.h1)
+                                self.of('face_d'), known.h0, known.h1)
 
     def chain(self) -> jing2020.Result:
-        """Return the published answer; raises DataError."""
+        """Return the published answer, of the sensor plane; raises DataError."""
         ball, face_c, face_d = map(self.of, SWEPT)
         sweep = jing2020.Sweep(ball, face_c, face_d, self.q30)
-        return jing2020.solve(self.reflector(), sweep, self.sweeping)
+        direction = self.axes[:3, :3].T @ np.array(self.config.tracker.direction)
+        return jing2020.solve(self.reflector(), sweep, direction / np.linalg.norm(direction))
 
-    def require_determined(self, config: Config) -> None:
-        """Raise for an arc or a line that is not in measured order, and for a short arc."""
+    def require_determined(self) -> None:
+        """Raise for points in the wrong order, a short arc, parallel faces, a crooked sweep."""
         arc, line = (points[np.linspace(0, len(points) - 1, min(len(points), ORDERED)).astype(int)]
                      for points in (self.of('arc'), self.of('line')))
         centre, axis = jing2020.fit_arc(self.of('arc'))
@@ -118,109 +106,106 @@ class TrackerSession(Values):
         if turn < SMALLEST_ANGLE:
             raise DataError(f'the arc spans {np.degrees(turn):.1f} degrees; turn R2 by 30 degrees '
                             'or more')
+        chain = self.chain()
+        if min(*chain.angles, *(np.pi - chain.angles)) < SMALLEST_ANGLE:
+            raise DataError('the two faces of the block are nearly parallel; use faces at 45 '
+                            'degrees or more')
+        turn = math.acos(min(1.0, float(chain.direction @ chain.T_flange_sensor[2, :3])))
+        if turn > LARGEST_TURN:
+            raise DataError(
+                f'the sweep runs {math.degrees(turn):.0f} degrees beside the line of the '
+                'reflector; check which face is which, tracker.direction, and that the line was '
+                'measured towards larger readings of P3')
 
-    def solve(self, config: Config) -> TableAnswer:
+    def solve(self) -> TableAnswer:
         """Return the published answer without wrong points, its covariance by draws of noise."""
         # the distance of a reflector from a swept face has the noise of both instruments
-        by_both = np.isin(self.part, ('face_c', 'face_d'))
-        sigma = np.hypot(self.sigma, by_both * config.noise.sensor)
-        chain, agreed = self.chain(), self
-        _require_directions(chain)
+        sigma = np.array([np.hypot(rms(piece.sigma), piece.part.startswith('face')
+                                   * self.config.noise.sensor) for piece in self.pieces])
+        agreed = self
         for _ in range(3):  # wrong points bend the first fit
-            off = self.distances(chain.T_flange_sensor, agreed)
+            off = self.distances(agreed.chain().T_flange_sensor, agreed)
             good = off < np.maximum(WRONG * sigma, BESIDE * self.by_part(off, np.median))
-            self._require_agreement(self.by_part(~good, np.mean) / LARGEST_DROPPED_SHARE)
-            agreed = self.select(good)
-            chain = agreed.chain()
+            agreed = self.subset(np.flatnonzero(good))
+        chain = agreed.chain()
         X, off = chain.T_flange_sensor, self.distances(chain.T_flange_sensor, agreed)
-        excess = agreed.by_part(off[good] / sigma[good], rms)
-        agreed._require_agreement(excess / LARGEST_RMS)
-        # generalised cross-validation: each point predicted by a fit without it
-        share = agreed.by_part(np.ones(len(agreed.part)), lambda ones: 1 / len(ones))
-        unknowns = np.array([UNKNOWNS[part] for part in agreed.part])
-        left_out = off[good] / (1 - np.minimum(unknowns * share / 2, 0.5))
-        count = len(self.kinds)
-        total, believed = (np.bincount(of, minlength=count)
-                           for of in (self.sample, self.sample[good]))
-        used = 2 * believed >= total
-        squares = np.bincount(self.sample, off ** 2, minlength=count)
-        return TableAnswer(X, agreed.covariance(X, excess, config.tracker.noise), used,
-                      np.sqrt(squares / np.maximum(total, 1)), rms(off[good]), rms(left_out),
-                      agreed.subset(np.flatnonzero(used)),
-                      target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
-
-    def _require_agreement(self, excess: Array) -> None:
-        """Raise where the excess (n,) of any point over its limit is more than 1."""
-        if excess.max() > 1:
+        lost = self.by_part(~good, np.mean) / LARGEST_DROPPED_SHARE
+        excess = self.by_part(np.where(good, off / sigma, np.nan),
+                              lambda known: np.sqrt(np.nanmean(known ** 2)))
+        worst = np.maximum(lost, excess / LARGEST_RMS)
+        if worst.max() > 1:
             raise DataError(
-                f'the points contradict each other, most of all those of '
-                f'{self.part[excess.argmax()]}: check which face is which, h0 and h1, the '
-                'readings of P3, and the noise of both instruments', reason='misfit')
+                'the points contradict each other, most of all those of '
+                f'{self.pieces[int(worst.argmax())].part}: check which face is which, h0 and h1, '
+                'the readings of P3, and the noise of both instruments', reason='misfit')
+        # generalised cross-validation: each point predicted by a fit without it
+        share = np.array([UNKNOWNS[piece.part] / len(self.of(piece.part))
+                          for piece in agreed.pieces])
+        left_out = off[good] / (1 - np.minimum(share / 2, 0.5))
+        return TableAnswer(
+            X, agreed.covariance(X, excess[good]), good, off,
+            rms(off[good]), rms(left_out), agreed,
+            target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
 
-    def covariance(self, X: Array, excess: Array, of_ball: float) -> Array:
+    def covariance(self, X: Array, excess: Array) -> Array:
         """
         Return the covariance (6, 6) of the chain around X.
 
-        excess: (n,) the residuals over their noise; of_ball: 1 sigma of its centre (m).
+        excess: (n,) the residuals over their noise.
         """
-        rng = np.random.default_rng(SEED)
-        sigma = np.repeat((self.sigma * np.maximum(excess, 1.0))[:, None], 3, axis=1)
-        sigma[np.isin(self.part, SWEPT), 2] = 0.0  # the reading of P3
-        drawn = [replace(self, points=self.points + sigma * rng.normal(size=sigma.shape),
-                         ball=self.ball + of_ball * rng.normal(size=3)) for _ in range(DRAWS)]
-        off = np.array([se3.difference(one.chain().T_flange_sensor, X) for one in drawn])
-        return np.asarray(off.T @ off / DRAWS)
+        rng, of_ball = np.random.default_rng(SEED), self.config.tracker.noise
+        # each coordinate of a point by the tracker, but not the reading of P3
+        sigmas = [scale * piece.sigma[:, None] * [1, 1, piece.part not in SWEPT]
+                  for piece, scale in zip(self.pieces, np.maximum(excess, 1.0), strict=True)]
+        off = []
+        for _ in range(DRAWS):
+            pieces = [piece._replace(points=piece.points + sigma * rng.normal(size=sigma.shape))
+                      for piece, sigma in zip(self.pieces, sigmas, strict=True)]
+            session = replace(self, pieces=pieces, ball=self.ball + of_ball * rng.normal(size=3))
+            off.append(se3.difference(session.chain().T_flange_sensor, X))
+        return np.asarray(np.transpose(off) @ off / DRAWS)
 
     def distances(self, X: Array, fitted: TrackerSession) -> Array:
-        """Return the distances (n,) of the points from what those of `fitted` show with X."""
+        """Return the RMS distances (n,) of pieces from what those of `fitted` show with X."""
         arc, line = fitted.of('arc'), fitted.of('line')
-        centre, axis = jing2020.fit_arc(arc)
-        radius = np.linalg.norm(np.cross(arc - centre, axis), axis=1).mean()
-        spokes = self.of('arc') - centre
-        aside = np.linalg.norm(np.cross(spokes, axis), axis=1) - radius
-        from_line = np.cross(self.of('line') - line.mean(axis=0), jing2020.fit_line(line))
-        ball, own = fitted.of('swept_ball'), self.of('swept_ball')
-        direction, middle, radius = jing2020.fit_swept_ball(ball, self.q30, X[2, :3])
-        from_middle = jing2020.swept(own, self.q30, direction) - middle
-        off = {'arc': np.hypot(spokes @ axis, aside), 'line': np.linalg.norm(from_line, axis=1),
-               'swept_ball': np.abs(np.linalg.norm(from_middle, axis=1) - radius)}
+        pivot, axis = jing2020.fit_arc(arc)
+        reach = np.linalg.norm(np.cross(arc - pivot, axis), axis=1).mean()
+        along = jing2020.fit_line(line)
+        direction, centre, radius = jing2020.fit_swept_ball(
+            fitted.of('swept_ball'), self.q30, X[2, :3])
         T_sensor_tracker = se3.inverse(jing2020.link_frame(fitted.reflector(), self.q30) @ X)
-        for face in ('face_c', 'face_d'):
-            plane, own = (jing2020.swept(session.of(f'swept_{face}'), self.q30, X[2, :3])
-                          for session in (fitted, self))
-            normal, middle = jing2020.fit_plane(plane), plane.mean(axis=0)
-            off[f'swept_{face}'] = np.abs((own - middle) @ normal)
-            spots = se3.apply(T_sensor_tracker, self.of(face))
-            off[face] = np.abs((spots - middle) @ normal)
-        distances = np.zeros(len(self.part))
-        for part, values in off.items():
-            distances[self.part == part] = values
-        return distances
+        planes = {face: jing2020.swept(fitted.of(f'swept_{face}'), self.q30, direction)
+                  for face in ('face_c', 'face_d')}
+        normals = {face: jing2020.fit_plane(points) for face, points in planes.items()}
+
+        def off(part: str, points: Array) -> float:
+            if part == 'arc':
+                spokes = points - pivot
+                aside = np.linalg.norm(np.cross(spokes, axis), axis=1) - reach
+                return rms(np.hypot(spokes @ axis, aside))
+            if part == 'line':
+                return rms(np.linalg.norm(np.cross(points - line.mean(axis=0), along), axis=1))
+            in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT
+                         else se3.apply(T_sensor_tracker, points))
+            if part == 'swept_ball':
+                return rms(np.linalg.norm(in_sensor - centre, axis=1) - radius)
+            face = part.removeprefix('swept_')
+            return rms((in_sensor - planes[face].mean(axis=0)) @ normals[face])
+
+        return np.array([off(piece.part, piece.points) for piece in self.pieces])
 
     def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
-        return self.distances(X, self.subset(fitted))[np.isin(self.sample, measured)]
+        return self.subset(measured).distances(X, self.subset(fitted))
 
     def field(self) -> Array:
         return field_points()
 
 
-def _require_directions(chain: jing2020.Result) -> None:
-    """Raise for nearly parallel faces, and for a sweep that is not along the line."""
-    if min(*chain.angles, *(np.pi - chain.angles)) < SMALLEST_ANGLE:
-        raise DataError('the two faces of the block are nearly parallel; use faces at 45 degrees '
-                        'or more')
-    turn = math.acos(min(1.0, float(chain.direction @ chain.T_flange_sensor[2, :3])))
-    if turn > LARGEST_TURN:
-        raise DataError(
-            f'the sweep runs {math.degrees(turn):.0f} degrees beside the line of the reflector; '
-            'check which face is which, tracker.direction, and that the line was measured '
-            'towards larger readings of P3')
-
-
-def _read(path: Path, config: Config) -> Input:
-    direction, known = np.array(config.tracker.direction), config.tracker
-    if not direction.any():
-        raise BadValueError('tracker.direction', direction.tolist(), 'a direction that is not '
+def read(path: Path, config: Config) -> Input:
+    """Read the reflector's points, and the bag of the sweep; raises InputError, DataError."""
+    known = config.tracker
+    if not any(known.direction):
+        raise BadValueError('tracker.direction', list(known.direction), 'a direction that is not '
                             'zero')
     file = (path if path.is_dir() else path.parent) / known.file
     recording = read_bag(path, config)
@@ -232,18 +217,19 @@ def _read(path: Path, config: Config) -> Input:
     if missing:
         raise InputError(f'{" and ".join(missing)} must be set: the answer changes by their full '
                          'size, so they have no default; see config/tracker.yaml')
-    reflector = read_table(file)
-    sweep = sweep_from(recording.profiles, recording.poses, config)
-    return Input(session_of(reflector, sweep, config), recording.profiles[0].frame_id or 'laser',
-                 (*recording.inputs, input_values(file)), recording.warnings)
+    pieces, ball = read_table(file, known.noise)
+    swept, q30 = sweep_from(recording.profiles, recording.poses, config)
+    return Input(TrackerSession(config, [*pieces, *swept], ball, q30),
+                 recording.profiles[0].frame_id or 'laser',
+                 (*recording.inputs, input_values(file)), warnings=recording.warnings)
 
 
-def read_table(path: Path) -> list[tuple[str, Array]]:
+def read_table(path: Path, noise: float) -> tuple[list[Piece], Array]:
     """
-    Return the kind and the position (3,) of the reflector, row by row (metres).
+    Return the positions of the reflector, row by row, and the centre (3,) of the ball.
 
     Columns kind (arc, line, ball, face_c or face_d) and x, y, z with their unit, as in `x [mm]`,
-    in the order measured. Raises TableError.
+    in the order measured; noise: 1 sigma (m). Raises TableError.
     """
     table = Table(path)
     kinds, points = table.text('kind'), table.values('xyz', LENGTH)
@@ -254,30 +240,6 @@ def read_table(path: Path) -> list[tuple[str, Array]]:
         if kinds.count(kind) < fewest:
             raise TableError(path, f'holds {kinds.count(kind)} points of the kind {kind}; at '
                              f'least {fewest} are needed')
-    return list(zip(kinds, points, strict=True))
-
-
-def session_of(reflector: Sequence[tuple[str, Array]], sweep: Sweep, config: Config
-               ) -> TrackerSession:
-    """Return the session; its samples are the rows of the file, then the profiles."""
-    rows = [(row, kind, point) for row, (kind, point) in enumerate(reflector, 1) if kind != 'ball']
-    ball = np.mean([point for kind, point in reflector if kind == 'ball'], axis=0)
-    stamps, profile = np.unique(sweep.stamps, return_inverse=True)
-    of_ball = np.isin(stamps, sweep.stamps[sweep.part == 0])
-    kinds = [(row, kind) for row, kind, _ in rows] + [
-        (int(stamp), 'swept ball' if ball else 'swept faces')
-        for stamp, ball in zip(stamps, of_ball, strict=True)]
-    known = config.tracker
-    toward = sensor_axes(config)[:3, :3].T @ np.array(known.direction)
-    return TrackerSession(
-        np.concatenate([[kind for _, kind, _ in rows], np.array(SWEPT)[sweep.part]]),
-        np.concatenate([[point for *_, point in rows], sweep.points]),
-        np.concatenate([np.full(len(rows), known.noise), sweep.sigma]),
-        np.concatenate([np.arange(len(rows)), len(rows) + profile]), tuple(kinds), ball,
-        toward / np.linalg.norm(toward), known.h0, known.h1, sweep.q30)
-
-
-TRACKER = FileMethod(
-    'tracker', ('eye_in_hand',),
-    'measure a longer arc and line, sweep over more of ball and faces',
-    'which face is which, h0 and h1, and the readings of P3?', FIELD, _read, profiles=True)
+    of_ball = np.array(kinds) == 'ball'
+    return [Piece(row + 1, kinds[row], points[row:row + 1], np.array([noise]))
+            for row in np.flatnonzero(~of_ball).tolist()], points[of_ball].mean(axis=0)

@@ -11,11 +11,11 @@ from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.published import jing2020
 from handeye_ros.simulate.measured import RADIUS, simulate_tracker, TrackerCell
-from handeye_ros.tabulated.hand_eye import HAND_EYE, Views
-from handeye_ros.tabulated.method import solve, TableAnswer
-from handeye_ros.tabulated.points import Pairs, POINTS
-from handeye_ros.tabulated.sweeps import Sweep, sweep_from, SWEPT
-from handeye_ros.tabulated.tracker import session_of, TRACKER
+from handeye_ros.tabulated.hand_eye import Views
+from handeye_ros.tabulated.points import Pairs
+from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
+from handeye_ros.tabulated.tracker import TrackerSession
+from handeye_ros.tabulated.values import solve, TableAnswer
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -42,13 +42,13 @@ def pairs(seed: int, noise: float = 0.0, count: int = 10, wrong: int = 0) -> tup
     base = rng.uniform(-0.15, 0.15, (count, 3)) + [0.6, 0.1, 0.3]
     camera = se3.apply(se3.inverse(T), base) + noise * rng.normal(size=(count, 3))
     camera[:wrong] += 5e-3 * rng.normal(size=(wrong, 3))
-    return T, Pairs(camera, base)
+    return T, Pairs(ON_BASE, camera, base)
 
 
 @pytest.mark.parametrize('count', [4, 10, 60])
 def test_points_without_noise(count: int) -> None:
     T, points = pairs(count, count=count)
-    found = solve(POINTS, points, ON_BASE)
+    found = solve(points)
     assert off(found.X, T) < 1e-9 and found.used.all()
 
 
@@ -56,7 +56,7 @@ def test_points_are_as_sure_as_they_say() -> None:
     squares, noise = [], []
     for seed in range(100):
         T, points = pairs(seed, 3e-5)
-        found = points.solve(ON_BASE)
+        found = points.solve()
         squares.append(chi_squared(found, T))
         noise.append(found.target['point_noise'])
     assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
@@ -67,7 +67,7 @@ def test_points_are_as_sure_as_they_say() -> None:
 def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
     for seed in range(5):
         T, points = pairs(seed, 3e-5, count, wrong)
-        found = solve(POINTS, points, ON_BASE)
+        found = solve(points)
         assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
         assert found.off[:wrong].min() > 5 * found.residual_rms
         assert found.residual_rms < found.holdout_rms < 1e-3
@@ -76,7 +76,7 @@ def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
 def test_points_in_another_order_are_refused() -> None:
     _, points = pairs(1)
     with pytest.raises(DataError, match='same points in the same order'):
-        solve(POINTS, replace(points, in_base=points.in_base[::-1]), ON_BASE)
+        solve(replace(points, robot=points.robot[::-1]))
 
 
 NOISE, ROBOT = (1e-4, 1e-3), (3e-5, 1e-4)
@@ -95,7 +95,7 @@ def views(seed: int, noise: tuple[float, float] = (0.0, 0.0), count: int = 12,
     T = Z @ se3.inverse(seen) @ se3.inverse(X)
     T = (se3.inverse(disturbed(se3.inverse(T), robot, rng)) if on_base
          else disturbed(T, robot, rng))
-    return X, Z, Views(T, disturbed(seen, noise, rng))
+    return X, Z, Views(ON_BASE if on_base else IN_HAND, disturbed(seen, noise, rng), T)
 
 
 def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) -> Array:
@@ -104,10 +104,10 @@ def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize('count', [3, 12])
-@pytest.mark.parametrize('config', [IN_HAND, ON_BASE])
-def test_views_without_noise(count: int, config: Config) -> None:
-    X, Z, poses = views(count, count=count)
-    found = solve(HAND_EYE, poses, config)
+@pytest.mark.parametrize('on_base', [False, True])
+def test_views_without_noise(count: int, on_base: bool) -> None:
+    X, Z, poses = views(count, count=count, on_base=on_base)
+    found = solve(poses)
     assert off(found.X, X) < 1e-9
     translation = list(found.target['pose']['translation'].values())
     assert translation == pytest.approx(Z[:3, 3], abs=1e-9)
@@ -119,15 +119,15 @@ def test_views_are_as_sure_as_they_say(on_base: bool) -> None:
     squares = []
     for seed in range(40):
         X, _, poses = views(seed, NOISE, 20, (1e-4, 1e-3), on_base)
-        squares.append(chi_squared(poses.solve(ON_BASE if on_base else IN_HAND), X))
+        squares.append(chi_squared(poses.solve(), X))
     assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_wrong_view_is_left_out() -> None:
     X, _, poses = views(5, NOISE, robot=ROBOT)
-    seen = poses.T_camera_target.copy()
+    seen = poses.seen.copy()
     seen[4] = se3.perturb(seen[4], np.array([5e-3, 0, 0, 0, 0.02, 0]))
-    found = solve(HAND_EYE, replace(poses, T_camera_target=seen), IN_HAND)
+    found = solve(replace(poses, seen=seen))
     assert not found.used[4] and found.used.sum() >= 10
     assert np.linalg.norm(se3.difference(found.X, X)[:3]) < 1e-3
     assert found.residual_rms < found.holdout_rms < 1e-3
@@ -140,17 +140,15 @@ CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 
 def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep, noise: float = SENSOR
             ) -> TableAnswer:
     """Return the answer; noise: 1 sigma of the sensor, or more than 1 mm of both instruments."""
-    parts = [sweep.ball, sweep.face_c, sweep.face_d]
-    count = [len(points) for points in parts]
-    stamps = np.concatenate([np.arange(n) + 10_000 * (k > 0) for k, n in enumerate(count)])
-    rows = [(kind, point) for kind in ('arc', 'line', 'ball', 'face_c', 'face_d')
-            for point in np.atleast_2d(getattr(measured, kind))]
     config = with_values(CELL, {
         'tracker.h0': measured.h0, 'tracker.h1': measured.h1,
         'tracker.noise': min(noise, 0.01) if noise > 1e-3 else 2e-5}, 'test')
-    swept = Sweep(np.repeat(range(3), count), np.concatenate(parts), np.full(sum(count), noise),
-                  stamps, sweep.q30)
-    return solve(TRACKER, session_of(rows, swept, config), config)
+    parts = {kind: getattr(measured, kind) for kind in ('arc', 'line', 'face_c', 'face_d')} | {
+        part: getattr(sweep, part.removeprefix('swept_')) for part in SWEPT}
+    pieces = [Piece(row, part, point[None], np.array(
+        [noise if part in SWEPT else config.tracker.noise]))
+        for part, points in parts.items() for row, point in enumerate(points)]
+    return solve(TrackerSession(config, pieces, measured.ball, sweep.q30))
 
 
 @pytest.mark.parametrize('skew', [0.0, 4.0])
@@ -177,11 +175,13 @@ def test_the_tracker_from_profiles() -> None:
     """Noise as in the paper, and the faults of the sensor beside it; against the truth."""
     cell = simulate_tracker(np.random.default_rng(1))
     config = of_cell(cell)
-    rows = [(kind, point) for kind, points in cell.reflector.items() for point in points]
-    sweep = sweep_from(cell.profiles, cell.poses, config)
-    found = solve(TRACKER, session_of(rows, sweep, config), config)
-    e_v, e_theta, e_p = jing2020.errors(found.X, cell.T_flange_sensor)
-    assert e_v < 1e-3 and e_theta < np.deg2rad(0.07) and e_p < 0.25e-3
+    pieces = [Piece(row, kind, point[None], np.array([config.tracker.noise]))
+              for kind, points in cell.reflector.items() for row, point in enumerate(points)
+              if kind != 'ball']
+    swept, q30 = sweep_from(cell.profiles, cell.poses, config)
+    found = solve(TrackerSession(config, [*pieces, *swept], cell.reflector['ball'][0], q30))
+    error = se3.difference(found.X, cell.T_flange_sensor)
+    assert np.linalg.norm(error[:3]) < 0.25e-3 and np.linalg.norm(error[3:]) < np.deg2rad(0.07)
     assert found.target['radius'] == pytest.approx(RADIUS, abs=2e-5)
     std = np.sqrt(np.diag(found.covariance))
     assert 1e-6 < std[:3].max() < 0.25e-3 and 1e-6 < std[3:].max() < 1e-3
@@ -189,11 +189,12 @@ def test_the_tracker_from_profiles() -> None:
 
 def test_the_rim_of_the_ball_is_no_block() -> None:
     cell = simulate_tracker(np.random.default_rng(1003))
-    sweep = sweep_from(cell.profiles, cell.poses, of_cell(cell))
-    ball, *faces = (sweep.points[sweep.part == part] for part in range(len(SWEPT)))
+    pieces, q30 = sweep_from(cell.profiles, cell.poses, of_cell(cell))
+    ball, *faces = (np.concatenate([piece.points for piece in pieces if piece.part == part])
+                    for part in SWEPT)
     assert faces[0][:, 2].min() > ball[:, 2].max()
-    along = jing2020.fit_swept_ball(ball, sweep.q30, jing2020.SWEEP)[0]
-    angle = jing2020.face_angle(*(jing2020.swept(face, sweep.q30, along) for face in faces))
+    along = jing2020.fit_swept_ball(ball, q30, jing2020.SWEEP)[0]
+    angle = jing2020.face_angle(*(jing2020.swept(face, q30, along) for face in faces))
     assert np.degrees(angle) == pytest.approx(90.0, abs=0.05)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import hashlib
 from pathlib import Path
 
@@ -21,8 +22,8 @@ from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, measured
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.tables import Table
-from handeye_ros.tabulated import FILE_METHODS
-from handeye_ros.tabulated.method import calibrate, FileMethod, Input
+from handeye_ros.tabulated import FILE_TARGETS
+from handeye_ros.tabulated.values import calibrate, Input
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -32,7 +33,7 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 def target_of(name: str) -> str:
-    return next(target for target in FILE_METHODS if target in name)
+    return next(target for target in FILE_TARGETS if target in name)
 
 
 def given(name: str, folder: Path) -> tuple[object, ...]:
@@ -60,14 +61,12 @@ def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return request.param, path
 
 
-def read_configured(name: str, folder: Path) -> tuple[FileMethod, Input, Config]:
-    """Return method, input and configuration of a scene in a folder."""
+def read_configured(name: str, folder: Path) -> Input:
+    """Return what is read of a scene in a folder."""
     path, _, file, *_ = given(name, folder)
     config = with_values(load(Path(str(file))), dict([str(given(name, folder)[-1]).split('=')]),
                          'test')
-    method = tabulated.of(config)
-    assert method is not None
-    return method, method.read(Path(str(path)), config), config
+    return tabulated.read(Path(str(path)), config)
 
 
 @pytest.mark.parametrize('name', FILE_SCENES)
@@ -108,10 +107,10 @@ def test_solve_answers_near_the_truth_and_says_how_near(scene: tuple[str, Path],
     assert len(inputs) == (2 if found.method == 'tracker' else 1)
     for path, digest in inputs.items():
         assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
-    method, read, config = read_configured(name, folder)
+    read = read_configured(name, folder)
     errors = errors_against(found.T_flange_sensor, T_true, read.values.field())
-    assert f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {method.over}' in out
-    again = calibrate(method, read, config)
+    assert f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.values.over}' in out
+    again = calibrate(read)
     calibration_file.write_calibration(again, Path('calibration.yaml'))
     back = calibration_file.read_calibration(Path('calibration.yaml'))
     back.provenance.pop('created')
@@ -129,13 +128,13 @@ def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Pat
     code, _, err = handeye('solve', *given(name, folder), '--out', 'out')
     assert code == 0, err
     found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
-    method, read, config = read_configured(name, folder)
-    comparison = compare_files(method, read, config, made.T_flange_sensor, folds=0)
+    comparison = compare_files(read_configured(name, folder), made.T_flange_sensor, folds=0)
     assert comparison.refusal is None
     for row, X in [('solve', found.T_flange_sensor), *((r.name, r.T_flange_sensor)
                                                        for r in comparison.rows)]:
         assert X is not None, row
-        assert np.abs(se3.difference(X, made.T_flange_sensor)).max() < 1e-6, row
+        limit = 5e-6 if name == 'tracker' else 1e-6  # the mean of an arc's bin is inside the arc
+        assert np.abs(se3.difference(X, made.T_flange_sensor)).max() < limit, row
 
 
 def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
@@ -143,11 +142,11 @@ def test_a_wrong_row_is_left_out_and_reported(tmp_path: Path) -> None:
     file = tmp_path / 'cell' / 'points.csv'
     header, first, *rest = file.read_text().splitlines()
     file.write_text('\n'.join([header, first.replace(first.split(',')[0], '500.0'), *rest]))
-    method, read, config = read_configured('points', tmp_path / 'cell')
-    comparison = compare_files(method, read, config, folds=9)
+    read = read_configured('points', tmp_path / 'cell')
+    comparison = compare_files(read, folds=9)
     assert (comparison.used, comparison.rejected) == (9, 1)
     assert all(row.residual_rms < row.holdout_rms < 1e-4 for row in comparison.rows)
-    found = calibrate(method, read, config)
+    found = calibrate(read)
     assert [sample.used for sample in found.samples] == [False] + 9 * [True]
     assert (found.samples[0].stamp, found.samples[0].reason) == (1, 'contradicts the others')
     assert found.samples[0].residual > 0.4
@@ -161,19 +160,21 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     kind, x, y, z = lines[row].split(', ')
     lines[row] = f'{kind}, {float(x) + 3}, {y}, {float(z) - 3}'
     file.write_text('\n'.join(lines))
-    method, read, config = read_configured('small_tracker', tmp_path / 'cell')
-    found = calibrate(method, read, config)
+    read = read_configured('small_tracker', tmp_path / 'cell')
+    found = calibrate(read)
     lost, = (sample for sample in found.samples
              if not (sample.used or sample.edge.startswith('swept')))
     assert (lost.stamp, lost.edge) == (row, 'face_d')
     kinds = [sample.edge for sample in found.samples]
     assert [kinds.count(kind) for kind in ('arc', 'line', 'face_c', 'face_d')] == [40, 30, 40, 40]
     swept = {sample.stamp for sample in found.samples if sample.edge.startswith('swept')}
-    assert kinds.count('swept ball') > 20 < kinds.count('swept faces')
+    assert kinds.count('swept_ball') > 20 < kinds.count('swept_face_c')
+    config = read.values.config
     assert swept <= {profile.stamp for profile in bag.read(tmp_path / 'cell', config).profiles}
     turned = with_values(config, {'profile.axes': ['y', 'z'], 'tracker.direction': [-1, 0, 0]},
                          'test')
-    T_turned = calibrate(method, read, turned).T_flange_sensor
+    values = replace(read.values, config=turned)
+    T_turned = calibrate(replace(read, values=values)).T_flange_sensor
     np.testing.assert_allclose(T_turned @ sensor_axes(turned), found.T_flange_sensor, atol=1e-9)
 
 
@@ -230,8 +231,8 @@ def in_order(prefix: str, order: str) -> Callable[[str], str]:
     ('points', in_metres('camera'), 3, 'of the camera 1000 times smaller they agree'),
     ('hand_eye', rows(lambda lines: lines[:2]), 3, 'needs at least 3 poses, got 2'),
     ('hand_eye', rows(lambda lines: lines[:1] * 5), 3, 'all poses share one orientation'),
-    ('hand_eye', in_metres('flange'), 3, 'with positions of the flange in mm they agree'),
-    ('hand_eye', in_metres('target'), 3, 'as in target_x [mm]'),
+    ('hand_eye', in_metres('flange'), 3, 'of the flange 1000 times smaller they agree'),
+    ('hand_eye', in_metres('target'), 3, 'of the target 1000 times smaller they agree'),
     ('hand_eye', in_order('flange', 'yzwx'), 3, 'flange quaternions as w x y z they agree'),
     ('hand_eye', in_order('target', 'yzwx'), 3, 'target quaternions as w x y z they agree'),
     ('small_tracker', rows(lambda lines: lines[:3] * 2 + lines[40:]), 3, 'arc spans 5.9 degrees'),
@@ -327,6 +328,7 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
             'tracker.csv: no such file', 'set tracker.file')
 
 
+POINTS = with_values(Config(), {'target.type': 'points'}, 'test')
 HEADER = 'camera_x [mm], camera_y [mm], camera_z [mm], base_x [m], base_y [m], base_z [m]'
 
 
@@ -339,4 +341,4 @@ HEADER = 'camera_x [mm], camera_y [mm], camera_z [mm], base_x [m], base_y [m], b
 def test_tables_that_cannot_be_read(tmp_path: Path, name: str, text: str, message: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match='(?s).*' + message.replace('.', r'\.')):
-        FILE_METHODS['points'].read(tmp_path / name, Config())
+        tabulated.read(tmp_path / name, POINTS)

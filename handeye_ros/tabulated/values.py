@@ -1,0 +1,258 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Targets solved from files of measured values: what they have in common, answer and refusals.
+
+A table is read, an estimator answers, and where the values contradict each other, they are tried
+as other units and notations would give them: what fits is named, never used.
+"""
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+import math
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
+
+from handeye_ros import __version__, se3
+from handeye_ros.checks.refusals import (
+    LARGEST_DROPPED_SHARE,
+    require_certain,
+    require_left_out,
+)
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.errors import DataError, degrees, mm, TooFewError
+from handeye_ros.estimation.least_squares import single_threaded
+from handeye_ros.frames import mount_frame, name_direction
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
+CLEAR = 0.2  # of misfit and of spread: a misreading with more does not explain the values
+
+Index: TypeAlias = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Values(ABC):
+    """
+    The values of a target's files. A sample is a row of a table, or a profile.
+
+    name: of the target; mounts: supported calibration types; advice: what makes an answer more
+    certain; check: what to check where values contradict each other; over: `field` in words.
+    """
+
+    config: Config
+
+    name: ClassVar[str]
+    mounts: ClassVar[tuple[str, ...]]
+    advice: ClassVar[str]
+    check: ClassVar[str]
+    over: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def samples(self) -> Sequence[tuple[int, str]]:
+        """Return of each sample its row number, or its stamp, and its kind."""
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.samples)
+
+    @abstractmethod
+    def subset(self, samples: Index) -> Values:
+        """Return some samples (ascending indices)."""
+
+    @abstractmethod
+    def require_determined(self) -> None:
+        """Raise DataError for values that leave something of the transform free."""
+
+    @abstractmethod
+    def solve(self) -> TableAnswer:
+        """Return the answer; raises DataError."""
+
+    @abstractmethod
+    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
+        """Return distances (m) of `measured` samples for X, the target fitted to `fitted` ones."""
+
+    @abstractmethod
+    def field(self) -> Array:
+        """Return points (k, 3) in the frame of the values over which errors are reported."""
+
+    @property
+    def axes(self) -> Array:
+        """Return T_sensor_values (4, 4), of the frame in which the values and X are."""
+        return np.eye(4)
+
+
+L = TypeVar('L', bound='Lists')
+
+
+@dataclass(frozen=True, eq=False)
+class Lists(Values):
+    """Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row."""
+
+    seen: Array
+    robot: Array
+
+    @property
+    def samples(self) -> Sequence[tuple[int, str]]:
+        return [(row, '') for row in range(1, len(self.seen) + 1)]
+
+    def subset(self: L, samples: Index) -> L:
+        return replace(self, seen=self.seen[samples], robot=self.robot[samples])
+
+    def field(self) -> Array:
+        return _positions(self.seen)
+
+    def spread(self) -> float:
+        """Return the extent of the positions (m), 1 sigma, the smaller one of both lists."""
+        return float(min(np.std(_positions(values), axis=0).max()
+                         for values in (self.seen, self.robot)))
+
+    def in_other_units(self, seen: str, robot: str) -> Iterator[Misreading]:
+        """Yield the values with the other ratio of units; seen, robot: prefixes of the columns."""
+        remedy = ('correct the unit in the header of ' + ', or of '.join(
+            ', '.join(f'{prefix}_{axis}' for axis in 'xyz') for prefix in (seen, robot)))
+        for prefix, other in ((seen, replace(self, seen=thousandth(self.seen))),
+                              (robot, replace(self, robot=thousandth(self.robot)))):
+            yield Misreading(f'the positions of the {prefix} 1000 times smaller', remedy, other)
+
+
+def _positions(values: Array) -> Array:
+    return values if values.ndim == 2 else values[:, :3, 3]
+
+
+def thousandth(values: Array) -> Array:
+    """Return points (n, 3) or poses (n, 4, 4) with their positions 1000 times smaller."""
+    if values.ndim == 2:
+        return 1e-3 * values
+    return se3.transform(values[:, :3, :3], 1e-3 * values[:, :3, 3])
+
+
+class Misreading(NamedTuple):
+    """Values as they would be otherwise: after "with" in words, and the remedy."""
+
+    words: str
+    remedy: str
+    values: Lists
+
+
+@dataclass(frozen=True, eq=False)
+class TableAnswer:
+    """
+    The transform X (4, 4) from the mount to the frame of the values, with its statistics.
+
+    covariance: (6, 6), x y z rx ry rz in the mount; used: (n,) whether each sample is used; off:
+    (n,) residuals of all (m); residual_rms, holdout_rms: of the used ones (m), the latter with
+    each predicted without itself; agreed: the values that are used; angle_rms: RMS residual of
+    measured rotations (rad); target: other estimates, as plain values.
+    """
+
+    X: Array
+    covariance: Array
+    used: NDArray[np.bool_]
+    off: Array
+    residual_rms: float
+    holdout_rms: float
+    agreed: Values
+    angle_rms: float = 0.0
+    target: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def agrees(self) -> bool:
+        """Return whether few samples were dropped, and the others fit."""
+        return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE
+                    and self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE)
+
+    @property
+    def misfit(self) -> float:
+        """Return the residual (m) that most samples stay below, infinite with wrong rotations."""
+        off = float(np.quantile(self.off, 1 - LARGEST_DROPPED_SHARE))
+        return off if self.angle_rms <= LARGEST_ANGLE else math.inf
+
+    def require_trusted(self) -> None:
+        """Raise DataError for an answer beyond the limits."""
+        config = self.agreed.config
+        require_certain(self.covariance, config, self.agreed.advice)
+        require_left_out(self.holdout_rms, self.residual_rms, config.limits.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Input:
+    """
+    What was read.
+
+    frame: of the sensor; inputs: path and sha256 of every file; otherwise: what the values would
+    be with other units and notations; warnings: what was lost.
+    """
+
+    values: Values
+    frame: str
+    inputs: tuple[dict[str, str], ...]
+    otherwise: tuple[Misreading, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@single_threaded
+def calibrate(given: Input) -> Calibration:
+    """Return the calibration; raises DataError when the files do not determine an answer."""
+    values, config = given.values, given.values.config
+    answer = solve(values, given.otherwise)
+    answer.require_trusted()
+    std, direction = se3.worst_translation(answer.covariance)
+    frame, used = mount_frame(config), int(answer.used.sum())
+    quality = Quality(used, len(values) - used, answer.residual_rms, answer.holdout_rms,
+                      f'position along {name_direction(direction, frame)} (m)', std)
+    reports = tuple(
+        SampleReport(stamp, bool(good), kind, float(off), '' if good else 'contradicts the others')
+        for (stamp, kind), good, off in zip(values.samples, answer.used, answer.off, strict=True))
+    provenance = {'version': __version__, 'inputs': list(given.inputs), 'config': flatten(config)}
+    if given.warnings:
+        provenance['warnings'] = list(given.warnings)
+    return Calibration(config.name or values.name, values.name, frame, given.frame,
+                       answer.X @ se3.inverse(values.axes), answer.covariance, answer.target,
+                       quality, reports, provenance)
+
+
+def solve(values: Values, otherwise: Sequence[Misreading] = ()) -> TableAnswer:
+    """Return the answer of values that agree; raises DataError, which names a misreading."""
+    misfit = math.inf
+    try:
+        values.require_determined()
+        answer = values.solve()
+        misfit = answer.misfit
+        if not answer.agrees:
+            turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
+            raise DataError(
+                f'{np.sum(~answer.used)} of {len(values)} samples contradict the others, which '
+                f'agree to {mm(answer.residual_rms)}{turned} RMS: {values.check}',
+                reason='misfit')
+        answer.agreed.require_determined()
+    except TooFewError:
+        raise
+    except DataError as error:
+        raise _misreading(otherwise, misfit) or error from None
+    return answer
+
+
+def _misreading(otherwise: Sequence[Misreading], before: float) -> DataError | None:
+    """Return what to say if exactly one other reading explains values of a misfit before (m)."""
+    explaining = []
+    for words, remedy, values in otherwise:
+        try:
+            values.require_determined()
+            answer = values.solve()
+        except DataError:
+            continue
+        # lengths in another unit make every residual smaller: it must be small beside the spread
+        if answer.agrees and answer.misfit < CLEAR * min(before, values.spread()):
+            explaining.append(f'the values contradict each other, but with {words} they agree to '
+                              f'{mm(answer.misfit)}: {remedy}')
+    return DataError(explaining[0], reason='convention') if len(explaining) == 1 else None
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt((values ** 2).mean()))
