@@ -25,6 +25,7 @@ from rich.text import Text
 
 FOLDS = 10
 FORMAT = 'handeye_ros/comparison/1'
+FAILURES = (DataError, np.linalg.LinAlgError)  # of an estimator
 FIGURES = {  # of a row: the head of its column, in which unit, with how many digits
     'residual_rms': ('residual\nmm', 1e3, 4),
     'holdout_rms': ('held out\nmm', 1e3, 4),
@@ -120,44 +121,43 @@ def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLDS,
 def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float, rejected: int,
               T_true: Array | None, folds: int, progress: Progress) -> Comparison:
     """Return the row of the target's own method, whose answer is X, and those of the others."""
+    def row_of(estimator: Estimator, X: Array, seconds: float) -> Row:
+        every, errors = np.arange(len(given)), {}
+        if T_true is not None:
+            errors = {f'error_{name}': value for name, value in asdict(
+                errors_against(X, T_true @ given.axes, given.field())).items()}
+        left_out = None
+        if folds and estimator.refit:
+            left_out = _left_out(given, estimator, min(folds, len(given)), progress)
+        return Row(estimator.name, seconds, X @ se3.inverse(given.axes), '',
+                   rms(given.residuals(X, every, every)), left_out, **errors)
+
     own, *others = ESTIMATORS[given.config.target.type]
-    rows = [Row(own.name, seconds, failure=str(refusal or ''))]
-    if not refusal:
-        rows[0] = _judged(rows[0], own, X, given, T_true, folds, progress)
+    rows = [Row(own.name, seconds, failure=str(refusal)) if refusal else row_of(own, X, seconds)]
     for estimator in others:
         progress(estimator.name)
         start = time.perf_counter()
         try:
             X = estimator.fit(given)
-        except (DataError, np.linalg.LinAlgError) as error:
+        except FAILURES as error:
             rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
-            continue
-        row = Row(estimator.name, time.perf_counter() - start)
-        rows.append(_judged(row, estimator, X, given, T_true, folds, progress))
+        else:
+            rows.append(row_of(estimator, X, time.perf_counter() - start))
     return Comparison(tuple(rows), len(given), rejected, refusal, given.over)
 
 
-def _judged(row: Row, estimator: Estimator, X: Array, given: Given, T_true: Array | None,
-            folds: int, progress: Progress) -> Row:
-    """Return a row with a transform X (4, 4) of the sensor plane, its errors and residuals."""
-    row = replace(row, T_flange_sensor=X @ se3.inverse(given.axes))
-    if T_true is not None:
-        errors = errors_against(X, T_true @ given.axes, given.field())
-        row = replace(row, **{f'error_{name}': value for name, value in asdict(errors).items()})
-    every = np.arange(len(given))
-    row = replace(row, residual_rms=rms(given.residuals(X, every, every)))
-    if not folds or not estimator.refit:
-        return row
-    residuals = []
-    for part in range(min(folds, len(every))):
+def _left_out(given: Given, estimator: Estimator, folds: int, progress: Progress) -> float | None:
+    """Return the RMS residual of samples that the estimator was not given, None if it fails."""
+    residuals, every = [], np.arange(len(given))
+    for part in range(folds):
         progress(f'{estimator.name}: left out, part {part + 1} of {folds}')
         out = every % folds == part
         try:
             X = estimator.fit(given.subset(every[~out]))
-        except (DataError, np.linalg.LinAlgError):
-            return row
+        except FAILURES:
+            return None
         residuals.append(given.residuals(X, every[~out], every[out]))
-    return replace(row, holdout_rms=rms(np.concatenate(residuals)))
+    return rms(np.concatenate(residuals))
 
 
 def tables(comparison: Comparison) -> RenderableType:

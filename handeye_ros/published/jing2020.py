@@ -18,7 +18,6 @@ What is wrong in print, and what is done here:
 - the signs of the directions are not said: the arc is taken in the sense of growing theta2, the
   line in that of growing q3, and each face's normal points away from the other face's points.
 - Table 2 cannot be recomputed: the faces are 63.9 degrees apart in one frame, 66.7 in the other.
-- eq. 13 has no axis to give at 0 and 180 degrees.
 
 The heights follow eq. 6; h3(q3) of eq. 7 is D-H (Craig) with alpha = 90 degrees, a = 0.
 """
@@ -204,16 +203,3 @@ def fit_swept_ball(points: Array, q30: float,
     fit = least_squares(residuals, start, x_scale='jac', method='lm', xtol=1e-15, ftol=1e-15,
                         gtol=1e-15)
     return at(fit.x), fit.x[2:5], float(fit.x[5])
-
-
-def errors(T: Array, T_reference: Array) -> tuple[float, float, float]:
-    """
-    Return e_v, e_theta (radians) and e_p (metres) of eqs. 13 to 15 against a reference, (4, 4).
-
-    The paper's reference is the mean of its own three trials.
-    """
-    turns = [se3.log_rotation(each[:3, :3]) for each in (T, T_reference)]
-    angles = np.linalg.norm(turns, axis=1)
-    v, v_reference = turns / angles[:, None]
-    return (float(np.linalg.norm(v - v_reference)), abs(float(angles[0] - angles[1])),
-            float(np.linalg.norm(T[:3, 3] - T_reference[:3, 3])))

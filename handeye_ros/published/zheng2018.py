@@ -91,8 +91,8 @@ class _Problem:
         points again.
         """
         e, g = self.offsets(x), self.A @ D[:9] - D[9:12]
-        d, h = x[12:], D[12:]
-        parts = [(np.cross(e, d), np.cross(e, h) + np.cross(g, d), np.cross(g, h))]
+        d, h = se3.skew(x[12:]), se3.skew(D[12:])  # e @ d is e x d, several times faster
+        parts = [(e @ d, e @ h + g @ d, g @ h)]
         for i, j, value in _CONSTRAINTS:
             p, q, r, s = x[i:i + 3], x[j:j + 3], D[i:i + 3], D[j:j + 3]
             weight = factor ** -0.5
