@@ -34,8 +34,6 @@ def test_values_are_in_si_units(tmp_path: Path) -> None:
     path = tmp_path / 'table.csv'
     path.write_text('\ufeff# remark\nx [mm];y[ um ]\n1;2\n\n-3.5; 4e3\n', encoding='utf-8')
     np.testing.assert_allclose(Table(path).values('xy', LENGTH), [[1e-3, 2e-6], [-3.5e-3, 4e-3]])
-    with pytest.raises(TableError, match='has no column z'):
-        Table(path).values('xyz', LENGTH)
 
 
 def test_poses_as_a_controller_shows_them(tmp_path: Path) -> None:
@@ -44,12 +42,29 @@ def test_poses_as_a_controller_shows_them(tmp_path: Path) -> None:
     T = Table(path).poses('f', 'kuka-abc')[0]
     np.testing.assert_allclose(T, [[0, -1, 0, 0.01], [1, 0, 0, 0.02], [0, 0, 1, 0.03],
                                    [0, 0, 0, 1]], atol=1e-12)
-    with pytest.raises(TableError, match='has no column f_q1'):
-        Table(path).poses('f', 'abb')
 
 
-@pytest.mark.parametrize('value', ['1' * 200000, '1e30', 'inf'])
-def test_values_beyond_all_measure(tmp_path: Path, value: str) -> None:
-    (tmp_path / 'a.csv').write_text(f'x [m],y [m]\n{value},2')
-    with pytest.raises(TableError):
+@pytest.mark.parametrize(('text', 'message'), [
+    ('', 'is empty'),
+    ('x [m],y [m]', 'holds no rows'),
+    ('a b, c\n1,2', 'the column header "a b"'),
+    ('x [m],x [m]\n1,2', 'two columns have the same'),
+    ('x [m],z [m]\n1,2', 'has no column y'),
+    ('x,y [m]\n1,2', 'x names no unit; write'),
+    ('x [m],y [inch]\n1,2', 'y has the unit inch'),
+    ('x [m],y [rad]\n1,2', 'y has the unit rad'),
+    ('x [m],y [m]\n1', 'row 1 has 1 values, the header 2'),
+    ('x [m],y [m]\n1,2\n1,z', 'row 2: y is "z", expected a number'),
+    ('x [m],y [m]\n1,nan', 'row 1: y is "nan"'),
+    ('x [m],y [m]\n1e30,2', 'row 1: x is 1e30, which is beyond all measure'),
+    ('x [m],y [m]\n' + '1' * 200000 + ',2', 'cannot be read as CSV')])
+def test_tables_that_cannot_be_read(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / 'a.csv').write_text(text)
+    with pytest.raises(TableError, match=message):
         Table(tmp_path / 'a.csv').values('xy', LENGTH)
+
+
+def test_quaternions_have_unit_length(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz,f_qw\n0,0,0,1,1,0,0')
+    with pytest.raises(TableError, match=r'row 1: f_q... is no unit quaternion'):
+        Table(tmp_path / 'a.csv').poses('f')

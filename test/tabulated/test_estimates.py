@@ -45,13 +45,6 @@ def pairs(seed: int, noise: float = 0.0, count: int = 10, wrong: int = 0) -> tup
     return T, Pairs(ON_BASE, camera, base)
 
 
-@pytest.mark.parametrize('count', [4, 10, 60])
-def test_points_without_noise(count: int) -> None:
-    T, points = pairs(count, count=count)
-    found = solve(points)
-    assert off(found.X, T) < 1e-9 and found.used.all()
-
-
 def test_points_are_as_sure_as_they_say() -> None:
     squares, noise = [], []
     for seed in range(100):
@@ -103,23 +96,16 @@ def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) ->
     return se3.transform(se3.exp_rotation(turn) @ T[:, :3, :3], T[:, :3, 3] + shift)
 
 
-@pytest.mark.parametrize('count', [3, 12])
-@pytest.mark.parametrize('on_base', [False, True])
-def test_views_without_noise(count: int, on_base: bool) -> None:
-    X, Z, poses = views(count, count=count, on_base=on_base)
-    found = solve(poses)
-    assert off(found.X, X) < 1e-9
-    translation = list(found.target['pose']['translation'].values())
-    assert translation == pytest.approx(Z[:3, 3], abs=1e-9)
-
-
 @pytest.mark.parametrize('on_base', [False, True])
 def test_views_are_as_sure_as_they_say(on_base: bool) -> None:
     """The robot turns about its flange, which is elsewhere with the camera on the base."""
     squares = []
     for seed in range(40):
-        X, _, poses = views(seed, NOISE, 20, (1e-4, 1e-3), on_base)
-        squares.append(chi_squared(poses.solve(), X))
+        X, Z, poses = views(seed, NOISE, 20, (1e-4, 1e-3), on_base)
+        found = poses.solve()
+        squares.append(chi_squared(found, X))
+        assert list(found.target['pose']['translation'].values()) == pytest.approx(
+            Z[:3, 3], abs=2e-3)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
 
 
@@ -169,22 +155,6 @@ def test_the_tracker_is_as_sure_as_it_says() -> None:
 def of_cell(cell: TrackerCell) -> Config:
     return with_values(CELL, {'tracker.h0': cell.h0, 'tracker.h1': cell.h1,
                               'tracker.first_reading': cell.q3_first}, 'test')
-
-
-def test_the_tracker_from_profiles() -> None:
-    """Noise as in the paper, and the faults of the sensor beside it; against the truth."""
-    cell = simulate_tracker(np.random.default_rng(1))
-    config = of_cell(cell)
-    pieces = [Piece(row, kind, point[None], np.array([config.tracker.noise]))
-              for kind, points in cell.reflector.items() for row, point in enumerate(points)
-              if kind != 'ball']
-    swept, q30 = sweep_from(cell.profiles, cell.poses, config)
-    found = solve(TrackerSession(config, [*pieces, *swept], cell.reflector['ball'][0], q30))
-    error = se3.difference(found.X, cell.T_flange_sensor)
-    assert np.linalg.norm(error[:3]) < 0.25e-3 and np.linalg.norm(error[3:]) < np.deg2rad(0.07)
-    assert found.target['radius'] == pytest.approx(RADIUS, abs=2e-5)
-    std = np.sqrt(np.diag(found.covariance))
-    assert 1e-6 < std[:3].max() < 0.25e-3 and 1e-6 < std[3:].max() < 1e-3
 
 
 def test_the_rim_of_the_ball_is_no_block() -> None:
