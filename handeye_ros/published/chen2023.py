@@ -13,8 +13,8 @@ What is wrong in print, and what is done here:
 - N points give N (N - 1) / 2 vectors, not N!; the sum over them needs none. With S = sum
   (x - mean)(x - mean)', the sum of v v' over unordered pairs is N S, so the sum of squares over n
   and m points is n m trace(S_p S_q). Over ordered pairs, as eq. 7 runs, it is four times that.
-- eq. 4 leaves out r1 . r3 = 0, and the matrix printed in Table 2 is no rotation; `orthogonal`
-  adds the missing constraint.
+- eq. 4 leaves out r1 . r3 = 0, and the matrix printed in Table 2 is no rotation; the nearest one
+  is returned, and `solve_rigid` solves with all constraints.
 - the start of the interior-point method is not said; see `STARTS`.
 - Table 1 cannot be recomputed (columns swapped, one orientation per edge).
 
@@ -22,7 +22,6 @@ The objective sees no lines, only two perpendicular spans: five points per edge 
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import cast
 
 from handeye_ros import se3
@@ -45,22 +44,6 @@ STARTS: Array = np.stack([_GROUP[np.argmax(_GROUP[:, :, 2] @ axis)]
 
 _OPTIONS = {'gtol': 1e-9, 'xtol': 1e-12, 'barrier_tol': 1e-12, 'maxiter': 250,
             'initial_tr_radius': 0.3}  # a first step of 1 leaves the constraints for good
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """
-    What the minimisation found.
-
-    matrix: (4, 4) as the paper states it, columns r1, r3 x r1, r3, t, no rotation unless the
-    constraints made it one; T_flange_sensor: (4, 4) with the nearest rotation; cost: the sum
-    over unordered pairs of pairs (m^4); costs: (starts,) the same from each start.
-    """
-
-    matrix: Array
-    T_flange_sensor: Array
-    cost: float
-    costs: Array
 
 
 def edge_rows(T_base_flange: Array, points: Array) -> Array:
@@ -102,58 +85,54 @@ def cost(rows: tuple[Array, Array], u: Array) -> tuple[float, Array, Array]:
     return float(np.sum(S_p * S_q)), gradient, H
 
 
-def solve_nine(T_base_flange: Array, points: Array, edges: Array, orthogonal: bool = False,
-               starts: Array = STARTS) -> Result:
+def solve_nine(T_base_flange: Array, points: Array, edges: Array) -> Array:
     """
-    Minimise eq. 7 (squared) over nine parameters by an interior-point method (scipy trust-constr).
+    Return T_flange_sensor by eq. 7 (squared) over nine parameters: an interior-point method.
 
     T_base_flange: (n, 4, 4); points: (n, 2) edge points, x and z in the sensor plane (metres);
-    edges: (n,) 'p' or 'q'. Constraints: |r1| = |r3| = 1 (eq. 4), with orthogonal r1 . r3 = 0
-    too; a box of 1.5 around every direction cosine and 1.5 m around t makes the barrier. With
-    five points per edge the seven unknowns are poorly held; the paper advises six and more.
+    edges: (n,) 'p' or 'q'. scipy's trust-constr with |r1| = |r3| = 1 (eq. 4); a box of 1.5 around
+    every direction cosine and 1.5 m around t makes the barrier; the nearest rotation is returned.
+    With five points per edge the seven unknowns are poorly held; the paper advises six and more.
     Raises TooFewError.
     """
-    rows, pairs = _prepare(T_base_flange, points, edges)
+    rows = _rows(T_base_flange, points, edges)
     bound = np.repeat([1.5, 1.5 / LENGTH], [6, 3])
     found = []
-    for R in starts:
+    for R in STARTS:
         start = np.concatenate([R[:, 0], R[:, 2], np.zeros(3)])
         scale = _scale(rows, start)
         found.append(minimize(
             lambda u, s=scale: (s * cost(rows, u)[0], s * cost(rows, u)[1]), start, jac=True,
             hess=lambda u, s=scale: s * cost(rows, u)[2], method='trust-constr',
-            bounds=Bounds(-bound, bound), constraints=[_constraint(orthogonal)],
-            options=_OPTIONS).x)
-    return _best(rows, pairs, np.array(found))
+            bounds=Bounds(-bound, bound), constraints=[_norms()], options=_OPTIONS).x)
+    return _best(rows, np.array(found))
 
 
-def solve_rigid(T_base_flange: Array, points: Array, edges: Array,
-                starts: Array = STARTS) -> Result:
+def solve_rigid(T_base_flange: Array, points: Array, edges: Array) -> Array:
     """
-    Minimise the same sum on SE(3): least squares over the products of centred points.
+    Return T_flange_sensor with the least of the same sum on SE(3).
 
     Arguments and errors as `solve_nine`. The products p_i . q_j of all centred points have
     trace(S_p S_q) as their sum of squares, so six unknowns and n m residuals say the same as
     all pairs of pairs.
     """
-    rows, pairs = _prepare(T_base_flange, points, edges)
+    rows = _rows(T_base_flange, points, edges)
     found = []
-    for R in starts:
+    for R in STARTS:
         fit = least_squares(_products, np.zeros(6), args=(rows, R), method='lm', xtol=1e-15,
                             ftol=1e-15, gtol=1e-15, max_nfev=4000)
         found.append(_parameters(fit.x, R))
-    return _best(rows, pairs, np.array(found))
+    return _best(rows, np.array(found))
 
 
-def _prepare(T_base_flange: Array, points: Array,
-             edges: Array) -> tuple[tuple[Array, Array], int]:
-    """Return the rows of both edges and the factor n m of the scatter identity."""
+def _rows(T_base_flange: Array, points: Array, edges: Array) -> tuple[Array, Array]:
+    """Return the rows of both edges."""
     masks = [np.asarray(edges) == edge for edge in 'pq']
     for edge, mask in zip('pq', masks, strict=True):
         if mask.sum() < MINIMUM:
             raise TooFewError('Chen 2023', MINIMUM, f'points on edge {edge}', int(mask.sum()))
     p, q = (edge_rows(T_base_flange[mask], points[mask]) for mask in masks)
-    return (p, q), int(masks[0].sum() * masks[1].sum())
+    return p, q
 
 
 def _scale(rows: tuple[Array, Array], u: Array) -> float:
@@ -162,14 +141,12 @@ def _scale(rows: tuple[Array, Array], u: Array) -> float:
     return 1e3 / float(np.sum(p ** 2) * np.sum(q ** 2))
 
 
-def _constraint(orthogonal: bool) -> NonlinearConstraint:
-    """Return eq. 4, or with orthogonal eq. 4 and the r1 . r3 = 0 that it leaves out."""
-    bilinear = np.zeros((3, 9, 9))
-    bilinear[0, :3, :3] = bilinear[1, 3:6, 3:6] = 2.0 * np.eye(3)
-    bilinear[2, :3, 3:6] = bilinear[2, 3:6, :3] = np.eye(3)
-    B, target = (bilinear, [1.0, 1.0, 0.0]) if orthogonal else (bilinear[:2], [1.0, 1.0])
+def _norms() -> NonlinearConstraint:
+    """Return eq. 4."""
+    B = np.zeros((2, 9, 9))
+    B[0, :3, :3] = B[1, 3:6, 3:6] = 2.0 * np.eye(3)
     return NonlinearConstraint(
-        lambda u: 0.5 * (B @ u) @ u, target, target, jac=lambda u: B @ u,
+        lambda u: 0.5 * (B @ u) @ u, 1.0, 1.0, jac=lambda u: B @ u,
         hess=lambda _, weights: np.tensordot(weights, B, axes=1))
 
 
@@ -185,13 +162,11 @@ def _products(delta: Array, rows: tuple[Array, Array], R: Array) -> Array:
     return cast(Array, (p @ q.T).ravel())
 
 
-def _best(rows: tuple[Array, Array], pairs: int, found: Array) -> Result:
-    """Return the result of the start that ended lowest, of those that met eq. 4."""
-    costs = np.array([pairs * cost(rows, u)[0] for u in found])
+def _best(rows: tuple[Array, Array], found: Array) -> Array:
+    """Return the transform of the start that ended lowest, of those that met eq. 4."""
+    costs = np.array([cost(rows, u)[0] for u in found])
     norms = np.linalg.norm(found[:, :6].reshape(-1, 2, 3), axis=2)
     met = np.abs(norms - 1.0).max(axis=1) < 1e-6
-    best = int(np.argmin(np.where(met, costs, np.inf if met.any() else costs)))
-    r1, r3, t = found[best, :3], found[best, 3:6], found[best, 6:] * LENGTH
-    matrix = se3.transform(np.column_stack([r1, np.cross(r3, r1), r3]), t)
-    return Result(matrix, se3.transform(se3.nearest_rotation(matrix[:3, :3]), t),
-                  float(costs[best]), costs)
+    best = found[np.argmin(np.where(met, costs, np.inf if met.any() else costs))]
+    columns = np.column_stack([best[:3], np.cross(best[3:6], best[:3]), best[3:6]])
+    return se3.transform(se3.nearest_rotation(columns), best[6:] * LENGTH)

@@ -155,8 +155,8 @@ def _zheng(stations: Stations) -> Array:
     edge = obs.kind == line.EDGE_Y  # each point is there twice, for y and for z
     to_plane = zheng2018.T_plane_x_plane_y
     start = se3.perturb(stations.estimate.X, ZHENG_START_OFF) @ se3.inverse(to_plane)
-    found = zheng2018.solve(stations.problem.poses[obs.station[edge]], obs.points[edge], start)
-    return np.asarray(found.T_flange_sensor @ to_plane)
+    T = zheng2018.solve(stations.problem.poses[obs.station[edge]], obs.points[edge], start)
+    return np.asarray(T @ to_plane)
 
 
 def _from_files(values: Values) -> Array:
@@ -176,16 +176,16 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('plane, the face lines alone', _by_method('plane')),
         Estimator('line, one edge alone', _line_on_one_edge),
         Estimator('Chen 2023, nine parameters',
-                  lambda given: chen2023.solve_nine(*_edges(given)).T_flange_sensor),
+                  lambda given: chen2023.solve_nine(*_edges(given))),
         Estimator('Chen 2023, on SE(3)',
-                  lambda given: chen2023.solve_rigid(*_edges(given)).T_flange_sensor),
+                  lambda given: chen2023.solve_rigid(*_edges(given))),
     ),
     'sphere': (
         Estimator('sphere', _by_method('sphere')),
         Estimator('fixed point, linear',
-                  lambda given: fixed_point.solve_linear(*_ball(given)).T_flange_sensor),
+                  lambda given: fixed_point.solve_linear(*_ball(given))[0]),
         Estimator('fixed point, least squares',
-                  lambda given: fixed_point.solve_least_squares(*_ball(given)).T_flange_sensor),
+                  lambda given: fixed_point.solve_least_squares(*_ball(given))),
     ),
     'line': (
         Estimator('line', _by_method('line')),

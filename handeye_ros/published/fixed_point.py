@@ -12,13 +12,11 @@ What is wrong in print, and what is done here:
 - the column of Table 1 headed r_c holds negative numbers, so it must be z; y stands beside it
   with its sign, which comes from knowing on which side of the ball the laser was: `sides`.
 - how A x = b is formed is not said; the common centre is eliminated by taking the mean off.
-- x of A x = b is no rotation; `solve_linear` returns it as it is and the nearest rotation too.
+- x of A x = b is no rotation; `solve_linear` returns the nearest one.
 - the printed p_y = 0 of all three trials is no measurement: an arm with one axis of rotation
-  leaves t along it free, and the solution of least norm puts 0 there (`rank` says so).
+  leaves t along it free, and the solution of least norm puts 0 there.
 """
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -32,22 +30,6 @@ LENGTH = 0.1
 """Metres per unit of length in A x = b: what the rank is judged by."""
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
-    """
-    What was found.
-
-    matrix: (4, 4) as it came out, no rotation in the linear solution; T_flange_sensor: (4, 4)
-    with the nearest rotation; centre: (3,) of the ball in the base; rank: of the equations,
-    12 when they say everything in the linear solution, 9 in the other.
-    """
-
-    matrix: Array
-    T_flange_sensor: Array
-    centre: Array
-    rank: int
-
-
 def ball_centres(circles: Array, radii: Array, radius: float, sides: Array) -> Array:
     """
     Return the centres (n, 3) of the ball in the sensor frame (metres).
@@ -59,44 +41,40 @@ def ball_centres(circles: Array, radii: Array, radius: float, sides: Array) -> A
     return np.column_stack([circles[:, 0], y, circles[:, 1]])
 
 
-def solve_linear(T_base_flange: Array, centres: Array) -> Result:
+def solve_linear(T_base_flange: Array, centres: Array) -> tuple[Array, Array]:
     """
-    Return the solution of least norm of eqs. 3 and 4.
+    Return T_flange_sensor (4, 4) and the ball's centre (3,) in the base: eqs. 3 and 4.
 
-    T_base_flange: (n, 4, 4); centres: (n, 3) from `ball_centres`. Raises TooFewError.
+    T_base_flange: (n, 4, 4); centres: (n, 3) from `ball_centres`. The solution of least norm, with
+    the nearest rotation. Raises TooFewError.
     """
     if len(centres) < MINIMUM:
         raise TooFewError('the fixed point', MINIMUM, 'profiles', len(centres))
     R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH
     A = np.concatenate([R * c for c in (*centres.T[:, :, None, None] / LENGTH, 1.0)], axis=2)
     mean_A, mean_a = A.mean(axis=0), a.mean(axis=0)
-    x, _, rank, _ = np.linalg.lstsq((A - mean_A).reshape(-1, 12), (mean_a - a).ravel(),
-                                    rcond=1e-10)
-    matrix = se3.transform(x[:9].reshape(3, 3).T, x[9:] * LENGTH)
-    centre = (mean_A @ x + mean_a) * LENGTH
-    T = se3.transform(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
-    return Result(matrix, T, centre, int(rank))
+    x = np.linalg.lstsq((A - mean_A).reshape(-1, 12), (mean_a - a).ravel(), rcond=1e-10)[0]
+    R = se3.nearest_rotation(x[:9].reshape(3, 3).T)
+    return se3.transform(R, x[9:] * LENGTH), (mean_A @ x + mean_a) * LENGTH
 
 
-def solve_least_squares(T_base_flange: Array, centres: Array,
-                        T_flange_sensor: Array | None = None) -> Result:
+def solve_least_squares(T_base_flange: Array, centres: Array) -> Array:
     """
-    Return the rigid transform and ball centre that bring the centres together best.
+    Return the T_flange_sensor (4, 4) that brings the centres together best.
 
-    Arguments and errors as `solve_linear`, whose answer is the start when none is given.
-    Gauss-Newton with steps of least norm: what the data leave free stays as it was at the start.
+    Arguments and errors as `solve_linear`, whose answer is the start. Gauss-Newton with steps of
+    least norm: what the data leave free stays as it was at the start.
     """
-    linear = solve_linear(T_base_flange, centres)
-    T = linear.T_flange_sensor if T_flange_sensor is None else T_flange_sensor
-    base, ball, rank = T_base_flange[:, :3, :3], linear.centre, 0
+    T, ball = solve_linear(T_base_flange, centres)
+    base = T_base_flange[:, :3, :3]
     for _ in range(100):
         residuals = se3.apply(T_base_flange @ T, centres[:, None])[:, 0] - ball
         arms = se3.skew(centres @ T[:3, :3].T)
         J = np.concatenate([base * LENGTH, -base @ arms,
                             np.broadcast_to(-np.eye(3) * LENGTH, base.shape)], axis=2)
-        step, _, rank, _ = np.linalg.lstsq(J.reshape(-1, 9), -residuals.ravel(), rcond=1e-6)
+        step = np.linalg.lstsq(J.reshape(-1, 9), -residuals.ravel(), rcond=1e-6)[0]
         T = se3.perturb(T, np.append(step[:3] * LENGTH, step[3:6]))
         ball = ball + step[6:] * LENGTH
         if np.linalg.norm(step) < 1e-12:
             break
-    return Result(T, T, ball, int(rank))
+    return T

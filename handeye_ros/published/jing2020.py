@@ -77,8 +77,6 @@ class Result:
     """
 
     T_flange_sensor: Array
-    T_tracker_flange: Array
-    T_tracker_sensor: Array
     direction: Array
     radius: float
     angles: Array
@@ -97,8 +95,8 @@ def solve(tracker: Tracker, sweep: Sweep, direction: Array = SWEEP) -> Result:
     T_tracker_k = block_frame(tracker.ball, tracker.face_c, tracker.face_d)
     T_tracker_sensor = T_tracker_k @ se3.inverse(block_frame(ball, *faces))
     angles = [face_angle(tracker.face_c, tracker.face_d), face_angle(*faces)]
-    return Result(se3.inverse(T_tracker_flange) @ T_tracker_sensor, T_tracker_flange,
-                  T_tracker_sensor, direction, radius, np.array(angles))
+    return Result(se3.inverse(T_tracker_flange) @ T_tracker_sensor, direction, radius,
+                  np.array(angles))
 
 
 def link_frame(tracker: Tracker, q3: float) -> Array:

@@ -56,24 +56,6 @@ _CONSTRAINTS = ((0, 0, 1.0), (3, 3, 1.0), (0, 3, 0.0), (12, 12, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
-    """
-    What the search found.
-
-    T_flange_sensor: (4, 4), sensor plane x = 0, with the nearest rotation; point, direction:
-    (3,) of the line in the base; distances: (n,) of the points to it (metres); rounds: of the
-    penalty; factor: the last u.
-    """
-
-    T_flange_sensor: Array
-    point: Array
-    direction: Array
-    distances: Array
-    rounds: int
-    factor: float
-
-
-@dataclass(frozen=True, eq=False)
 class _Problem:
     """p_i = A_i x[:9] + a_i (eq. 7), in units of LENGTH, the base's origin moved to the mean a."""
 
@@ -105,9 +87,9 @@ class _Problem:
         return [float(c) for c in total]
 
 
-def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Result:
+def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Array:
     """
-    Return the hand-eye transform from the points of one straight edge.
+    Return T_flange_sensor (4, 4) from the points of one straight edge; the nearest rotation.
 
     T_base_flange: (n, 4, 4); points: (n, 2), y and z in the sensor plane x = 0 (metres);
     T_flange_sensor: (4, 4), the nominal mounting to start from. Raises TooFewError.
@@ -115,15 +97,11 @@ def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Result
     if len(points) < MINIMUM:
         raise TooFewError('Zheng 2018', MINIMUM, 'points on the edge', len(points))
     R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH
-    origin = a.mean(axis=0)
     y, z = (points[:, k, None, None] / LENGTH for k in (0, 1))
-    problem = _Problem(np.concatenate([R * y, R * z, R], axis=2), a - origin)
-    x, rounds, factor = _penalty(problem, _start(problem, T_flange_sensor), len(points))
+    problem = _Problem(np.concatenate([R * y, R * z, R], axis=2), a - a.mean(axis=0))
+    x = _penalty(problem, _start(problem, T_flange_sensor), len(points))
     columns = np.column_stack([np.cross(x[:3], x[3:6]), x[:3], x[3:6]])
-    d = x[12:] / np.linalg.norm(x[12:])
-    distances = np.linalg.norm(np.cross(problem.offsets(x), d), axis=1)
-    T = se3.transform(se3.nearest_rotation(columns), x[6:9] * LENGTH)
-    return Result(T, (x[9:12] + origin) * LENGTH, d, distances * LENGTH, rounds, factor)
+    return se3.transform(se3.nearest_rotation(columns), x[6:9] * LENGTH)
 
 
 def _start(problem: _Problem, T_flange_sensor: Array) -> Array:
@@ -137,18 +115,17 @@ def _start(problem: _Problem, T_flange_sensor: Array) -> Array:
     return x
 
 
-def _penalty(problem: _Problem, x: Array, k: int) -> tuple[Array, int, float]:
-    """Return parameters, rounds and last factor of the penalty method (section 1.4)."""
-    factor, rounds = FACTOR, 0
-    while rounds < 40:
-        rounds += 1
+def _penalty(problem: _Problem, x: Array, k: int) -> Array:
+    """Return the parameters by the penalty method (section 1.4)."""
+    factor = FACTOR
+    for _ in range(40):
         x = minimise(problem, x, factor)
         M = problem.along(x, np.zeros(15), factor)[0]
         following = 0.5 * M / k + 0.1 * factor
         if M < ENOUGH or abs(following - factor) < 1e-3 * factor:
             break
         factor = following
-    return x, rounds, factor
+    return x
 
 
 def minimise(problem: _Problem, x: Array, factor: float, limit: int = 2000) -> Array:

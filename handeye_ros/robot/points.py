@@ -88,7 +88,7 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     T = arm.forward(rows.q)
     T = T if rows.in_hand else se3.inverse(T)
     most = max(parts, key=np.count_nonzero)
-    X = fixed_point.solve_linear(T[most], rows.points[most]).T_flange_sensor
+    X, _ = fixed_point.solve_linear(T[most], rows.points[most])
     seen = se3.apply(T @ X, rows.points[:, None])[:, 0]
     start = State(X, tuple(np.median(seen[part], axis=0) for part in parts), arm, np.zeros(0))
 
