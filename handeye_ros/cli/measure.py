@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a calibrated robot measures, and whether its calibration still holds."""
 from dataclasses import replace
-from datetime import datetime, UTC
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -60,7 +59,6 @@ def verify(
     a routine needs.
     """
     from handeye_ros.output import html_file, write_whole
-    from handeye_ros.results.calibration_file import input_values
     from handeye_ros.verification import verify as verification
     from handeye_ros.verification.routines import routine_of, settings_for
     if protocol:
@@ -70,10 +68,9 @@ def verify(
     settings = settings_for(routine, settings, len(bags))
     measured, reasons = zip(*(_stations(routine, bag, answer, settings) for bag in bags),
                             strict=True)
-    result = replace(
+    result = verification.with_provenance(
         verification.verify(routine, measured, answer, settings, next(filter(None, reasons), '')),
-        inputs=tuple(map(str, bags)), calibration_file=input_values(calibration),
-        created=datetime.now(UTC).isoformat(timespec='seconds'))
+        bags, calibration)
     show(verification.table(result))
     if out:
         write_whole(out, verification.yaml_text(result))

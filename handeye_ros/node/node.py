@@ -3,7 +3,8 @@
 """The node `handeye`: topics, services and parameters around a running session."""
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 import re
@@ -29,9 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 
 CURRENT = 0.2  # s between two messages on ~/current
 REQUESTS = QoSProfile(depth=1000)  # may wait for a solve; by default ROS keeps only ten
-# Services of type Trigger: those that are quick wait for each other, and for no slow one.
-QUICK = ('take_sample', 'remove_last_sample', 'clear_samples', 'save_calibration', 'verify_start')
-SLOW = ('compute_calibration', 'verify_result')
+SLOW = ('compute_calibration', 'verify_result')  # no other service waits for these
 
 
 class HandeyeNode(Node):
@@ -43,12 +42,16 @@ class HandeyeNode(Node):
         self._folders = folders = OutputFolders(self.get_namespace())
         config, stored = params.declare(self, folders)
         self.live = LiveSession(config, folders, SessionFiles(folders.folder, stored), Pool(),
-                                self._show)
+                                lambda: self._outputs.show())
+        live, answer, verification = self.live, self.live.answer, self.live.verification
+        self._requests: dict[str, Callable[[], Any]] = {work.__name__: work for work in (
+            live.take_sample, live.remove_last_sample, live.clear_samples,
+            answer.compute_calibration, answer.save_calibration,
+            verification.verify_start, verification.verify_result)}
         self._outputs = Outputs(self, self.live)
         self._streams = Streams(self, self.live)
         self._changing = Lock()  # the page sets parameters from its own thread
-        self._logged: object = None  # the last attempt in the log,
-        self._warned: set[str] = set()  # and the warnings
+        self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._apply_change)
         if stored:
@@ -68,8 +71,8 @@ class HandeyeNode(Node):
 
     def _serve(self) -> None:
         quick = MutuallyExclusiveCallbackGroup()
-        for name in (*QUICK, *SLOW):
-            group = quick if name in QUICK else MutuallyExclusiveCallbackGroup()
+        for name in self._requests:
+            group = MutuallyExclusiveCallbackGroup() if name in SLOW else quick
             self.create_service(Trigger, f'~/{name}', partial(self._answer, name),
                                 callback_group=group, qos_profile=REQUESTS)
         self.create_service(SetBool, '~/auto_sample', self._auto_sample, callback_group=quick,
@@ -93,18 +96,6 @@ class HandeyeNode(Node):
         """Return the current state of the session."""
         return state_of(self.live, self._streams.obstacles(), self._streams.trouble())
 
-    def _show(self) -> None:
-        """Log a new attempt to take a sample, and publish what has changed."""
-        attempt = self.live.attempt
-        if attempt and attempt is not self._logged and not self._outputs.closed:
-            self._logged = attempt
-            if attempt.sample:
-                self.get_logger().info(attempt.text)
-                self._outputs.show_features(attempt.sample)
-            else:
-                self.get_logger().warning(attempt.text)
-        self._outputs.show()
-
     def _diagnose(self) -> None:
         """Publish the state, and log the warnings that are new but for their numbers."""
         state = self.state
@@ -120,7 +111,8 @@ class HandeyeNode(Node):
     def call_service(self, name: str) -> tuple[bool, str]:
         """Return whether a service succeeds, and its message."""
         try:
-            text, success = getattr(self.live, name)(), True
+            answer = self.live.ask(self._requests[name])
+            text, success = answer.result() if isinstance(answer, Future) else answer, True
         except HandeyeError as error:
             text, success = str(error), False
         if name == 'clear_samples' and success:
@@ -139,7 +131,7 @@ class HandeyeNode(Node):
             return f'{path} is the current session'
         stored = read_session(path)
         files, session = SessionFiles(self._folders.folder, stored), stored.session(config)
-        text = self.live.open(files, session, stored.config)
+        text = self.live.ask(partial(self.live.open, files, session, stored.config))
         self.set_values({'samples.exclude': list(stored.config.samples.exclude)})
         return text
 
@@ -180,7 +172,7 @@ class HandeyeNode(Node):
         with self._changing:
             config = params.changed(self.live.config, changes)
             other_topics = self._streams.changes(config)
-            self.live.configure(config)
+            self.live.ask(partial(self.live.configure, config))
         if other_topics:
-            self.live.clear_samples()
+            self.live.ask(self.live.clear_samples)
             self._streams.listen()

@@ -13,10 +13,9 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
-from handeye_ros.agreement import Agreement, count_of, sample_summary
-from handeye_ros.data import Calibration
+from handeye_ros.agreement import Agreement, sample_summary
+from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
-from handeye_ros.results.table import transform_rows
 from handeye_ros.sampling.session import Outcome, Session
 import numpy as np
 
@@ -99,7 +98,8 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     obstacles: why no messages of a kind (profile, pose) arrive, where it is known; trouble: what
     else disturbs the node.
     """
-    session, config, review, attempt = live.copied(), live.config, live.review, live.attempt
+    session, config, attempt = live.copied(), live.config, live.attempt
+    review = live.answer.review
     obstacles, profiles, poses = obstacles or {}, live.messages['profile'], live.messages['pose']
     samples = [_sample(outcome, session, review.agreements.get(outcome.number))
                for outcome in session.outcomes]
@@ -128,7 +128,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
         'review': review.no_agreements,
         'attempt': attempt and {'accepted': attempt.sample is not None, 'number': attempt.number,
                                 'text': attempt.text},
-        'calibration': _calibration(live, session), 'guidance': _guidance(live)}
+        'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}
 
 
 def taken(state: State) -> int:
@@ -168,26 +168,13 @@ def status_message(state: State) -> State:
     return {'format': STATUS_FORMAT, **state['calibration']}
 
 
-def calibration_summary(calibration: Calibration) -> str:
-    """Return the transform with its 1 sigma, and the residuals, in words."""
-    quality = calibration.quality
-    values = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
-    moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
-    used = count_of(quality.samples_used, 'profile' if moving else 'sample')
-    return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
-            f'{", ".join(values[:3])} mm; roll, pitch, yaw = {", ".join(values[3:])} degrees; '
-            f'residual {quality.residual_rms * 1e3:.3f} mm '
-            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
-            f'{quality.samples_rejected} not used; save it with ~/save_calibration')
-
-
 def _stream(messages: MessageCount, topic: str, frame: str, obstacle: str) -> State:
     """
     Return the messages of one kind.
 
-    count, malformed: numbers of valid and invalid messages; lost: of those lost on their way; age:
-    seconds since the last valid one, or since the start; trouble: why no usable messages arrive
-    and what to do, or ''.
+    count, malformed: numbers of valid and invalid messages; reason: of the last invalid one; lost:
+    of those lost on their way; age: seconds since the last valid one, or since the start; trouble:
+    why no usable messages arrive and what to do, or ''.
     """
     kind, count, trouble = messages.kind, messages.count, messages.trouble
     if not trouble and messages.silence >= SILENCE:
@@ -195,7 +182,8 @@ def _stream(messages: MessageCount, topic: str, frame: str, obstacle: str) -> St
         trouble = (f'{"no more" if count else "no"} {kind}s on {topic} for '
                    f'{messages.silence:.0f} s{cause}')
     return {'kind': kind, 'topic': topic, 'count': count, 'malformed': messages.malformed,
-            'lost': messages.lost, 'age': messages.silence, 'frame': frame, 'trouble': trouble}
+            'reason': messages.reason, 'lost': messages.lost, 'age': messages.silence,
+            'frame': frame, 'trouble': trouble}
 
 
 def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> State:
@@ -224,7 +212,7 @@ def _pose(T: Any) -> State:
             'rotation': None if T is None else se3.quaternion(T).tolist()}
 
 
-def _calibration(live: LiveSession, session: Session) -> State:
+def _calibration(answer: LiveAnswer, session: Session) -> State:
     """
     Return the answer and its state.
 
@@ -233,25 +221,26 @@ def _calibration(live: LiveSession, session: Session) -> State:
     child in the parent; std: 1 sigma of x y z rx ry rz; all None without an answer. saved: the
     file of this answer, empty before it is saved.
     """
-    calibration = live.calibration
+    calibration = answer.calibration
     if calibration is None:
-        text = (f'{live.missing}; the transform that was published before is not the answer'
-                if live.withdrawn else
-                ': '.join(filter(None, ('no calibration has been computed yet', live.missing))))
-        return {'state': WITHDRAWN if live.withdrawn else NONE, 'text': text, 'parent': '',
+        text = (f'{answer.missing}; the transform that was published before is not the answer'
+                if answer.withdrawn else
+                ': '.join(filter(None, ('no calibration has been computed yet', answer.missing))))
+        return {'state': WITHDRAWN if answer.withdrawn else NONE, 'text': text, 'parent': '',
                 'child': '', **_pose(None), 'rpy': None, 'std': None, 'residual_rms': None,
                 'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
-    T, quality, changes = calibration.T_flange_sensor, calibration.quality, live.changes(session)
+    T, quality = calibration.T_flange_sensor, calibration.quality
+    changes = answer.changes(session)
     return {
-        'state': OUTDATED if changes else CURRENT, 'text': calibration_summary(calibration)
-        + changes, 'parent': calibration.parent_frame, 'child': calibration.child_frame,
+        'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
+        'parent': calibration.parent_frame, 'child': calibration.child_frame,
         **_pose(T), 'rpy': [float(angle) for angle in se3.rpy(T)],
         'std': np.sqrt(np.diag(calibration.covariance)).tolist(),
         'residual_rms': quality.residual_rms, 'holdout_rms': quality.holdout_rms,
-        'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': live.saved}
+        'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': answer.saved}
 
 
-def _guidance(live: LiveSession) -> State:
+def _guidance(review: Review) -> State:
     """
     Return the guidance.
 
@@ -262,7 +251,7 @@ def _guidance(live: LiveSession) -> State:
     x y z w), None before a first estimate of the sensor's pose; expected: 1 sigma of mapped points
     with it (m).
     """
-    advice, sample = live.review.advice, live.review.advised
+    advice, sample = review.advice, review.advised
     return {
         'sample': sample, 'text': (f'after sample {sample}: ' if sample else '') + advice.text,
         'sentences': list(advice.sentences), 'enough': advice.enough, 'why': advice.why,

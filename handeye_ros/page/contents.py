@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,13 +16,12 @@ from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session import read_session, sessions_in
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import InputError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes
-from handeye_ros.output import folder_name
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.scene import profile_picture, shape
 from handeye_ros.verification.routines import ROUTINES
@@ -155,11 +154,7 @@ def _cell(node: Served) -> dict[str, Any]:
 
 def _file(live: Live, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
-    if live.calibration is None:
-        raise DataError('there is no calibration to save: call ~/compute_calibration first, and '
-                        'check that it succeeds')
-    calibration = calibration_file.dated(replace(
-        live.calibration, name=folder_name(live.config)))
+    calibration = calibration_file.dated(live.answer.required())
     if name == exports.REPORT:
         return name, live.pool.run(_report, calibration, live.path)
     form = exports.format_of(name)
@@ -175,13 +170,14 @@ def _report(calibration: Calibration, session: str) -> str:
 
 def contents(state: State, live: Live) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
-    config, current = live.config, live.current()
+    config, current, verifying = live.config, live.current(), live.verification.session
     profile = current and {**profile_picture(current.points, current.features),
                            'reason': current.reason}
     return {**state, 'profile': profile, 'scene': _scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
-            'rows': list(answer_rows(live.calibration)),
-            'verification': {'running': live.verification, 'verdict': live.verdict,
+            'rows': list(answer_rows(live.answer.calibration)),
+            'verification': {'running': verifying.text if verifying else '',
+                             'verdict': live.verification.verdict,
                              'routine': config.verify.routine}}
 
 
@@ -207,7 +203,7 @@ def stop_profile(live: Live, number: int) -> dict[str, Any]:
 
 def _edges(live: Live) -> dict[int, str]:
     """Return the edges of the target crossed by each used sample, by its number."""
-    answer, edges = live.review.answer, dict[int, str]()
+    answer, edges = live.answer.review.answer, dict[int, str]()
     if answer is None or answer.solution is None:
         return edges
     problem = answer.solution.problem
@@ -229,13 +225,13 @@ def _scene(live: Live, current: Any) -> dict[str, Any]:
     view: outline of the field of view in the sensor plane; aim: the motion to the next pose; move:
     the advice while the sensor's pose is unknown.
     """
-    config, advice = live.config, live.review.advice
-    solution = live.review.solution if advice.sigmas else None
+    config, advice = live.config, live.answer.review.advice
+    solution = live.answer.review.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
     samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
     pose = live.pose
     aim = advice.next.T_base_flange if advice.next else None
-    extreme_points = live.seen
+    extreme_points = live.answer.seen
     if current:
         extreme_points = extremes(np.concatenate([extreme_points, current.points]))
     offset = extreme_points - extreme_points.sum(axis=0) / max(len(extreme_points), 1)

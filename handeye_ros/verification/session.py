@@ -62,10 +62,6 @@ class Part:
         if len(self.profiles) > 2 * MOST_PROFILES:
             self.profiles, self.step = self.profiles[::2], 2 * self.step
 
-    def add_poses(self, poses: Iterable[TimedPose]) -> None:
-        """Keep poses of a pass."""
-        self.poses.extend(poses)
-
 
 class VerificationSession:
     """A verification in progress."""
@@ -106,6 +102,16 @@ class VerificationSession:
         counts = (f'{part.received} profiles' if self.scans else
                   f'{len(part.samples)} usable stops of {len(part.stops)}')
         return f'{self.routine.name}{number}: {counts}'
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Take a profile of a pass; where stops are measured, none is needed."""
+        if self.scans:
+            self.parts[-1].add_profile(profile)
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> None:
+        """Take poses of a pass, as above."""
+        if self.scans:
+            self.parts[-1].poses.extend(poses)
 
     def go_on(self) -> None:
         """Begin the next part, if there is one and this one is not empty."""

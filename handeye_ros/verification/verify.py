@@ -10,10 +10,11 @@ takes no part in U.
 """
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from datetime import datetime, UTC
 import math
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from handeye_ros import __version__, output
@@ -22,6 +23,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.frames import sensor_axes
+from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
 from handeye_ros.verification.fit import (
     agreeing,
@@ -317,6 +319,14 @@ def time_of(stamp: int) -> str:
     if stamp < EARLIEST:
         return ''
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
+
+
+def with_provenance(verification: Verification, inputs: Iterable[object],
+                    calibration_file: Path | None) -> Verification:
+    """Return a verification with what it comes from, and the time of now, for its file."""
+    return replace(verification, inputs=tuple(map(str, inputs)),
+                   calibration_file=input_values(calibration_file) if calibration_file else {},
+                   created=datetime.now(UTC).isoformat(timespec='seconds'))
 
 
 def values(verification: Verification) -> dict[str, Any]:

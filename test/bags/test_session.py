@@ -33,7 +33,7 @@ from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.evidence import verdict
-from live_sessions import changed, Inline, new
+from live_sessions import changed, computed, Inline, new
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -108,11 +108,11 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the folder of a session of all stops, with one removed and one left out."""
     live = feed(stored(tmp_path_factory.mktemp('session')))
-    live.compute_calibration()
+    computed(live)
     live.remove_last_sample()
     changed(live, samples__exclude=[3])
-    live.compute_calibration()
-    np.save(Path(live.path).parent / 'answer.npy', live.calibration.T_flange_sensor)
+    computed(live)
+    np.save(Path(live.path).parent / 'answer.npy', live.answer.calibration.T_flange_sensor)
     live.files.close()
     return Path(live.path)
 
@@ -169,11 +169,11 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     feed(other, stops=9)
     state = state_of(other)
     assert [s['number'] for s in state['samples']][:5] == [1, 2, 3, 4, 6], 'no number comes twice'
-    other.compute_calibration()
-    found = other.calibration.T_flange_sensor
+    computed(other)
+    found = other.answer.calibration.T_flange_sensor
     third = again(other)
     assert state_of(third)['calibration']['state'] == 'current', 'it is solved without being asked'
-    assert np.abs(third.calibration.T_flange_sensor - found).max() < 1e-9
+    assert np.abs(third.answer.calibration.T_flange_sensor - found).max() < 1e-9
 
 
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:

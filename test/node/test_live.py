@@ -17,6 +17,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, HandeyeError, InputError
+from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
 from handeye_ros.node.pool import PoolEndedError
 from handeye_ros.node.state import samples_message, state_of, status_message, taken
@@ -25,7 +26,7 @@ from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES, Stops
 from handeye_ros.simulate.sensor import lift
-from live_sessions import changed, fed, feed, Inline, later, new, SPHERE
+from live_sessions import changed, computed, fed, feed, Inline, later, new, SPHERE, verdict
 import numpy as np
 import pytest
 from recordings import halves
@@ -58,13 +59,14 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
         monkeypatch: pytest.MonkeyPatch) -> None:
     live, solved, answer = fed(), [], pipeline.answer
     monkeypatch.setattr(pipeline, 'answer', lambda *args: solved.append(args) or answer(*args))
-    text = live.compute_calibration()
+    text = computed(live)
     live.update()
     assert len(solved) == 1, 'review and advice are of the same answer'
     monkeypatch.undo()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
-    assert np.allclose(live.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-12)
-    assert live.calibration.samples == offline.samples
+    online = live.answer.calibration
+    assert np.allclose(online.T_flange_sensor, offline.T_flange_sensor, atol=1e-12)
+    assert online.samples == offline.samples
     state = state_of(live)
     assert state['calibration']['state'] == 'current' and state['calibration']['text'] == text
     samples, status = (json.loads(json.dumps(message(state)))
@@ -81,9 +83,9 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
     made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
     config = with_values(Config(), settings(made.scenario) | {'sampling.mode': 'moving'}, 'test')
     live = fed(config, made)
-    text = live.compute_calibration()
+    text = computed(live)
     offline = pipeline.calibrate(made.profiles, made.poses, config)
-    assert np.allclose(live.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
+    assert np.allclose(live.answer.calibration.T_flange_sensor, offline.T_flange_sensor, atol=1e-9)
     assert ' profiles used, ' in text
 
 
@@ -93,27 +95,28 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
              if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=tuple(poses)))
     assert state_of(live)['worst'][0] == 4
-    live.compute_calibration()
+    computed(live)
     changed(live, samples__exclude=[4])
     state = state_of(live)
     assert [s['number'] for s in state['samples'] if s['excluded']] == [4]
     assert state['calibration']['state'] == 'current', 'it was solved again'
     assert state['worst'][0] == 4, 'what is left out is still compared with the rest'
-    without = live.calibration.T_flange_sensor
+    without = live.answer.calibration.T_flange_sensor
     changed(live, samples__exclude=[])
-    assert not np.array_equal(live.calibration.T_flange_sensor, without)
+    assert not np.array_equal(live.answer.calibration.T_flange_sensor, without)
 
 
 def test_settings_that_change_need_no_new_samples() -> None:
     live, config = fed(), SPHERE.config
-    live.compute_calibration()
+    computed(live)
     count = taken(state_of(live))
     for key, value in (('noise__robot_translation', 1e-3), ('target__radius', 0.0)):
         changed(live, **{key: value})
         config = set_to(config, **{key: value})
         expected = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, config)
-        assert np.allclose(live.calibration.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
-        solved_with, name = live.calibration.provenance['config'], key.replace('__', '.')
+        found = live.answer.calibration
+        assert np.allclose(found.T_flange_sensor, expected.T_flange_sensor, atol=1e-12)
+        solved_with, name = found.provenance['config'], key.replace('__', '.')
         assert solved_with[name] == expected.provenance['config'][name]
     changed(live, sampling__min_points=5000)  # extracts again
     assert taken(state_of(live)) == 0
@@ -139,14 +142,14 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
         live.take_sample()
     assert not state_of(live)['attempt']['accepted']
     changed(live, sampling__mode='still')
-    live.compute_calibration()  # for which the stop that the robot stands in is over
+    computed(live)  # for which the stop that the robot stands in is over
     assert len(live.copied().outcomes) == count + 1 and live.copied().outcomes[-1].sample
     assert 'cannot count: turn the tool about the range axis' in state_of(live)['attempt']['text']
 
 
 def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
     live = fed()
-    live.compute_calibration()  # which takes the stop that the robot stands in
+    computed(live)  # which takes the stop that the robot stands in
     state = state_of(live)
     last = len(state['samples'])
     assert [s['number'] for s in state['samples']] == list(range(1, last + 1))
@@ -163,7 +166,7 @@ def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
 def test_cleared_and_refused_answers_are_withdrawn() -> None:
     live = fed(set_to(SPHERE.config, limits__rotation=1e-6))
     with pytest.raises(DataError) as error:
-        live.compute_calibration()
+        computed(live)
     status = state_of(live)['calibration']
     assert status['state'] == 'none' and str(error.value) in status['text']
     changed(live, limits__rotation=2e-2)
@@ -182,21 +185,21 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     config = replace(SPHERE.config, output_dir=str(tmp_path))
     live, folder = fed(config), tmp_path / 'sphere'
     with pytest.raises(DataError, match='there is no calibration to save'):
-        live.save_calibration()
-    live.compute_calibration()
+        live.answer.save_calibration()
+    computed(live)
     assert state_of(live)['calibration']['saved'] == ''
     for _ in range(3):
-        live.save_calibration()
+        live.answer.save_calibration()
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     assert not (folder / 'history').exists()
     other = new(config)
-    other.calibration = live.calibration
+    other.answer.calibration = live.answer.calibration
     before = (folder / 'calibration.yaml').read_bytes()
     with pytest.raises(InputError, match='another running node saves its results in'):
-        other.save_calibration()
+        other.answer.save_calibration()
     assert (folder / 'calibration.yaml').read_bytes() == before
     other.configure(set_to(other.config, name='other'))
-    assert str(tmp_path / 'other' / 'calibration.yaml') in other.save_calibration()
+    assert str(tmp_path / 'other' / 'calibration.yaml') in other.answer.save_calibration()
 
 
 # -- streams that are disturbed
@@ -205,13 +208,13 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
 def test_a_base_frame_other_than_that_of_the_poses_is_refused_and_withdraws_nothing() -> None:
     poses = [replace(p, parent_frame='base_link') for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=poses))
-    live.compute_calibration()
-    assert live.calibration.provenance['config']['robot_base_frame'] == 'base_link'
+    computed(live)
+    assert live.answer.calibration.provenance['config']['robot_base_frame'] == 'base_link'
     changed(live, robot_base_frame='base')
-    for ask in (live.compute_calibration, live.take_sample):
+    for ask in (live.answer.compute_calibration, live.take_sample):
         with pytest.raises(InputError, match='robot_base_frame is "base"'):
             ask()
-    assert live.calibration is not None
+    assert live.answer.calibration is not None
 
 
 def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
@@ -284,34 +287,34 @@ def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
     live.pool = gate
     feed(live, items_of(PARTS[0]))
     live.start()
-    live.compute_calibration()
+    computed(live)
     gate.open.clear()
-    thread, report = asked(live.compute_calibration)
+    thread, report = asked(lambda: computed(live))
     while live.working != 'the calibration is computed':
         gate.asked.wait(0.01)
-    assert ' taken again, ' in live.take_sample()
-    assert live.remove_last_sample().startswith('removed sample ')
-    assert live.save_calibration().endswith('computed again: save it again after that')
+    assert ' taken again, ' in live.ask(live.take_sample)
+    assert live.ask(live.remove_last_sample).startswith('removed sample ')
+    assert live.ask(live.answer.save_calibration).endswith('again: save it again after that')
     gate.open.set()
     thread.join(PATIENCE)
     assert report[0].startswith('laser in flange')
-    live.verify_start()
+    live.ask(live.verification.verify_start)
     for item in sorted(items_of(PARTS[1]), key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
     gate.open.clear()
-    thread, report = asked(live.verify_result)
+    thread, report = asked(lambda: verdict(live))
     while 'verified' not in live.working:
         gate.asked.wait(0.01)
     # the verification goes on until it has an answer, and stops count for it
-    assert live.take_sample().startswith('sphere: ')
+    assert live.ask(live.take_sample).startswith('sphere: ')
     gate.open.set()
     thread.join(PATIENCE)
     assert report[0].startswith('sphere: PASS, ')
     gate.open.clear()
-    thread, report = asked(live.compute_calibration)
+    thread, report = asked(lambda: computed(live))
     while live.working != 'the calibration is computed':
         gate.asked.wait(0.01)
-    live.clear_samples()
+    live.ask(live.clear_samples)
     gate.open.set()
     thread.join(PATIENCE)
     assert 'cleared while the calibration was computed' in str(report[0])
@@ -336,13 +339,13 @@ def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     live = fed()
     live.start()
-    monkeypatch.setattr(lives, 'extremes', lambda points: 1 / 0)
+    monkeypatch.setattr(answers, 'extremes', lambda points: 1 / 0)
     changed = threading.Event()
-    live.configure(set_to(live.config, noise__sensor=4e-5))
+    live.ask(lambda: live.configure(set_to(live.config, noise__sensor=4e-5)))
     while 'ZeroDivisionError' not in state_of(live)['session']['trouble']:
         changed.wait(0.01)
     monkeypatch.undo()
-    live.configure(set_to(live.config, noise__sensor=3e-5))
+    live.ask(lambda: live.configure(set_to(live.config, noise__sensor=3e-5)))
     while state_of(live)['session']['trouble']:
         changed.wait(0.01)
 
@@ -354,18 +357,18 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
                       verify__tolerance=2e-3, verify__angle_tolerance=0.02))
     with pytest.raises(DataError, match='no verification was started'):
-        live.verify_result()
+        verdict(live)
     with pytest.raises(DataError, match='there is no calibration to verify'):
-        live.verify_start()
+        live.verification.verify_start()
     feed(live, items_of(PARTS[0]))
-    live.compute_calibration()
+    computed(live)
     before = [outcome.number for outcome in live.copied().outcomes]
-    assert live.verify_start().startswith('sphere: 0 usable stops of 0; move on')
+    assert live.verification.verify_start().startswith('sphere: 0 usable stops of 0; move on')
     assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
     with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
-        live.verify_result()
+        verdict(live)
     feed(live, items_of(PARTS[1]))
-    text = live.verify_result()
+    text = verdict(live)
     assert text.startswith('sphere: PASS, 6 stations; radius ')
     assert [outcome.number for outcome in live.copied().outcomes] == before
     assert state_of(live)['calibration']['state'] == 'current'

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from handeye_ros.node.outputs import current_markers, session_markers  # noqa: E402, I100
-from live_sessions import feed, new, SPHERE  # noqa: E402
+from live_sessions import computed, feed, new, SPHERE  # noqa: E402
 import numpy as np  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
@@ -36,12 +36,12 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     assert {marker.ns for marker in before.markers[1:]} == {'flanges', 'numbers'}
     assert [m.text for m in before.markers if m.text] == [str(number) for number, _ in samples]
     assert len(current_markers(current, None, SPHERE.config).markers) == 1
-    live.compute_calibration()
-    found = session_markers(samples, live.calibration, SPHERE.config)
-    now = current_markers(current, live.calibration, SPHERE.config)
+    computed(live)
+    found = session_markers(samples, live.answer.calibration, SPHERE.config)
+    now = current_markers(current, live.answer.calibration, SPHERE.config)
     assert {marker.header.frame_id for marker in [*found.markers, *now.markers]} == {'base'}
     assert len({(m.ns, m.id) for m in found.markers}) == len(found.markers)
-    centre = np.array([live.calibration.target['centre'][axis] for axis in 'xyz'])
+    centre = np.array([live.answer.calibration.target['centre'][axis] for axis in 'xyz'])
     for shown in (points(found, 'what the answer comes from'), points(now, 'feature')):
         np.testing.assert_allclose(np.linalg.norm(shown - centre, axis=1), 0.04, atol=5e-4)
     assert len(points(now, 'profile')) >= len(points(now, 'feature')) > 10

@@ -70,5 +70,15 @@ def changed(live: LiveSession, **values: object) -> None:
     live.update()
 
 
+def computed(live: LiveSession) -> str:
+    """Return what the session says of a new answer."""
+    return live.ask(live.answer.compute_calibration).result()
+
+
+def verdict(live: LiveSession) -> str:
+    """Return the verdict of the verification that is running."""
+    return live.ask(live.verification.verify_result).result()
+
+
 def later(items, seconds: int):
     return [replace(item, stamp=item.stamp + seconds * 10**9) for item in items]

@@ -1,0 +1,274 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+What follows from the samples of a running session: answer, review and advice, computed together.
+
+The review begins by itself whenever samples or settings have changed. The answer is computed when
+it is asked for, and from then on again whenever settings change that affect it.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, TYPE_CHECKING
+
+from handeye_ros import pipeline
+from handeye_ros.agreement import Agreement, agreements, count_of, flat_crossing
+from handeye_ros.config import Config, flatten
+from handeye_ros.data import Array, Calibration
+from handeye_ros.errors import DataError, HandeyeError
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.guidance.advice import Advice, advise
+from handeye_ros.guidance.view import extremes
+from handeye_ros.node.pool import result_or_ended
+from handeye_ros.output import folder_name
+from handeye_ros.results import exports
+from handeye_ros.results.table import transform_rows
+from handeye_ros.sampling.session import Outcome, Session
+import numpy as np
+
+if TYPE_CHECKING:
+    from handeye_ros.node.live import LiveSession
+
+# Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.
+SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
+               'sampling.settle_time', 'time_offset', 'rotation_lag_std', 'clock_drift_std')
+ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
+               'sampling.min_crossing_angle')
+COMPUTED = 'the calibration is computed'
+SURE_FREEDOM = 6  # smallest degrees of freedom of a review for valid angles at the edges
+
+
+@dataclass(frozen=True, eq=False)
+class Review:
+    """
+    What follows from the samples: their answer, how each agrees with it, and the advice.
+
+    answer: None before the first; agreements: of the samples by their numbers; no_agreements: why
+    there are none; advised: the number of the last sample in the advice, 0 for none; basis:
+    identifies samples and settings that it follows from.
+    """
+
+    advice: Advice
+    answer: pipeline.Answer | None = None
+    agreements: Mapping[int, Agreement] = field(default_factory=dict)
+    no_agreements: str = ''
+    advised: int = 0
+    basis: object = None
+
+    @property
+    def solution(self) -> Solution | None:
+        """Return the solution of the answer, however uncertain."""
+        return self.answer.solution if self.answer else None
+
+
+def review_of(session: Session, config: Config, seen: Array, refused: Sequence[Array],
+              asked: bool) -> Review:
+    """
+    Return what follows from the samples of a session.
+
+    seen, refused: see advise; asked: whether somebody waits for the answer: then the
+    cause of a refusal is searched in the stops.
+    """
+    answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
+                             session if asked else None)
+    samples = {one.number: one.sample for one in session.outcomes if one.sample}
+    found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
+    in_order = sorted(session.samples, key=lambda sample: sample.stamp)
+    return Review(advise(in_order, config, answer, seen, refused), answer,
+                  {number: one for number, one in found.items() if one},
+                  '' if answer.solution else str(answer.refusal), max(samples, default=0))
+
+
+class LiveAnswer:
+    """
+    The answer of a running session; its methods are for the worker (see live.py).
+
+    calibration: the last answer that was not refused; missing: why there is none; asked_with: the
+    settings of the last attempt to compute it, None before the first; seen: visible points (k, 2)
+    at the ends of the field of view.
+    """
+
+    def __init__(self, live: LiveSession) -> None:
+        """Start without an answer."""
+        self._live = live
+        self.review = Review(advise((), live.config))
+        self.seen = np.zeros((0, 2))
+        self.calibration: Calibration | None = None
+        self.missing = ''
+        self.asked_with: dict[str, Any] | None = None
+        self._solved: set[int] = set()  # numbers of the samples of the last answer
+        self._wanted: tuple[Any, ...] = ()  # folder, formats and answer that were saved last,
+        self._saved: exports.Saved | None = None  # and the files
+
+    @property
+    def withdrawn(self) -> bool:
+        """Return whether there was an answer that is not valid any more."""
+        return self.calibration is None and bool(self._solved)
+
+    @property
+    def saved(self) -> str:
+        """Return the file of the current answer, empty before it is saved."""
+        if self._saved is None or self._wanted[-1] is not self.calibration:
+            return ''
+        return str(self._saved.files[0])
+
+    def changes(self, session: Session) -> str:
+        """Return how the samples of a session differ from those of the answer, or ''."""
+        now = _numbers(session)
+        removed, added = len(self._solved - now), len(now - self._solved)
+        if not removed and not added:
+            return ''
+        differences = ' and '.join([f'{removed} removed'] * bool(removed)
+                                   + [f'{added} added'] * bool(added))
+        return (f'; it was computed from {count_of(len(self._solved), "sample")}, which have '
+                f'changed since ({differences}): call ~/compute_calibration for an answer from '
+                f'the current {len(now)}')
+
+    def required(self) -> Calibration:
+        """Return the answer under the name of its folder; raises DataError without one."""
+        if self.calibration is None:
+            raise DataError('there is no calibration to save: call ~/compute_calibration first, '
+                            'and check that it succeeds')
+        return replace(self.calibration, name=folder_name(self._live.config))
+
+    def objection(self, outcome: Outcome) -> str:
+        """Return a sentence if the laser crosses an estimated edge at too small an angle."""
+        solution = self.review.solution
+        if outcome.sample is None or solution is None or (
+                solution.degrees_of_freedom < SURE_FREEDOM):
+            return ''
+        return flat_crossing(outcome.sample, solution, self._live.config)
+
+    def forget(self, why: str) -> None:
+        """Begin anew with other samples."""
+        self.review, self.asked_with = Review(advise((), self._live.config)), None
+        self._withdraw(why)
+
+    def compute_calibration(self) -> Future[str]:
+        """
+        Compute the answer from all samples; return the future of the message about it.
+
+        The current stop counts as complete. It, or its future, raises DataError or InputError
+        where there is no answer; after a DataError the previous answer is withdrawn.
+        """
+        live = self._live
+        self.asked_with = values_of(live.config, ANSWER_KEYS)
+        try:
+            live.evaluate_all(rest=True)
+            live.copied().require_stations()
+        except HandeyeError as error:
+            self._refuse(error)
+            raise
+        return self._begin(asked=True)
+
+    def begin_review(self) -> None:
+        """Begin the review, if samples or settings have changed."""
+        live = self._live
+        outdated = self.asked_with not in (None, values_of(live.config, ANSWER_KEYS))
+        if not live.running and (outdated or self._basis() != self.review.basis):
+            self._begin(asked=outdated)
+
+    def _basis(self) -> tuple[object, ...]:
+        """Return what identifies samples and settings; a session by its files."""
+        live = self._live
+        return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')), len(live.refused),
+                [(o.number, o.stop.began) for o in live.session.outcomes if o.sample])
+
+    def _begin(self, asked: bool) -> Future[str]:
+        """Begin the review; return the future of the message. asked: whether for the answer."""
+        live, config, now = self._live, self._live.framed, self._live.session
+        if current := live.current():
+            self.seen = extremes(np.concatenate([self.seen, current.points]))
+        if asked:
+            self.asked_with = values_of(config, ANSWER_KEYS)
+        session = Session(config)  # the messages of the streams stay here
+        session.restore(now.outcomes, now.numbers, now.frame_id)
+        sampled = {outcome.stop.began for outcome in now.outcomes if outcome.sample}
+        refused = [T for began, T in live.refused.items() if began not in sampled]
+        return live.compute(
+            COMPUTED if asked else '', partial(self._put, self._basis(), session, asked),
+            review_of, session, config, self.seen, refused, asked)
+
+    def _put(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
+             ) -> str:
+        """Put the review, and the answer if it was asked for; return the message about it."""
+        if basis[0] is not self._live.files:
+            raise DataError('the samples were cleared while the calibration was computed, so '
+                            'there is no answer: take new samples')
+        try:
+            review = result_or_ended(job)
+        except HandeyeError as error:  # no refusal: the previous answer stays
+            self.review = replace(self.review, no_agreements=str(error), basis=basis)
+            raise
+        self.review = replace(review, basis=basis)
+        return self._put_answer(review, session) if asked else ''
+
+    def _put_answer(self, review: Review, session: Session) -> str:
+        """Put an answer, and return the message about it; raises DataError for a refusal."""
+        live = self._live
+        assert review.answer is not None
+        try:
+            calibration = review.answer.required()
+        except DataError as error:
+            self._refuse(error)
+            raise
+        inputs = [{'topic': live.config.profile_topic}, {'topic': live.pose_topic}]
+        inputs += [{'session': live.path}] * bool(live.path)
+        self.calibration = replace(calibration,
+                                   provenance={**calibration.provenance, 'inputs': inputs})
+        self._solved, self.missing = _numbers(session), ''
+        return summary(calibration)
+
+    def _refuse(self, error: HandeyeError) -> None:
+        """Withdraw the answer after a refusal; what only disturbs the streams withdraws none."""
+        reason = f'the last attempt to compute it was refused ({error})'
+        if isinstance(error, DataError):
+            self._withdraw(reason)
+        elif self.calibration is None:
+            self.missing = reason
+
+    def _withdraw(self, reason: str) -> None:
+        """Remove the answer, with the reason for its state."""
+        self.calibration, self.missing = None, reason
+
+    def save_calibration(self) -> str:
+        """Write the answer; return the message. Raises DataError without one, InputError."""
+        live, calibration = self._live, self.required()
+        formats = live.config.save.formats
+        folder = live.folders.own(live.config)
+        wanted = folder, formats, self.calibration
+        if self._saved and self._wanted == wanted and self._saved.files[0].is_file():
+            text = f'saved already: {", ".join(map(str, self._saved.files))}'
+        else:
+            self._saved = exports.save_all(calibration, folder, formats)
+            self._wanted, text = wanted, str(self._saved)
+        note = (f'; {COMPUTED} again: save it again after that'
+                if COMPUTED in live.running else '')
+        return f'{text}{self.changes(live.copied())}{note}'
+
+
+def summary(calibration: Calibration) -> str:
+    """Return the transform with its 1 sigma, and the residuals, in words."""
+    quality = calibration.quality
+    values = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
+    moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
+    used = count_of(quality.samples_used, 'profile' if moving else 'sample')
+    return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
+            f'{", ".join(values[:3])} mm; roll, pitch, yaw = {", ".join(values[3:])} degrees; '
+            f'residual {quality.residual_rms * 1e3:.3f} mm '
+            f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
+            f'{quality.samples_rejected} not used; save it with ~/save_calibration')
+
+
+def _numbers(session: Session) -> set[int]:
+    """Return the numbers of the samples that an answer uses; none is ever used again."""
+    return {outcome.number for outcome in session.outcomes
+            if outcome.sample and not session.excludes(outcome)}
+
+
+def values_of(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:
+    """Return the settings whose keys begin with some of these."""
+    return {key: value for key, value in flatten(config).items() if key.startswith(keys)}
