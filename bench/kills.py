@@ -247,8 +247,8 @@ def kill_node(parent: Path, rng: random.Random, tally: Tally) -> float:
     """Let a node work for a while and kill it; return s to restore."""
     given = SETTINGS | {'output_dir': str(parent)}
     words = [word for key, value in given.items() for word in ('-p', f'{key}:={value}')]
-    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.node', '--ros-args', *words,
-                                '--log-level', 'fatal'])
+    process = subprocess.Popen([sys.executable, '-m', 'handeye_ros.node.main', '--ros-args',
+                                *words, '--log-level', 'fatal'])
     operator = Operator(process, rng, tally)
     worker = threading.Thread(target=operator.work)
     worker.start()

@@ -106,7 +106,7 @@ def calibrate(
     for text in [*map(assigned, assignments), *(['session=last'] if resume else [])]:
         key, _, value = text.partition('=')
         arguments += ['-p', f'{key.strip()}:={value}']
-    command = [sys.executable, '-m', 'handeye_ros.node']
+    command = [sys.executable, '-m', 'handeye_ros.node.main']
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
 
 

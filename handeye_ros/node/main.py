@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Starting and ending the executables: arguments, signals, exit codes.
+Starting and ending the executables: arguments, signals, exit codes; and the executable calibrate.
 
 Slow imports are inside the functions, so that Ctrl-C ends an executable cleanly from the start.
 """
@@ -34,28 +34,25 @@ calibration on request. All settings are ROS parameters and follow --ros-args:
 
 
 def own_arguments() -> list[str]:
-    """Return the arguments of the executable outside of --ros-args ... [--]."""
-    remaining, in_ros_arguments = [], False
-    for argument in sys.argv[1:]:
-        if argument == '--ros-args':
-            in_ros_arguments = True
-        elif not in_ros_arguments:
-            remaining.append(argument)
-        elif argument == '--':
-            in_ros_arguments = False
-    return remaining
+    """Return the arguments of the executable that are not for ROS."""
+    from rclpy._rclpy_pybind11 import RCLError  # rclpy has it there alone
+    from rclpy.utilities import remove_ros_args
+    try:
+        return list(remove_ros_args(sys.argv)[1:])
+    except RCLError:
+        return []  # ROS says what is wrong, when it starts
 
 
 def main() -> int:
     """Run the executable `calibrate`; return the exit code."""
+    # an exception in the import of an extension module would be lost
+    _on_signals(lambda *_: os._exit(0))
+    # small matrices: more threads would slow down the streams
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     argparse.ArgumentParser(
         'calibrate', USAGE, DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
     sys.setswitchinterval(SWITCH)
-    # small matrices: more threads would slow down the streams
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    # an exception in the import of an extension module would be lost
-    _on_signals(lambda *_: os._exit(0))
     from handeye_ros.node.node import HandeyeNode
     code = exit_code(lambda: spin(HandeyeNode, THREADS, HandeyeNode.stop))
     sys.stderr.flush()
@@ -139,3 +136,7 @@ def _on_signals(handler: Callable[[int, Any], Any]) -> None:
     """Set the handler of Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

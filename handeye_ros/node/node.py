@@ -3,7 +3,7 @@
 """The node `handeye`: topics, services and parameters around a running session."""
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
@@ -11,19 +11,34 @@ import re
 from threading import Lock
 from typing import Any
 
-from handeye_ros.bags.session import OutputFolders, read_session, SessionFiles
-from handeye_ros.errors import HandeyeError
-from handeye_ros.node import params
+from handeye_ros import config as configuration
+from handeye_ros.bags.session import (
+    OutputFolders,
+    read_session,
+    resumed,
+    SessionFiles,
+    SOURCE,
+    Stored,
+)
+from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
+from handeye_ros.errors import HandeyeError, InputError, UnknownKeyError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
 from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
 from handeye_ros.node.streams import Streams
-from rcl_interfaces.msg import SetParametersResult
+from handeye_ros.output import folder_name
+from handeye_ros.sampling.session import Session
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
@@ -31,6 +46,10 @@ from std_srvs.srv import SetBool, Trigger
 CURRENT = 0.2  # s between two messages on ~/current
 REQUESTS = QoSProfile(depth=1000)  # may wait for a solve; by default ROS keeps only ten
 SLOW = ('compute_calibration', 'verify_result')  # no other service waits for these
+# Keys that cannot change while the node runs.
+FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
+# Keys of targets that are solved from files alone.
+FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
 class HandeyeNode(Node):
@@ -40,7 +59,7 @@ class HandeyeNode(Node):
         """Subscribe and serve; raises InputError for an invalid configuration."""
         super().__init__('handeye')
         self._folders = folders = OutputFolders(self.get_namespace())
-        config, stored = params.declare(self, folders)
+        config, stored = declare(self, folders)
         self.live = LiveSession(config, folders, SessionFiles(folders.folder, stored), Pool(),
                                 lambda: self._outputs.show())
         live, answer, verification = self.live, self.live.answer, self.live.verification
@@ -139,8 +158,8 @@ class HandeyeNode(Node):
         """Set parameters by key; return why one is refused, '' if all are set."""
         results = self.set_parameters([
             # ROS gives an empty list no type
-            Parameter(key, Parameter.Type.INTEGER_ARRAY, value) if value == [] else
-            Parameter(key, value=value) for key, value in values.items()])
+            RosParameter(key, RosParameter.Type.INTEGER_ARRAY, value) if value == [] else
+            RosParameter(key, value=value) for key, value in values.items()])
         return '; '.join(result.reason for result in results if not result.successful)
 
     def _answer(self, name: str, _: Trigger.Request, response: Trigger.Response
@@ -161,18 +180,102 @@ class HandeyeNode(Node):
 
     # parameters
 
-    def _check_change(self, changes: list[Parameter]) -> SetParametersResult:
+    def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
         try:
-            self._streams.changes(params.changed(self.live.config, changes))
+            self._other_topics(changed(self.live.config, changes))
         except HandeyeError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _apply_change(self, changes: list[Parameter]) -> None:
+    def _other_topics(self, config: Config) -> bool:
+        """Return whether settings name other topics than now; raises InputError."""
+        others = self._streams.changes(config)
+        if others and any(outcome.sample for outcome in self.live.copied().outcomes):
+            raise InputError('the topics cannot change while there are samples from them: call '
+                             '~/clear_samples first, which begins a new session')
+        return others
+
+    def _apply_change(self, changes: list[RosParameter]) -> None:
+        if not _values(changes):
+            return  # of ROS: a subscription declares its quality of service
         with self._changing:
-            config = params.changed(self.live.config, changes)
-            other_topics = self._streams.changes(config)
+            config = changed(self.live.config, changes)
+            others = self._other_topics(config)
             self.live.ask(partial(self.live.configure, config))
-        if other_topics:
-            self.live.ask(self.live.clear_samples)
-            self._streams.listen()
+            if others:
+                self._streams.stop()
+                self.live.ask(self.live.clear_samples)
+                self._streams = Streams(self, self.live)
+                self._streams.start()
+
+
+def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
+    """
+    Declare all parameters; return the configuration and the session to continue.
+
+    Types are dynamic, so that 3 is accepted for 3.0; config/ checks every value. Raises
+    UnknownKeyError and BadValueError for the user's settings, InputError for a session that cannot
+    be read.
+    """
+    # rclpy offers no other access to the values of parameter files and arguments
+    config, stored = resumed(_values(node._parameter_overrides.values()), folders)
+    _check_names(config)
+    values, record = configuration.flatten(config), dict(config.record)
+    described = {p.key: (values[p.key], _descriptor(p)) for p in _parameters()}
+    free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
+    described |= {f'{RECORD}{name}': (record.get(name, ''), free)
+                  for name in (*RECORD_NAMES, *record)}
+    for key, (value, descriptor) in described.items():
+        node.declare_parameter(key, value, descriptor, ignore_override=True)
+    return config, stored
+
+
+def _parameters() -> list[Parameter]:
+    """Return the parameters that the node has."""
+    return [p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY)]
+
+
+def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
+    """Return the values of the parameters of this package by key; raises UnknownKeyError."""
+    keys, values = [p.key for p in _parameters()], {}
+    for p in ros_parameters:
+        if p.name.startswith(EVERY_NODES):
+            continue
+        if p.name not in keys and not p.name.startswith(RECORD):
+            raise UnknownKeyError(p.name, keys, SOURCE)
+        # ROS gives an empty list no type, and other lists as arrays
+        value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
+        values[p.name] = value if isinstance(value, str | int | float) else list(value)
+    return values
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    """Return the descriptor shown by `ros2 param describe`."""
+    texts = []
+    if parameter.length:
+        texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
+    if parameter.choices:
+        texts.append('one of ' + ', '.join(map(str, parameter.choices)))
+    result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
+                                 read_only=parameter.key in FIXED,
+                                 additional_constraints='; '.join(texts))
+    low, high = parameter.minimum, parameter.maximum
+    if low is not None and high is not None:
+        if isinstance(parameter.default, int):
+            result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        else:
+            result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return result
+
+
+def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
+    """Return the configuration with changes at run time; raises BadValueError."""
+    changed_config = configuration.with_values(config, _values(changes), SOURCE)
+    _check_names(changed_config)
+    return changed_config
+
+
+def _check_names(config: Config) -> None:
+    """Raise BadValueError for names of methods and folders that would fail later."""
+    Session(config)
+    folder_name(config)

@@ -15,25 +15,24 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 import sys
-from typing import Any
+from threading import Lock
 
-from handeye_ros.bags.messages import ProfileReader, returns_of, split
-from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
-from handeye_ros.data import Calibration, Profile, TimedPose
+from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
-from handeye_ros.node.streams import LATCHED_TREE, pose_topics, STREAM, THROTTLE
+from handeye_ros.node.state import MessageCount
+from handeye_ros.node.streams import Streams, THROTTLE
 from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 PERIOD = 0.05  # s between two clouds
@@ -43,65 +42,56 @@ KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
 
 
 class ScanNode(Node):
-    """Subscribes to profiles and poses, and publishes points."""
+    """Takes profiles and poses, and publishes points."""
 
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
         """Subscribe; raises InputError for poses from transforms without tf2_msgs."""
         super().__init__('handeye_scan')
-        self._config = config
+        self.config = replace(config, time_offset=0.0)  # the scanner adds it
+        self.messages: dict[str, MessageCount] = {}
         self._scanner = Scanner(calibration, config, options)
         self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
+        self._lock = Lock()  # of the two streams
         self._profiles: deque[Profile] = deque(maxlen=KEPT_PROFILES)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
-        self._reader = ProfileReader(config.profile)
-        self._last_stamp: int | None = None  # ns, of the last message of profiles
-        self._listen(PointCloud2, config.profile_topic, self._on_profile)
-        tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-        for message, name, read_poses in pose_topics(config, tracker):
-            self._listen(message, name, partial(self._on_poses, read_poses),
-                         LATCHED_TREE if name == '/tf_static' else STREAM)
         self.create_timer(PERIOD, self._publish_ready)
+        Streams(self, self).start()
 
-    def _listen(self, kind: Any, topic: str, receive: Callable[[bytes], object],
-                qos: QoSProfile = STREAM) -> None:
-        """Subscribe to a topic; messages that cannot be used are left out with a warning."""
-        def on_message(data: bytes) -> None:
-            try:
-                receive(data)
-            except UnusableMessageError as error:
-                self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
-        self.create_subscription(kind, topic, on_message, qos, raw=True)
+    def add_profile(self, profile: RawProfile) -> None:
+        """Keep the points of a profile until its pose is known."""
+        seen = returns_of(profile)
+        with self._lock:
+            self._profiles.append(seen)
 
-    def _on_profile(self, data: bytes) -> None:
-        message = self._reader.take(data)
-        previous, self._last_stamp = self._last_stamp, message.stamp
-        self._profiles.extend(map(returns_of, split(message, previous, self._config.profile)))
-
-    def _on_poses(self, read_poses: Callable[[bytes], list[TimedPose]], data: bytes) -> None:
-        for pose in read_poses(data):
-            if not self._config.kinematics and pose.parent_frame.lstrip('/') not in (
-                    '', self._config.base_frame):
+    def add_poses(self, poses: Sequence[TimedPose]) -> None:
+        """Keep poses; raises UnusableMessageError for those in another frame."""
+        for pose in poses:
+            if not self.config.kinematics and pose.parent_frame.lstrip('/') not in (
+                    '', self.config.base_frame):
                 raise UnusableMessageError(
                     f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
-                    f'robot_base_frame is "{self._config.base_frame}"')
-            self._poses.append(pose)
+                    f'robot_base_frame is "{self.config.base_frame}"')
+            with self._lock:
+                self._poses.append(pose)
+
+    def add_joints(self, stamp: int, data: bytes) -> None:
+        """Take no joint values: they are for sessions."""
 
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""
-        if not self._poses:
-            return
-        latest = self._poses[-1].stamp
-        ready = [p for p in self._profiles if p.stamp + self._offset <= latest]
-        if not ready:
-            return
-        for profile in ready:
-            self._profiles.remove(profile)
-        try:
+        with self._lock:
+            latest = self._poses[-1].stamp if self._poses else 0
+            ready = [p for p in self._profiles if p.stamp + self._offset <= latest]
+            if not ready:
+                return
+            for profile in ready:
+                self._profiles.remove(profile)
             span = latest - ready[0].stamp - self._offset + AROUND
-            track = track_of([pose for pose in self._poses if abs(latest - pose.stamp) <= span],
-                             self._config.sampling.max_pose_gap)
+            poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
+        try:
+            track = track_of(poses, self.config.sampling.max_pose_gap)
         except DataError as error:  # the clock was set back
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
             self._poses.clear()

@@ -1,9 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What comes in: the subscriptions of the node, the thread that reads them, what disturbs them."""
+"""What comes in: the subscriptions of a node, the thread that reads them, what disturbs them."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ import struct
 import threading
 import time
 import traceback
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import read_arm
@@ -22,7 +23,6 @@ from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
-from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import MessageCount
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -52,6 +52,27 @@ LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 ReadPoses = Callable[[bytes], list[TimedPose]]
+
+
+class Receiver(Protocol):
+    """
+    Takes what is read, in the thread that reads it.
+
+    config: the current settings, of which those of topics and frames stay; messages: counts by
+    kind (profile, pose).
+    """
+
+    config: Config
+    messages: dict[str, MessageCount]
+
+    def add_profile(self, profile: RawProfile) -> None:
+        """Take a profile, its stamp with time_offset."""
+
+    def add_poses(self, poses: Sequence[TimedPose]) -> None:
+        """Take poses of the flange."""
+
+    def add_joints(self, stamp: int, data: bytes) -> None:
+        """Take a serialised JointState; stamp: ns."""
 
 
 class NoExecutor(MutuallyExclusiveCallbackGroup):
@@ -102,44 +123,45 @@ def pose_topics(config: Config, tracker: FlangeTracker) -> list[tuple[Any, str, 
 
 class Streams:
     """
-    The subscriptions, and the thread that reads their messages.
+    The subscriptions to the topics of a configuration, and the thread that reads their messages.
 
     Profiles and poses are read as reliably as all of their publishers offer: large clouds do not
     arrive otherwise. An invalid message is counted and left out.
     """
 
-    def __init__(self, node: Node, live: LiveSession) -> None:
-        """Subscribe; raises InputError."""
-        self._node, self._live = node, live
+    def __init__(self, node: Node, receiver: Receiver) -> None:
+        """Subscribe, and count anew; raises InputError."""
+        self._node, self._receiver, config = node, receiver, receiver.config
+        self._named = _topics_named(config)
         self._group = NoExecutor()
-        self._topics: list[_Topic] = []
-        self._reader = ProfileReader(live.config.profile)
-        self.listen()
+        self._reader = ProfileReader(config.profile)
+        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+        self._last_stamp: int | None = None  # ns, of the last message of profiles
+        receiver.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+        self._topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic,
+                               self._on_profile, RELIABLE)]
+        if not config.kinematics:
+            self._topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
+                                       self._on_joints, STREAM, alone=False))
+        for message, name, read in pose_topics(config, self._tracker):
+            qos = {'/tf': STREAM, '/tf_static': LATCHED_TREE}.get(name, RELIABLE)
+            self._topics.append(_Topic(counts['pose'], message, name,
+                                       partial(self._on_poses, read), qos,
+                                       alone=message is not TFMessage))
+        for topic in self._topics:
+            self._subscribe(topic)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='streams', daemon=True)
 
     def start(self) -> None:
         """Start reading messages."""
-        threading.Thread(target=self._run, name='streams', daemon=True).start()
+        self._thread.start()
 
-    def listen(self) -> None:
-        """Subscribe to the topics of the current settings; raises InputError."""
-        old_topics, config = self._topics, self._live.config
-        self._names = _names_of(config)
-        self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-        self._last_stamp: int | None = None  # ns, of the last message of profiles
-        self._live.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
-        topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic, self._on_profile,
-                         RELIABLE)]
-        if not config.kinematics:
-            topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
-                                 self._on_joints, STREAM, alone=False))
-        for message, name, read in pose_topics(config, self._tracker):
-            qos = {'/tf': STREAM, '/tf_static': LATCHED_TREE}.get(name, RELIABLE)
-            topics.append(_Topic(counts['pose'], message, name, partial(self._on_poses, read),
-                                 qos, alone=message is not TFMessage))
-        for topic in topics:
-            self._subscribe(topic)
-        self._topics = topics
-        for topic in old_topics:
+    def stop(self) -> None:
+        """Read no more messages."""
+        self._ended.set()
+        self._thread.join()
+        for topic in self._topics:
             self._node.destroy_subscription(topic.subscription)
 
     def _subscribe(self, topic: _Topic) -> None:
@@ -149,12 +171,9 @@ class Streams:
             raw=True, qos_overriding_options=OVERRIDES, event_callbacks=SILENT)
 
     def changes(self, config: Config) -> bool:
-        """Return whether settings name other topics than now; raises InputError."""
-        if _names_of(config) == self._names:
+        """Return whether settings name other topics than these; raises InputError."""
+        if _topics_named(config) == self._named:
             return False
-        if any(outcome.sample for outcome in self._live.copied().outcomes):
-            raise InputError('the topics cannot change while there are samples from them: call '
-                             '~/clear_samples first, which begins a new session')
         names = [self._full_name(name) for _, name, _ in pose_topics(config, self._tracker)]
         if self._full_name(config.profile_topic) in names:
             raise InputError('profile_topic and pose_topic are the same: each needs its own')
@@ -175,26 +194,22 @@ class Streams:
     # the thread
 
     def _run(self) -> None:
-        """Read all topics repeatedly until the node ends."""
+        """Read all topics repeatedly until the end."""
         looked = 0.0
-        while self._node.context.ok():
-            topics, most = self._topics, 0
-            try:
-                for topic in topics:
-                    most = max(most, self._drain(topic))
+        # a node that ends destroys what is read
+        with suppress(InvalidHandle, RCLError):
+            while self._node.context.ok() and not self._ended.is_set():
+                most = max(map(self._drain, self._topics))
                 if time.monotonic() - looked > LOOK:
                     looked = time.monotonic()
-                    self._match(topics)
-            except (InvalidHandle, RCLError):
-                if topics is self._topics:  # else the subscriptions were replaced
-                    return
-            if most < MOST_AT_ONCE:
-                time.sleep(PAUSE)
+                    self._match()
+                if most < MOST_AT_ONCE:
+                    time.sleep(PAUSE)
 
-    def _match(self, topics: list[_Topic]) -> None:
+    def _match(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
-        for topic in [topic for topic in topics if topic.alone]:
-            publishers = self._node.get_publishers_info_by_topic(self._full_name(topic.name))
+        for topic in [topic for topic in self._topics if topic.alone]:
+            publishers = self._publishers(topic.name)
             topic.publishers = len(publishers)
             if topic.qos is RELIABLE and any(
                     info.qos_profile.reliability == STREAM.reliability for info in publishers):
@@ -225,22 +240,22 @@ class Streams:
         return MOST_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:
-        config = self._live.config
+        config = self._receiver.config
         if self._reader.config != config.profile:
             self._reader = ProfileReader(config.profile)
         profile = self._stamped(self._reader.take(data))
         message = replace(profile, stamp=profile.stamp + round(config.time_offset * 1e9))
         for profile_part in split(message, self._last_stamp, config.profile):
-            self._live.add_profile(profile_part)
+            self._receiver.add_profile(profile_part)
         self._last_stamp = message.stamp
 
     def _on_poses(self, read: ReadPoses, data: bytes) -> None:
-        self._live.add_poses([self._stamped(pose) for pose in read(data)])
+        self._receiver.add_poses([self._stamped(pose) for pose in read(data)])
 
     def _on_joints(self, data: bytes) -> None:
         """Keep joint values for `handeye kinematics`, as they are."""
         seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
-        self._live.add_joints(seconds * 1_000_000_000 + nanoseconds, data)
+        self._receiver.add_joints(seconds * 1_000_000_000 + nanoseconds, data)
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
@@ -253,9 +268,13 @@ class Streams:
 
     # what disturbs them
 
+    def _publishers(self, topic: str) -> list[Any]:
+        """Return what is known of the publishers of a topic."""
+        return list(self._node.get_publishers_info_by_topic(self._full_name(topic)))
+
     def obstacles(self) -> dict[str, str]:
         """Return why no messages of a kind (profile, pose) arrive, where it is known."""
-        config = self._live.config
+        config = self._receiver.config
         return {'profile': self._why_silent('profile_topic', config.profile_topic, CLOUD),
                 'pose': self._why_silent('joint_topic', config.joint_topic, JOINTS)
                 if config.kinematics else
@@ -265,7 +284,7 @@ class Streams:
     def _why_silent(self, key: str, topic: str, message_type: str) -> str:
         """Return why no messages of a type arrive, '' if there is a publisher; key: names it."""
         name = self._full_name(topic)
-        types = {info.topic_type for info in self._node.get_publishers_info_by_topic(name)}
+        types = {info.topic_type for info in self._publishers(name)}
         if message_type in types:
             return ''
         reason = f'{name} has no publisher' if not types else (
@@ -281,7 +300,7 @@ class Streams:
                       if message_type in types and any(
                           info.topic_type == message_type
                           and (info.node_name, info.node_namespace) != own
-                          for info in node.get_publishers_info_by_topic(name)))
+                          for info in self._publishers(name)))
 
     def trouble(self) -> str:
         """Return a sentence for each topic with several publishers, and for a second node."""
@@ -289,7 +308,7 @@ class Streams:
         for topic in (topic for topic in self._topics if topic.alone):
             name = self._full_name(topic.name)
             names = [f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-                     for info in node.get_publishers_info_by_topic(name)]
+                     for info in self._publishers(name)]
             if len(names) > 1:
                 sentences.append(
                     f'{len(names)} publishers send {topic.messages.kind}s on {name} '
@@ -303,6 +322,6 @@ class Streams:
         return '; '.join(sentences)
 
 
-def _names_of(config: Config) -> tuple[str, str, str]:
+def _topics_named(config: Config) -> tuple[str, str, str]:
     """Return the settings of topics that may change at run time."""
     return config.profile_topic, config.pose_source, config.pose_topic

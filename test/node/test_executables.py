@@ -51,7 +51,7 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
 
 
 @pytest.mark.parametrize(('module', 'arguments', 'reason'), [
-    ('__main__', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
+    ('main', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
     ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
     pytest.param('scan', ['none.yaml'], 'none.yaml cannot be used', marks=pytest.mark.thorough)])
 def test_wrong_arguments_are_refused_in_a_sentence(

@@ -26,7 +26,7 @@ from handeye_ros import config
 import pytest
 import yaml
 
-EXECUTABLES = {'calibrate': '__main__', 'replay': 'replay', 'publish': 'publish', 'scan': 'scan'}
+EXECUTABLES = {'calibrate': 'main', 'replay': 'replay', 'publish': 'publish', 'scan': 'scan'}
 
 
 def argument(name: str, *, default_value: Any = None, description: str) -> SimpleNamespace:

@@ -21,7 +21,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from command import handeye, PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session import OutputFolders  # noqa: E402
-from handeye_ros.node import params  # noqa: E402
+from handeye_ros.node.node import declare  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -229,7 +229,7 @@ def declared(*arguments: str):
     context = Context()
     rclpy.init(args=['--ros-args', *arguments], context=context)
     try:
-        return params.declare(Node('handeye', context=context), OutputFolders())[0]
+        return declare(Node('handeye', context=context), OutputFolders())[0]
     finally:
         rclpy.shutdown(context=context)
 
@@ -267,6 +267,6 @@ def test_wrong_parameters(argument: str, reason: str) -> None:
     ('profile_topic:=my profile', '"my profile" cannot name a topic'),
     ('target.size:=[1.0, 2]', 'ROS does not start: ')])
 def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
-    run = run_module('__main__', '--ros-args', '-p', argument)
+    run = run_module('main', '--ros-args', '-p', argument)
     assert run.returncode == 2 and 'Traceback' not in run.stderr
     assert reason in run.stderr.splitlines()[-1]

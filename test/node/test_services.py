@@ -218,7 +218,7 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
             ('name', 'a/b', 'expected the name of a folder'),
             ('profile_topic', 'a b', '"a b" cannot name a topic'),
             ('profile_topic', '/flange_pose', 'each needs its own'),
-            ('page.port', 1234, 'page.port is fixed while the node runs')):
+            ('page.port', 1234, 'read-only parameter: page.port')):
         result = set_parameter(client, name, value)
         assert (result.successful, reason in result.reason) == (False, True), result.reason
     stand_still(client, START)

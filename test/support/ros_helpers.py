@@ -39,7 +39,7 @@ XZ = {'x': (0, 7), 'z': (4, 7)}
 @contextmanager
 def running_node(tmp_path: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run the node; what it prints goes to node.log, what it saves below tmp_path."""
-    command = [sys.executable, '-m', 'handeye_ros.node', '--ros-args',
+    command = [sys.executable, '-m', 'handeye_ros.node.main', '--ros-args',
                '-p', f'output_dir:={tmp_path}', *arguments]
     with ((tmp_path / 'node.log').open('w') as log,
           running(command, cwd=ROOT, stdout=log, stderr=log, text=True) as process):
