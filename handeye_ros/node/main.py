@@ -35,12 +35,12 @@ calibration on request. All settings are ROS parameters and follow --ros-args:
 
 def own_arguments() -> list[str]:
     """Return the arguments of the executable that are not for ROS."""
-    from rclpy._rclpy_pybind11 import RCLError  # rclpy has it there alone
+    from rclpy._rclpy_pybind11 import UnknownROSArgsError  # rclpy has it there alone
     from rclpy.utilities import remove_ros_args
     try:
         return list(remove_ros_args(sys.argv)[1:])
-    except RCLError:
-        return []  # ROS says what is wrong, when it starts
+    except UnknownROSArgsError:
+        return []  # ros says what is wrong
 
 
 def main() -> int:
@@ -113,7 +113,7 @@ def ros(args: Sequence[str] | None = None) -> Iterator[None]:
     files that ROS cannot read.
     """
     import rclpy
-    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
     if not any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME', 'HOME')):
         raise InputError('ROS does not start: it has no place for its logs, as none of '
@@ -122,6 +122,8 @@ def ros(args: Sequence[str] | None = None) -> Iterator[None]:
     try:
         rclpy.init(args=None if args is None else list(args),
                    signal_handler_options=SignalHandlerOptions.NO)
+    except UnknownROSArgsError as error:
+        raise InputError(f'ROS does not start: it does not understand {error}') from error
     except RCLError as error:
         # without positions in the source of rcl
         text = str(error).removeprefix('failed to initialize rcl: ').split(', at /', 1)[0]

@@ -53,7 +53,11 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
 @pytest.mark.parametrize(('module', 'arguments', 'reason'), [
     ('main', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
     ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
-    pytest.param('scan', ['none.yaml'], 'none.yaml cannot be used', marks=pytest.mark.thorough)])
+    *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+        ('scan', ['none.yaml'], 'none.yaml cannot be used'),
+        ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], 'cannot name a topic'),
+        ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
+        ('main', ['--ros-args', 'nonsense'], 'ROS does not start: ')))])
 def test_wrong_arguments_are_refused_in_a_sentence(
         module: str, arguments: list[str], reason: str) -> None:
     run = run_module(module, *arguments)

@@ -3,12 +3,16 @@
 """A running session without ROS: what it takes, tells, and does when settings change."""
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 import json
+import os
 from pathlib import Path
 import re
+import select
+import signal
+import subprocess
+import sys
 import threading
 
 from cells import recorded
@@ -16,10 +20,10 @@ from command import PATIENCE, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
-from handeye_ros.errors import DataError, HandeyeError, InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
-from handeye_ros.node.pool import PoolEndedError
+from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
 from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, settings, simulate
@@ -37,6 +41,10 @@ PARTS = halves(SPHERE, 8)
 
 def set_to(config: Config, **values: object) -> Config:
     return with_values(config, {key.replace('__', '.'): v for key, v in values.items()}, 'test')
+
+
+TO_VERIFY = set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
+                   verify__tolerance=2e-3, verify__angle_tolerance=0.02)
 
 
 def items_of(part) -> list:
@@ -237,87 +245,49 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
 
 
 class Gate(Inline):
-    """Evaluates stops at once, and all else when it is open; tells that somebody waits."""
+    """Evaluates stops at once, and all else too while it is open."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.open, self.asked = threading.Event(), threading.Event()
-        self.open.set()
+        self.open, self.threads = threading.Event(), ThreadPoolExecutor(2)
 
     def submit(self, function, *args) -> Future:
-        self.asked.set()
         if self.open.is_set() or function is result_of:
             return super().submit(function, *args)
-        future = Future()
-
-        def later_on() -> None:
-            assert self.open.wait(PATIENCE)
-            try:
-                future.set_result(function(*args))
-            except Exception as error:  # noqa: BLE001 - as that of another process
-                future.set_exception(error)
-        threading.Thread(target=later_on, daemon=True).start()
-        return future
+        return self.threads.submit(lambda: self.open.wait(PATIENCE) and function(*args))
 
 
-@pytest.fixture
-def gate() -> Iterator[Gate]:
-    found = Gate()
-    yield found
-    found.open.set()
-
-
-def asked(work) -> tuple[threading.Thread, list]:
-    """Ask for something in a thread; return it, and what will hold the answer."""
-    report: list = []
-
-    def run() -> None:
-        try:
-            report.append(work())
-        except HandeyeError as error:
-            report.append(error)
-    thread = threading.Thread(target=run)
-    thread.start()
-    return thread, report
-
-
-def test_nobody_waits_for_a_solve_or_a_verdict(gate: Gate) -> None:
-    live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
-                      verify__tolerance=2e-3, verify__angle_tolerance=0.02))
+def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
+    live, gate = new(TO_VERIFY), Gate()
     live.pool = gate
+    gate.open.set()
     feed(live, items_of(PARTS[0]))
     live.start()
     computed(live)
     gate.open.clear()
-    thread, report = asked(lambda: computed(live))
-    while live.working != 'the calibration is computed':
-        gate.asked.wait(0.01)
+    answer = live.ask(live.answer.compute_calibration)
+    assert live.working == 'the calibration is computed'
     assert ' taken again, ' in live.ask(live.take_sample)
     assert live.ask(live.remove_last_sample).startswith('removed sample ')
     assert live.ask(live.answer.save_calibration).endswith('again: save it again after that')
     gate.open.set()
-    thread.join(PATIENCE)
-    assert report[0].startswith('laser in flange')
+    assert answer.result(PATIENCE).startswith('laser in flange')
     live.ask(live.verification.verify_start)
     for item in sorted(items_of(PARTS[1]), key=lambda item: item.stamp):
         (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
     gate.open.clear()
-    thread, report = asked(lambda: verdict(live))
-    while 'verified' not in live.working:
-        gate.asked.wait(0.01)
+    result = live.ask(live.verification.verify_result)
+    assert 'verified' in live.working
     # the verification goes on until it has an answer, and stops count for it
     assert live.ask(live.take_sample).startswith('sphere: ')
     gate.open.set()
-    thread.join(PATIENCE)
-    assert report[0].startswith('sphere: PASS, ')
+    assert result.result(PATIENCE).startswith('sphere: PASS, ')
     gate.open.clear()
-    thread, report = asked(lambda: computed(live))
-    while live.working != 'the calibration is computed':
-        gate.asked.wait(0.01)
+    answer = live.ask(live.answer.compute_calibration)
     live.ask(live.clear_samples)
     gate.open.set()
-    thread.join(PATIENCE)
-    assert 'cleared while the calibration was computed' in str(report[0])
+    with pytest.raises(DataError, match='cleared while the calibration was computed'):
+        answer.result(PATIENCE)
 
 
 def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
@@ -354,8 +324,7 @@ def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.Mo
 
 
 def test_stops_after_the_start_verify_and_are_no_samples() -> None:
-    live = new(set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
-                      verify__tolerance=2e-3, verify__angle_tolerance=0.02))
+    live = new(TO_VERIFY)
     with pytest.raises(DataError, match='no verification was started'):
         verdict(live)
     with pytest.raises(DataError, match='there is no calibration to verify'):
@@ -378,3 +347,53 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert (report['verdict'], report['stations']) == ('pass', 6)
     assert report['created'] and not report['calibration_file']  # it is the answer, no file
     assert not state_of(live)['session']['notes']
+
+
+# -- the processes for long computations: what they answer, and what a killed one costs
+
+
+@pytest.fixture
+def pool() -> Pool:
+    return Pool()
+
+
+def test_it_answers_and_refuses_in_another_process(pool: Pool) -> None:
+    assert pool.run(divmod, 7, 2) == (3, 1) and pool.run(os.getpid) != os.getpid()
+    assert pool.run(os.nice, 0) == os.nice(0) + 5
+    with pytest.raises(DataError) as refusal:
+        pool.run(pipeline.calibrate, [], [], Config())
+    with pytest.raises(DataError) as here:
+        pipeline.calibrate([], [], Config())
+    assert str(refusal.value) == str(here.value)
+    with pytest.raises(ZeroDivisionError):
+        pool.run(divmod, 1, 0)
+
+
+def test_one_that_was_killed_is_started_again_once_for_a_call(pool: Pool) -> None:
+    os.kill(pool.run(os.getpid), signal.SIGKILL)
+    assert pool.run(divmod, 7, 2) == (3, 1)
+    with pytest.raises(PoolEndedError, match='ended before it had an answer'):
+        pool.run(os._exit, 1)
+    with pytest.raises(PoolEndedError):
+        result_or_ended(pool.submit(os._exit, 1))
+    assert pool.run(divmod, 7, 2) == (3, 1)
+
+
+PARENT = """
+import os, sys, time
+from handeye_ros.node.pool import Pool
+if __name__ == '__main__':
+    print(Pool().run(os.getpid), flush=True)
+    time.sleep(60)
+"""
+
+
+def test_it_ends_with_a_node_that_is_killed(tmp_path) -> None:
+    script = tmp_path / 'parent.py'
+    script.write_text(PARENT)
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        watch = os.pidfd_open(child)
+        parent.kill()
+    assert select.select([watch], [], [], PATIENCE)[0]
+    os.close(watch)

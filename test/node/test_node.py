@@ -22,6 +22,9 @@ from command import handeye, PATIENCE  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped  # noqa: E402
 from handeye_ros.bags.session import OutputFolders  # noqa: E402
 from handeye_ros.node.node import declare  # noqa: E402
+from handeye_ros.node.outputs import current_markers, session_markers  # noqa: E402
+from live_sessions import computed, feed, new  # noqa: E402
+from live_sessions import SPHERE as CELL  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -35,14 +38,13 @@ from ros_helpers import (  # noqa: E402
     RELIABLE,
     replay,
     ROOT,
-    run_module,
     running_node,
     sphere_profile,
 )
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
+from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -221,6 +223,40 @@ def test_a_best_effort_robot_is_heard_and_a_wrong_type_reported(
     assert cause in (tmp_path / 'node.log').read_text()
 
 
+# -- markers
+
+
+def points(found: MarkerArray, name: str) -> np.ndarray:
+    """Return the points of markers with a name."""
+    return np.array([[p.x, p.y, p.z] for marker in found.markers if marker.ns == name
+                     for p in marker.points])
+
+
+def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
+    live = new()
+    middle = CELL.poses[len(CELL.poses) // 2].stamp
+    items = [*CELL.poses, *CELL.profiles]
+    feed(live, [item for item in items if item.stamp < middle])
+    current = live.current()
+    assert current
+    feed(live, [item for item in items if item.stamp >= middle])
+    samples = [(o.number, o.sample) for o in live.copied().outcomes if o.sample]
+    before = session_markers(samples, None, CELL.config)
+    assert before.markers[0].action == Marker.DELETEALL
+    assert {marker.ns for marker in before.markers[1:]} == {'flanges', 'numbers'}
+    assert [m.text for m in before.markers if m.text] == [str(number) for number, _ in samples]
+    assert len(current_markers(current, None, CELL.config).markers) == 1
+    computed(live)
+    found = session_markers(samples, live.answer.calibration, CELL.config)
+    now = current_markers(current, live.answer.calibration, CELL.config)
+    assert {marker.header.frame_id for marker in [*found.markers, *now.markers]} == {'base'}
+    assert len({(m.ns, m.id) for m in found.markers}) == len(found.markers)
+    centre = np.array([live.answer.calibration.target['centre'][axis] for axis in 'xyz'])
+    for shown in (points(found, 'what the answer comes from'), points(now, 'feature')):
+        np.testing.assert_allclose(np.linalg.norm(shown - centre, axis=1), 0.04, atol=5e-4)
+    assert len(points(now, 'profile')) >= len(points(now, 'feature')) > 10
+
+
 # -- parameters
 
 
@@ -260,13 +296,3 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
 def test_wrong_parameters(argument: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         declared('-p', argument)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(('argument', 'reason'), [
-    ('profile_topic:=my profile', '"my profile" cannot name a topic'),
-    ('target.size:=[1.0, 2]', 'ROS does not start: ')])
-def test_wrong_parameters_end_the_node(argument: str, reason: str) -> None:
-    run = run_module('main', '--ros-args', '-p', argument)
-    assert run.returncode == 2 and 'Traceback' not in run.stderr
-    assert reason in run.stderr.splitlines()[-1]
