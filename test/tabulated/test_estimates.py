@@ -31,16 +31,12 @@ def chi_squared(found: TableAnswer, T_true: Array) -> float:
     return float(delta @ np.linalg.solve(found.covariance, delta) / 6)
 
 
-def off(T: Array, T_true: Array) -> float:
-    return float(np.abs(se3.difference(T, T_true)).max())
-
-
-def pairs(seed: int, noise: float = 0.0, count: int = 10, wrong: int = 0) -> tuple[Array, Pairs]:
+def pairs(seed: int, count: int = 10, wrong: int = 0) -> tuple[Array, Pairs]:
     """Return T_base_camera and points in both frames, the first ones wrong."""
     rng = np.random.default_rng(seed)
     T = se3.transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1, 1, 3))
     base = rng.uniform(-0.15, 0.15, (count, 3)) + [0.6, 0.1, 0.3]
-    camera = se3.apply(se3.inverse(T), base) + noise * rng.normal(size=(count, 3))
+    camera = se3.apply(se3.inverse(T), base) + 3e-5 * rng.normal(size=(count, 3))
     camera[:wrong] += 5e-3 * rng.normal(size=(wrong, 3))
     return T, Pairs(ON_BASE, camera, base)
 
@@ -48,7 +44,7 @@ def pairs(seed: int, noise: float = 0.0, count: int = 10, wrong: int = 0) -> tup
 def test_points_are_as_sure_as_they_say() -> None:
     squares, noise = [], []
     for seed in range(100):
-        T, points = pairs(seed, 3e-5)
+        T, points = pairs(seed)
         found = points.solve()
         squares.append(chi_squared(found, T))
         noise.append(found.target['point_noise'])
@@ -59,7 +55,7 @@ def test_points_are_as_sure_as_they_say() -> None:
 @pytest.mark.parametrize(('count', 'wrong'), [(5, 1), (10, 2), (30, 8)])
 def test_wrong_points_are_left_out(count: int, wrong: int) -> None:
     for seed in range(5):
-        T, points = pairs(seed, 3e-5, count, wrong)
+        T, points = pairs(seed, count, wrong)
         found = solve(points)
         assert np.flatnonzero(~found.used).tolist() == list(range(wrong))
         assert found.off[:wrong].min() > 5 * found.residual_rms
@@ -72,13 +68,9 @@ def test_points_in_another_order_are_refused() -> None:
         solve(replace(points, robot=points.robot[::-1]))
 
 
-NOISE, ROBOT = (1e-4, 1e-3), (3e-5, 1e-4)
-
-
-def views(seed: int, noise: tuple[float, float] = (0.0, 0.0), count: int = 12,
-          robot: tuple[float, float] = (0.0, 0.0), on_base: bool = False
+def views(seed: int, robot: tuple[float, float], count: int = 12, on_base: bool = False
           ) -> tuple[Array, Array, Views]:
-    """Return X, Z and the views, with noise of camera and robot (m, rad)."""
+    """Return X, Z and the views, with noise of the robot (m, rad) and the camera."""
     rng = np.random.default_rng(seed)
     X = se3.transform(Rotation.random(random_state=rng).as_matrix(), 0.1 * rng.normal(size=3))
     Z = se3.transform(Rotation.random(random_state=rng).as_matrix(), np.array([0.7, 0.1, 0.2]))
@@ -88,7 +80,7 @@ def views(seed: int, noise: tuple[float, float] = (0.0, 0.0), count: int = 12,
     T = Z @ se3.inverse(seen) @ se3.inverse(X)
     T = (se3.inverse(disturbed(se3.inverse(T), robot, rng)) if on_base
          else disturbed(T, robot, rng))
-    return X, Z, Views(ON_BASE if on_base else IN_HAND, disturbed(seen, noise, rng), T)
+    return X, Z, Views(ON_BASE if on_base else IN_HAND, disturbed(seen, (1e-4, 1e-3), rng), T)
 
 
 def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) -> Array:
@@ -101,7 +93,7 @@ def test_views_are_as_sure_as_they_say(on_base: bool) -> None:
     """The robot turns about its flange, which is elsewhere with the camera on the base."""
     squares = []
     for seed in range(40):
-        X, Z, poses = views(seed, NOISE, 20, (1e-4, 1e-3), on_base)
+        X, Z, poses = views(seed, (1e-4, 1e-3), 20, on_base)
         found = poses.solve()
         squares.append(chi_squared(found, X))
         assert list(found.target['pose']['translation'].values()) == pytest.approx(
@@ -110,7 +102,7 @@ def test_views_are_as_sure_as_they_say(on_base: bool) -> None:
 
 
 def test_a_wrong_view_is_left_out() -> None:
-    X, _, poses = views(5, NOISE, robot=ROBOT)
+    X, _, poses = views(5, (3e-5, 1e-4))
     seen = poses.seen.copy()
     seen[4] = se3.perturb(seen[4], np.array([5e-3, 0, 0, 0, 0.02, 0]))
     found = solve(replace(poses, seen=seen))
@@ -123,17 +115,12 @@ SENSOR = 3.7e-5
 CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 'test')
 
 
-def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep, noise: float = SENSOR
-            ) -> TableAnswer:
-    """Return the answer; noise: 1 sigma of the sensor, or more than 1 mm of both instruments."""
-    config = with_values(CELL, {
-        'tracker.h0': measured.h0, 'tracker.h1': measured.h1,
-        'tracker.noise': min(noise, 0.01) if noise > 1e-3 else 2e-5}, 'test')
+def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep) -> TableAnswer:
+    config = with_values(CELL, {'tracker.h0': measured.h0, 'tracker.h1': measured.h1}, 'test')
     parts = {kind: getattr(measured, kind) for kind in ('arc', 'line', 'face_c', 'face_d')} | {
         part: getattr(sweep, part.removeprefix('swept_')) for part in SWEPT}
-    pieces = [Piece(row, part, point[None], np.array(
-        [noise if part in SWEPT else config.tracker.noise]))
-        for part, points in parts.items() for row, point in enumerate(points)]
+    pieces = [Piece(row, part, point[None], np.array([SENSOR if part in SWEPT else 2e-5]))
+              for part, points in parts.items() for row, point in enumerate(points)]
     return solve(TrackerSession(config, pieces, measured.ball, sweep.q30))
 
 
@@ -141,7 +128,7 @@ def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep, noise: float = SE
 def test_the_tracker_without_noise(skew: float) -> None:
     """The block may be crooked; the ball and the faces are what was swept."""
     found = tracked(*session(1, skew=skew))
-    assert off(found.X, T_flange_sensor) < 1e-9
+    np.testing.assert_allclose(se3.difference(found.X, T_flange_sensor), 0, atol=1e-9)
     assert found.target['face_angle'] == pytest.approx(np.deg2rad(90.0 + skew))
     assert found.target['radius'] == pytest.approx(0.01905)
 
