@@ -92,20 +92,6 @@ def degrees(radians: float) -> str:
     return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
 
 
-class BagError(InputError):
-    """A recording that cannot be read, or not written; path: the bag."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path}: {reason}')
-
-
-class SessionError(InputError):
-    """A folder that is not a session, or one that cannot be continued."""
-
-    def __init__(self, path: object, reason: str) -> None:
-        super().__init__(f'{path} {reason}')
-
-
 class UnwritableError(InputError):
     """A file or folder that cannot be written."""
 

@@ -45,16 +45,22 @@ def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] 
     """
     Return the calibrations below a folder by time, and a warning for each file left out.
 
-    first: the reference, the oldest if not given. files: of the folder, all calibration.yaml if
-    not given. Raises DataError for too few.
+    first: the reference, the oldest if not given; only those between its frames are compared.
+    files: of the folder, all calibration.yaml if not given. Raises DataError for too few, or for
+    several sensors without a reference.
     """
-    calibrations, warnings = [], []
+    calibrations, warnings, sensors = [], [], set()
     for path in sorted(folder.rglob('calibration.yaml') if files is None else files):
         try:
             calibration = read_calibration(path)
         except InputError as error:
             warnings.append(str(error))
             continue
+        frames = f'{calibration.child_frame} on {calibration.parent_frame}'
+        if first and frames != f'{first.child_frame} on {first.parent_frame}':
+            warnings.append(f'{path} is left out: it is of {frames}')
+            continue
+        sensors.add(frames)
         stamp = min((report.stamp for report in calibration.samples), default=0)
         recorded = time_of(stamp) or str(calibration.provenance.get('created', ''))
         calibrations.append((recorded, str(path), calibration))
@@ -62,6 +68,10 @@ def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] 
     if len(calibrations) < 2 - (first is not None):
         raise DataError(f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend '
                         'needs two, or one with --against')
+    if len(sensors) > 1:
+        raise DataError(f'{folder} holds calibrations of {" and of ".join(sorted(sensors))}, '
+                        'which are not compared: give the folder of one, or one of them with '
+                        '--against')
     reference = previous = first or calibrations[0][2]
     entries = []
     for recorded, name, calibration in calibrations:

@@ -9,7 +9,7 @@ from command import assert_refused, handeye
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
 from handeye_ros.errors import DataError
-from handeye_ros.results.calibration_file import write_calibration
+from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
 from verifications import bench, stated
@@ -38,6 +38,16 @@ def test_a_trend_goes_by_the_time_of_the_recordings_and_tells_since_when(tmp_pat
     (tmp_path / 'jump/day_0/calibration.yaml').write_text('no')
     entries, warnings = trend.trend(tmp_path / 'jump')
     assert len(entries) == 5 and len(warnings) == 1
+
+
+def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
+    write(tmp_path, range(3))
+    one = read_calibration(tmp_path / 'day_0/calibration.yaml')
+    write_calibration(replace(one, child_frame='rear'), tmp_path / 'rear/calibration.yaml')
+    with pytest.raises(DataError, match='of laser on flange and of rear on flange, which are not'):
+        trend.trend(tmp_path)
+    entries, warnings = trend.trend(tmp_path, one)
+    assert len(entries) == 3 and 'rear on flange' in warnings[0]
 
 
 def test_the_verb(tmp_path):

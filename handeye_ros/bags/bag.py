@@ -9,11 +9,12 @@ file, from which it is read again when a stop uses it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import accumulate
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, read_arm
@@ -29,7 +30,7 @@ from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, Reader,
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
-from handeye_ros.errors import BagError, DataError, InputError, UnusableMessageError
+from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import in_order, LARGEST_STEP, two_frames
 import numpy as np
@@ -51,8 +52,8 @@ class Recording:
     profiles: tuple[RawProfile, ...]
     poses: Sequence[TimedPose]
     joints: Array | None = None
-    warnings: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
+    warnings: list[str] = field(default_factory=list)
+    files: Sequence[Path] = ()
 
     @cached_property
     def inputs(self) -> tuple[dict[str, str], ...]:
@@ -63,15 +64,29 @@ class Recording:
         """
         Yield the profiles: only returns, in message order, with intensity.
 
-        What cannot be used is left out. Raises UnusableMessageError for profiles of an unknown
-        time.
+        What cannot be used is left out, and is in the warnings after the last one. Raises
+        UnusableMessageError for profiles of an unknown time, InputError if most are left out.
         """
+        reasons = []
         for raw in self.profiles:
             try:
                 yield returns_of(raw)
-            except UnusableMessageError:
+            except UnusableMessageError as error:
                 if raw.reach != (0, 0):
                     raise
+                reasons.append(str(error))
+        self.warnings.extend(_left_out(reasons, len(self.profiles), 'profiles of the recording'))
+
+
+def _left_out(reasons: Sequence[str], total: int, what: str) -> list[str]:
+    """Return a warning of what was left out, if anything; raises InputError if it is most."""
+    if not reasons:
+        return []
+    if len(reasons) > MOST_MALFORMED * total:
+        usable = 'none' if len(reasons) == total else f'only {total - len(reasons)}'
+        raise InputError(f'{usable} of the {total} {what} can be used; the first reason: '
+                         f'{reasons[0]}')
+    return [f'{len(reasons)} of {total} {what} were left out; the first: {reasons[0]}']
 
 
 def read(path: Path, config: Config, progress: Callable[[float], None] = lambda share: None,
@@ -87,14 +102,14 @@ def read(path: Path, config: Config, progress: Callable[[float], None] = lambda 
     converter = ProfileReader(config.profile)
     clouds = _Topic('profile_topic', config.profile_topic, CLOUD,
                     lambda raw: converter.take(raw.data, raw.fetch))
-    source = _pose_source(config, arm)
-    reader = _read_topics(path, (clouds, *source.topics), progress)
+    topics, poses_of = _pose_source(config, arm)
+    reader = _read_topics(path, (clouds, *topics), progress)
     profiles: list[RawProfile] = []
     previous = None
     for message in clouds.ordered(reader):
         profiles += split(message, previous, config.profile)
         previous = message.stamp
-    poses, joints = source.finish(reader)
+    poses, joints = poses_of(reader)
     if config.time_offset:
         offset = round(config.time_offset * 1e9)
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
@@ -103,18 +118,18 @@ def read(path: Path, config: Config, progress: Callable[[float], None] = lambda 
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
                         'the clocks of sensor and robot differ, or they were not recorded '
                         'together')
-    return Recording(tuple(profiles), poses, joints, tuple(reader.warnings), tuple(reader.files))
+    return Recording(tuple(profiles), poses, joints, reader.warnings, reader.files)
 
 
 def read_poses(path: Path, config: Config, arm: Arm | None = None) -> Recording:
     """Return only the flange poses of a bag; see read."""
-    source = _pose_source(config, arm)
-    reader = _read_topics(path, source.topics)
-    poses, joints = source.finish(reader)
-    return Recording((), poses, joints, tuple(reader.warnings), tuple(reader.files))
+    topics, poses_of = _pose_source(config, arm)
+    reader = _read_topics(path, topics)
+    poses, joints = poses_of(reader)
+    return Recording((), poses, joints, reader.warnings, reader.files)
 
 
-def _read_topics(path: Path, topics: Sequence[_Topic[Any]],
+def _read_topics(path: Path, topics: Sequence[_Topic],
                  progress: Callable[[float], None] = lambda share: None) -> Reader:
     """Pass every message to its topic; return the reader of the bag."""
     # if two settings name one topic, the first gets its messages; its type refuses the second
@@ -125,27 +140,18 @@ def _read_topics(path: Path, topics: Sequence[_Topic[Any]],
     return reader
 
 
-class _Joints(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Joints:
     """The values (joints,) of all joints of an arm."""
 
     stamp: int
     values: Array
 
 
-class _Transforms(NamedTuple):
-    """The child frames and poses of a message."""
-
-    stamp: int
-    poses: list[tuple[str, TimedPose]]
-
-
-Item = TypeVar('Item', RawProfile, TimedPose, _Joints, _Transforms)
-
-
-class _Topic(Generic[Item]):
+class _Topic:
     """Receives the messages of a topic in recording order; tells which are usable, in order."""
 
-    def __init__(self, key: str, name: str, kind: str, convert: Callable[[Raw], Item]) -> None:
+    def __init__(self, key: str, name: str, kind: str, convert: Callable[[Raw], Any]) -> None:
         """
         Start with none.
 
@@ -154,8 +160,8 @@ class _Topic(Generic[Item]):
         """
         self.name = full_name(name)
         self._key, self._kind = key, kind
-        self._convert: Callable[[Raw], Item] = convert
-        self.items: list[Item] = []
+        self._convert = convert
+        self.items: list[Any] = []
         self._log_times: list[int] = []
         self._malformed: list[str] = []
 
@@ -173,18 +179,11 @@ class _Topic(Generic[Item]):
         require_topic(reader, self._key, self.name, self._kind)
         total = len(self.items) + len(self._malformed)
         if not total:
-            raise BagError(reader.path, f'no messages on {self.name} ({self._kind}): check that '
-                           f'it was published while recording, or set {self._key}')
-        if count := len(self._malformed):
-            first = self._malformed[0]
-            if count > MOST_MALFORMED * total:
-                usable = 'none' if count == total else f'only {total - count}'
-                raise InputError(f'{usable} of the {total} messages on {self.name} can be used; '
-                                 f'the first reason: {first}')
-            reader.warnings.append(f'{count} of {total} messages on {self.name} were left out; '
-                                   f'the first: {first}')
+            raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
+                             f'that it was published while recording, or set {self._key}')
+        reader.warnings += _left_out(self._malformed, total, f'messages on {self.name}')
 
-    def ordered(self, reader: Reader) -> list[Item]:
+    def ordered(self, reader: Reader) -> list[Any]:
         """
         Return the usable items in the order of their stamps.
 
@@ -197,14 +196,14 @@ class _Topic(Generic[Item]):
         if not stamped:
             warnings.append(f'the messages on {self.name} have no stamps; the times at which they '
                             'were recorded are used')
-            stamped = [_restamped(item, time) for item, time in zip(
+            stamped = [replace(item, stamp=time) for item, time in zip(
                 self.items, self._log_times, strict=True)]
         elif len(stamped) < len(items):
             warnings.append(f'{len(items) - len(stamped)} messages on {self.name} without a stamp '
                             'were left out')
-        return sorted(_fitting(self.name, stamped, warnings), key=_stamp)
+        return sorted(_fitting(self.name, stamped, warnings), key=attrgetter('stamp'))
 
-    def _as_received(self, warnings: list[str]) -> list[Item]:
+    def _as_received(self, warnings: list[str]) -> list[Any]:
         """
         Return the items in the order received, if they are stored in another order.
 
@@ -223,16 +222,7 @@ class _Topic(Generic[Item]):
         return received
 
 
-def _stamp(item: Item) -> int:
-    return item.stamp
-
-
-def _restamped(item: Item, stamp: int) -> Item:
-    return (item._replace(stamp=stamp) if isinstance(item, _Joints | _Transforms)
-            else replace(item, stamp=stamp))
-
-
-def _fitting(topic: str, items: Sequence[Item], warnings: list[str]) -> list[Item]:
+def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]:
     """Return the items whose stamps fit the order of the others; DataError for two runs."""
     stamps = [item.stamp for item in items]
     fits = in_order(stamps)
@@ -278,30 +268,29 @@ Poses: TypeAlias = tuple[Sequence[TimedPose], Array | None]
 """The flange poses, and the joint values (n, joints) of an arm."""
 
 
-class _PoseSource(NamedTuple):
-    """The topics with the flange poses, and what makes poses of their messages."""
+def _pose_source(config: Config, arm: Arm | None
+                 ) -> tuple[Sequence[_Topic], Callable[[Reader], Poses]]:
+    """
+    Return the topics with the flange poses, and what makes poses of their messages.
 
-    topics: tuple[_Topic[Any], ...]
-    finish: Callable[[Reader], Poses]
-
-
-def _pose_source(config: Config, arm: Arm | None) -> _PoseSource:
-    """Return the source of the poses: an arm at its joint values, /tf, or a topic of poses."""
+    The poses are those of an arm at its joint values, of /tf, or of a topic.
+    """
     if config.kinematics and not arm:
         arm = read_arm(Path(config.kinematics))
     if arm:
         joints = _Topic('joint_topic', config.joint_topic, JOINTS,
                         lambda raw: _joints(arm, raw.data))
-        return _PoseSource((joints,), partial(_of_arm, arm, joints))
+        return (joints,), partial(_of_arm, arm, joints)
     if config.pose_source == 'tf':
-        moving, static = (_Topic('pose_source', name, TF, lambda raw: _Transforms(
-            raw.log_time, transforms_from_cdr(raw.data))) for name in ('/tf', '/tf_static'))
-        return _PoseSource((moving, static), partial(_of_tree, config, moving, static))
+        moving, static = (_Topic('pose_source', name, TF,
+                                 lambda raw: transforms_from_cdr(raw.data))
+                          for name in ('/tf', '/tf_static'))
+        return (moving, static), partial(_of_tree, config, moving, static)
     poses = _Topic('pose_topic', config.pose_topic, POSE, lambda raw: pose_from_cdr(raw.data))
-    return _PoseSource((poses,), partial(_of_topic, poses))
+    return (poses,), partial(_of_topic, poses)
 
 
-def _of_topic(topic: _Topic[TimedPose], reader: Reader) -> Poses:
+def _of_topic(topic: _Topic, reader: Reader) -> Poses:
     poses = topic.ordered(reader)
     frames = dict.fromkeys(pose.parent_frame for pose in topic.items)
     if len(frames) > 1:
@@ -309,23 +298,22 @@ def _of_topic(topic: _Topic[TimedPose], reader: Reader) -> Poses:
     return poses, None
 
 
-def _of_tree(config: Config, moving: _Topic[_Transforms], static: _Topic[_Transforms],
-             reader: Reader) -> Poses:
+def _of_tree(config: Config, moving: _Topic, static: _Topic, reader: Reader) -> Poses:
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-    for message in static.items:  # first: a node that starts late publishes them after the motion
-        tracker.add(message.poses, static=True)
+    for transforms in static.items:  # first: a node that starts late publishes them late
+        tracker.add(transforms, static=True)
     moving.require(reader)
-    found = [pose for message in moving.items
-             for pose in tracker.add(message.poses, static=False)]
+    found = [pose for transforms in moving.items
+             for pose in tracker.add(transforms, static=False)]
     reader.warnings += tracker.warnings
     if not found:
-        raise BagError(reader.path, 'no flange poses in its transforms: '
-                       + (tracker.missing() or 'they share no time')
-                       + '; set robot_base_frame and robot_effector_frame')
+        raise InputError(f'{reader.path}: no flange poses in its transforms: '
+                         f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
+                         'robot_effector_frame')
     return _fitting('/tf', found, reader.warnings), None
 
 
-def _of_arm(arm: Arm, topic: _Topic[_Joints], reader: Reader) -> Poses:
+def _of_arm(arm: Arm, topic: _Topic, reader: Reader) -> Poses:
     joints = topic.ordered(reader)
     return _forward(arm, joints), np.array([one.values for one in joints])
 

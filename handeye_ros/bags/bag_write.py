@@ -23,7 +23,7 @@ from handeye_ros.bags.messages import DATATYPES, UNITS
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.errors import BagError, UnwritableError
+from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.output import write_whole
 from handeye_ros.results import truth_file
 from mcap.reader import make_reader
@@ -57,9 +57,8 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
     folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. joints: stamps
-    and values of joint_1, joint_2, ... Raises BagError if the path exists, UnwritableError if it
-    cannot be written.
-
+    and values of joint_1, joint_2, ... Raises InputError if the path exists, UnwritableError if
+    it cannot be written.
     """
     texts = dict(tables or {})
     if truth is not None:
@@ -124,13 +123,13 @@ class Contents:
 
 
 def contents_of(file: Path) -> Contents:
-    """Return the contents of a whole .mcap file; raises BagError."""
+    """Return the contents of a whole .mcap file; raises InputError."""
     try:
         return _contents(file, file.stat().st_mtime_ns)
     except OSError as error:
-        raise BagError(file, f'cannot be read: {error.strerror or error}') from error
+        raise InputError(f'{file}: cannot be read: {error.strerror or error}') from error
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise BagError(file, f'is damaged or cut off: {error}') from error
+        raise InputError(f'{file}: is damaged or cut off: {error}') from error
 
 
 @lru_cache(10_000)
@@ -266,7 +265,7 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'sea
     """
     Write poses (n, 4, 4) on the topics NAME/path and NAME/poses.
 
-    stamp: of the messages (ns). Raises BagError if the path exists, UnwritableError.
+    stamp: of the messages (ns). Raises InputError if the path exists, UnwritableError.
     """
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
@@ -285,7 +284,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
     A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
     files except texts, which are by file name. force: an existing recording is replaced. Raises
-    BagError if the path exists or is the current folder, UnwritableError if it cannot be written.
+    InputError if the path exists or is the current folder, UnwritableError if it is not writable.
     """
     path = path.resolve()
     try:
@@ -306,9 +305,10 @@ def write_folder(path: Path, texts: Mapping[str, str],
 def _check_free(path: Path, force: bool) -> None:
     free = not path.exists() or path.is_dir() and not any(path.iterdir())
     if not (free or force):
-        raise BagError(path, 'is there already: choose another place, or replace it with --force')
+        raise InputError(f'{path}: is there already: choose another place, or replace it with '
+                         '--force')
     if path == Path.cwd():  # a shell in it would lose its folder
-        raise BagError(path, 'is the current folder, which is not replaced: name one in it')
+        raise InputError(f'{path}: is the current folder, which is not replaced: name one in it')
     if not (free or any((path / name).is_file() for name in OURS)):
-        raise BagError(path, 'is there already and is no bag, so it is not replaced: choose '
-                             'another place')
+        raise InputError(f'{path}: is there already and is no bag, so it is not replaced: choose '
+                         'another place')

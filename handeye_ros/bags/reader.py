@@ -23,7 +23,7 @@ import weakref
 import zlib
 
 from handeye_ros.config import yaml_content
-from handeye_ros.errors import BagError
+from handeye_ros.errors import InputError
 import lz4.frame  # type: ignore[import-untyped]
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -87,7 +87,7 @@ class Reader:
         self._total = 1.0
 
     def messages(self) -> Iterator[Raw]:
-        """Yield the messages; raises BagError if there is nothing to read."""
+        """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path, self.warnings)
             sizes = [file.stat().st_size for file in self.files]
@@ -96,11 +96,11 @@ class Reader:
                 yield from _storage(file, self).messages()
                 self._done += size
         except OSError as error:
-            raise BagError(error.filename or self.path,
-                           f'cannot be read: {error.strerror or error}') from error
+            raise InputError(f'{error.filename or self.path}: cannot be read: '
+                             f'{error.strerror or error}') from error
         if not self.types:
             reason = '; '.join(self.warnings) or 'the recording was stopped before it began'
-            raise BagError(self.path, f'holds no messages ({reason}): record again')
+            raise InputError(f'{self.path}: holds no messages ({reason}): record again')
 
     def wants(self, topic: str, kind: str, encoding: str) -> bool:
         """Take note of a topic and its type; return whether its messages are requested."""
@@ -122,15 +122,15 @@ def full_name(topic: str) -> str:
 def _files(path: Path, warnings: list[str]) -> list[Path]:
     """Return the storage files of a bag in recording order."""
     if not path.exists():
-        raise BagError(path, 'no such file or folder; expected a rosbag2 folder, or an .mcap or '
-                             '.db3 file')
+        raise InputError(f'{path}: no such file or folder; expected a rosbag2 folder, or an .mcap '
+                         'or .db3 file')
     if not path.is_dir():
         return [path]
     stored = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_natural)
     # playing a compressed bag leaves the decompressed file beside it
     stored = [p for p in stored if p.suffix != '.zstd' or p.with_suffix('') not in stored]
     if not stored:
-        raise BagError(path, 'is not a bag: the folder holds no .mcap or .db3 file')
+        raise InputError(f'{path}: is not a bag: the folder holds no .mcap or .db3 file')
     try:
         content = yaml_content((path / 'metadata.yaml').read_text(encoding='utf-8'))
         names = [Path(p).name for p in content['rosbag2_bagfile_information'][
@@ -152,7 +152,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
-    """Return a storage file, decompressed; raises BagError for other files."""
+    """Return a storage file, decompressed; raises InputError for other files."""
     magic, file, folder = _magic(path), path, None
     if magic[:len(ZSTD)] == ZSTD:
         folder = tempfile.mkdtemp(prefix='handeye-')
@@ -166,10 +166,11 @@ def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
     elif magic == SQLITE[:len(MCAP)]:
         storage = _Sqlite(file, path.name, reader)
     else:
-        raise BagError(path, 'the file is empty: record again' if not magic else
-                       'is a ROS 1 bag: convert it with rosbags-convert'
-                       if magic == ROS1[:len(magic)] else
-                       'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
+        reason = ('the file is empty: record again' if not magic else
+                  'is a ROS 1 bag: convert it with rosbags-convert'
+                  if magic == ROS1[:len(magic)] else
+                  'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
+        raise InputError(f'{path}: {reason}')
     if folder:  # messages may be read again from it as long as the storage exists
         weakref.finalize(storage, shutil.rmtree, folder, ignore_errors=True)
     return storage

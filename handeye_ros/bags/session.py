@@ -41,13 +41,7 @@ from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cd
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
-from handeye_ros.errors import (
-    BagError,
-    InputError,
-    SessionError,
-    UnusableMessageError,
-    UnwritableError,
-)
+from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced
 from handeye_ros.sampling.session import judged, Outcome, Session
 from handeye_ros.sampling.stops import Stop
@@ -161,7 +155,7 @@ class SessionFiles:
         """
         Begin with the first event, or continue a session.
 
-        parent: returns the folder that holds the folders of sessions. Raises SessionError for a
+        parent: returns the folder that holds the folders of sessions. Raises InputError for a
         session that another node has open, UnwritableError.
         """
         self._parent = parent
@@ -172,8 +166,8 @@ class SessionFiles:
                 self._lock = _claimed(stored.path)
                 write_metadata(stored.path, files_of(stored.path))
             except BlockingIOError as error:
-                raise SessionError(stored.path, 'is in use by another node: end that node first, '
-                                                'or begin a new session') from error
+                raise InputError(f'{stored.path} is in use by another node: end that node first, '
+                                 'or begin a new session') from error
             except OSError as error:
                 raise UnwritableError(stored.path, error.strerror or str(error)) from error
 
@@ -309,7 +303,7 @@ def is_session(path: Path) -> bool:
     try:
         files = files_of(path) if path.is_dir() else []
         return bool(files) and OUTCOME in contents_of(files[0]).topics
-    except (OSError, BagError):
+    except (OSError, InputError):
         return False
 
 
@@ -323,10 +317,10 @@ def read_session(path: Path) -> Stored:
     """
     Return a session from its folder, even if metadata.yaml lacks the last file.
 
-    Raises SessionError or BagError.
+    Raises InputError.
     """
     if not is_session(path):
-        raise SessionError(path, 'is no session: expected a folder that the node made')
+        raise InputError(f'{path} is no session: expected a folder that the node made')
     stops: dict[int, tuple[Event, Stop]] = {}
     numbers, config = 0, Config()
     for file in files_of(path):
@@ -340,7 +334,7 @@ def read_session(path: Path) -> Stored:
 
 
 def load(file: Path, began: int, config: Config) -> Stop:
-    """Return a stop with its poses and profiles from its file; raises BagError."""
+    """Return a stop with its poses and profiles from its file; raises InputError."""
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
@@ -355,36 +349,36 @@ def load(file: Path, began: int, config: Config) -> Stop:
 
 
 def _read_file(file: Path, topics: Iterable[str]) -> list[Raw]:
-    """Return the messages of some topics; raises BagError."""
+    """Return the messages of some topics; raises InputError."""
     contents_of(file)  # whole files only
     try:
         with file.open('rb') as stream:
             return [Raw(channel.topic, message.log_time, message.data) for _, channel, message in
                     make_reader(stream, validate_crcs=True).iter_messages(list(topics))]
     except OSError as error:
-        raise BagError(file, f'cannot be read: {error.strerror or error}') from error
+        raise InputError(f'{file}: cannot be read: {error.strerror or error}') from error
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise BagError(file, f'is damaged: {error}') from error
+        raise InputError(f'{file}: is damaged: {error}') from error
 
 
 def _event_of(messages: Iterable[Raw], file: Path) -> Event:
-    """Return the event of a file from its messages; raises SessionError."""
+    """Return the event of a file from its messages; raises InputError."""
     texts = {raw.topic: text_from_cdr(raw.data) for raw in messages}
     if not {CONFIGURATION, OUTCOME} <= set(texts):
-        raise SessionError(file, 'does not say what happened')
+        raise InputError(f'{file} does not say what happened')
     try:
         values, content = json.loads(texts[OUTCOME]), json.loads(texts[CONFIGURATION])
         for form in (values['format'], content['format']):
             if int(form.removeprefix(FORMAT)) > NEWEST:
-                raise SessionError(file, f'is of the format {form}, newer than this version of '
-                                   'handeye_ros knows: update the package')
+                raise InputError(f'{file} is of the format {form}, newer than this version of '
+                                 'handeye_ros knows: update the package')
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
         return Event(str(values['event']), with_values(Config(), settings, str(file)),
                      int(values['number']), int(values['began']), bool(values['taken']),
                      str(values['text']), str(values['refused']))
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
-        raise SessionError(file, f'holds an event that is not understood ({error!r})') from error
+        raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
 
 
 def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Config, Stored | None]:

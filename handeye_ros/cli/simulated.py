@@ -31,7 +31,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     """
     Write the folder of a scenario or a scene of files; return its content in words.
 
-    force: replace an existing folder. Raises BagError, UnwritableError.
+    force: replace an existing folder. Raises InputError, UnwritableError.
     """
     rng = np.random.default_rng(seed)
 

@@ -221,7 +221,7 @@ def read(path: Path, config: Config) -> Input:
     swept, q30 = sweep_from(recording.profiles, recording.poses, config)
     return Input(TrackerSession(config, [*pieces, *swept], ball, q30),
                  recording.profiles[0].frame_id or 'laser',
-                 (*recording.inputs, input_values(file)), warnings=recording.warnings)
+                 (*recording.inputs, input_values(file)), warnings=tuple(recording.warnings))
 
 
 def read_table(path: Path, noise: float) -> tuple[list[Piece], Array]:

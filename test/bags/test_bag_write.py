@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.config import Config, ProfileConfig
-from handeye_ros.errors import BagError, UnwritableError
+from handeye_ros.errors import InputError, UnwritableError
 import numpy as np
 import pytest
 from recordings import assert_equal_recordings, CONFIG, POSES, PROFILES
@@ -18,7 +18,7 @@ import yaml
 def test_what_is_written_is_read_by_all(good_bag):
     recording = bag.read(good_bag, CONFIG)
     assert_equal_recordings(recording)
-    assert recording.warnings == ()
+    assert not recording.warnings
     assert [i['path'] for i in recording.inputs] == [str(good_bag / 'good.mcap')]
     with Reader(good_bag) as reader:
         assert {c.topic: c.msgcount for c in reader.connections} == {
@@ -42,7 +42,7 @@ def test_every_layout_unit_and_axes(tmp_path, layout, unit, axes):
 
 
 def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path):
-    with pytest.raises(BagError, match='is there already'):
+    with pytest.raises(InputError, match='is there already'):
         bag_write.write(good_bag, PROFILES[:3], POSES)
     assert_equal_recordings(bag.read(good_bag, CONFIG))
     bag_write.write(good_bag, PROFILES[:3], POSES, force=True, truth={'seed': 7})
@@ -56,8 +56,8 @@ def test_what_is_no_bag_is_never_replaced(tmp_path, monkeypatch):
     (tmp_path / 'mine' / 'thesis.tex').write_text('x')
     (tmp_path / 'mine' / 'file').write_text('')
     monkeypatch.chdir(tmp_path)
-    for place, kind, words in (('mine', BagError, 'is no bag, so it is not replaced'),
-                               ('', BagError, 'is the current folder'),
+    for place, kind, words in (('mine', InputError, 'is no bag, so it is not replaced'),
+                               ('', InputError, 'is the current folder'),
                                ('mine/file/bag', UnwritableError, 'cannot write')):
         with pytest.raises(kind, match=words):
             bag_write.write(tmp_path / place, PROFILES, POSES, force=True)
