@@ -112,14 +112,10 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                 *live.troubles, trouble)
     return {
         'name': folder_name(config),
-        'profiles': _stream(profiles, config.profile_topic, session.frame_id,
-                            obstacles.get('profile', '')),
-        'poses': _stream(poses, live.pose_topic, '', obstacles.get('pose', '')),
+        'profiles': _stream(profiles, config.profile_topic, obstacles.get('profile', '')),
+        'poses': _stream(poses, live.pose_topic, obstacles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
-            'speed': motion.speed if motion else 0.0,
-            'turning': motion.turning if motion else 0.0,
-            'still': motion.still if motion else 0.0,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
                     'trouble': '; '.join(filter(None, troubles)),
@@ -168,7 +164,7 @@ def status_message(state: State) -> State:
     return {'format': STATUS_FORMAT, **state['calibration']}
 
 
-def _stream(messages: MessageCount, topic: str, frame: str, obstacle: str) -> State:
+def _stream(messages: MessageCount, topic: str, obstacle: str) -> State:
     """
     Return the messages of one kind.
 
@@ -183,7 +179,7 @@ def _stream(messages: MessageCount, topic: str, frame: str, obstacle: str) -> St
                    f'{messages.silence:.0f} s{cause}')
     return {'kind': kind, 'topic': topic, 'count': count, 'malformed': messages.malformed,
             'reason': messages.reason, 'lost': messages.lost, 'age': messages.silence,
-            'frame': frame, 'trouble': trouble}
+            'trouble': trouble}
 
 
 def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> State:
@@ -248,8 +244,7 @@ def _guidance(review: Review) -> State:
     with that number; sentences: its sentences; enough: whether the samples suffice, why: the
     reason; sigmas: of each direction, last that of mapped points, empty before there is an answer;
     translation, rotation: the flange in the base at the most useful next pose (quaternion
-    x y z w), None before a first estimate of the sensor's pose; expected: 1 sigma of mapped points
-    with it (m).
+    x y z w), None before a first estimate of the sensor's pose.
     """
     advice, sample = review.advice, review.advised
     return {
@@ -257,5 +252,4 @@ def _guidance(review: Review) -> State:
         'sentences': list(advice.sentences), 'enough': advice.enough, 'why': advice.why,
         'sigmas': [{'name': s.name, 'std': float(s.std), 'limit': float(s.limit), 'unit': s.unit}
                    for s in advice.sigmas],
-        **_pose(advice.next.T_base_flange if advice.next else None),
-        'expected': float(advice.next.std) if advice.next else None}
+        **_pose(advice.next.T_base_flange if advice.next else None)}

@@ -3,7 +3,6 @@
 """The page, in a real browser, of the real node fed by a bag; and what it refuses."""
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 import json
 from pathlib import Path
 import socket
@@ -25,6 +24,7 @@ from ros_helpers import Client, replay, ROOT, running_node  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
+LINES = "document.querySelectorAll('#samples li').length"
 BAG, CONFIG = ROOT / 'bags' / 'plate', ROOT / 'config' / 'plate.yaml'
 
 
@@ -62,32 +62,24 @@ def press(browser: Any, selector: str, message: str) -> str:
     return words(browser, 'message')
 
 
-def node_with_page(tmp_path: Path, port: int) -> AbstractContextManager[Any]:
-    return running_node(tmp_path, '--params-file', str(CONFIG), '-p', f'page.port:={port}')
-
-
 def served(port: int) -> bool:
     with socket.socket() as probe:
         return probe.connect_ex(('127.0.0.1', port)) == 0
 
 
-def shown(browser: Any, port: int, client: Client) -> None:
-    """Let a browser look at a node, and feed this the bag."""
-    client.connect()
-    browser.get(f'http://127.0.0.1:{port}/')
-    replay(BAG)
-    wait(browser, "document.querySelectorAll('#samples li').length >= 17", 'all samples')
-
-
 def test_a_calibration_by_clicking_goes_on_after_a_restart(tmp_path: Path, client: Client) -> None:
     port = free_port()
+    with_page = ('--params-file', str(CONFIG), '-p', f'page.port:={port}')
     with chromium(1280, 900) as browser:
-        with node_with_page(tmp_path, port):
-            shown(browser, port, client)
+        with running_node(tmp_path, *with_page):
+            client.connect()
+            browser.get(f'http://127.0.0.1:{port}/')
+            replay(BAG)
+            wait(browser, f'{LINES} >= 17', 'all samples')
             count = calibrated(browser, tmp_path)
             assert complaints(browser) == []
         assert 'Traceback' not in (tmp_path / 'node.log').read_text()
-        with node_with_page(tmp_path, port):
+        with running_node(tmp_path, *with_page):
             client.until(lambda: served(port), 'the page is there')
             browser.get(f'http://127.0.0.1:{port}/')
             complaints(browser)  # of the time without a node
@@ -123,20 +115,17 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
             f"=== '{quality.samples_used + 1}'")  # it is soon computed again by itself
     wait(browser, "document.getElementById('answer-state').textContent.startsWith('outdated')"
          f' || {anew}', 'the answer is told to be outdated, or computed anew')
-    lines = "document.querySelectorAll('#samples li').length"
-    count = browser.execute_script(f'return {lines}')
-    undone(browser)
-    wait(browser, f'{lines} === {count - 1}', 'one sample less')
+    count = browser.execute_script(f'return {LINES}')
+    undone(browser, count)
+    wait(browser, f'{LINES} === {count - 1}', 'one sample less')
     downloaded(browser)
     return count - 1
 
 
-def undone(browser: Any) -> None:
+def undone(browser: Any, count: int) -> None:
     """Undo: it asks before it removes what another browser has taken; no is no."""
-    lines = "document.querySelectorAll('#samples li').length"
-    count = browser.execute_script(f'return {lines}')
     browser.refresh()  # it is another browser to the page
-    wait(browser, f"typeof lines === 'object' && {lines} === {count}", 'all samples again')
+    wait(browser, f"typeof lines === 'object' && {LINES} === {count}", 'all samples again')
     click(browser, '#undo')
     wait(browser, "document.getElementById('question').textContent.endsWith('Remove it?')",
          'the question')
@@ -145,7 +134,7 @@ def undone(browser: Any) -> None:
         "fetch('act/remove_last_sample', {method: 'POST', body: '{\"number\": 1}',"
         "headers: {'Content-Type': 'application/json'}}).then(r => r.text()).then(arguments[0])"))
     assert not refused['success'] and 'has been taken since' in refused['message']
-    assert browser.execute_script(f'return {lines}') == count
+    assert browser.execute_script(f'return {LINES}') == count
     click(browser, '#undo')
     press(browser, '#yes', 'removed sample')
 
@@ -171,7 +160,7 @@ def went_on(browser: Any, count: int) -> None:
     wait(browser, "!document.getElementById('before').hidden", 'the banner')
     assert words(browser, 'before-text') == f'The previous session holds {count} samples.'
     click(browser, '#continue')
-    wait(browser, f"document.querySelectorAll('#samples li').length === {count}", 'its samples')
+    wait(browser, f'{LINES} === {count}', 'its samples')
     wait(browser, "document.getElementById('answer-x')", 'its answer')
     wait(browser, "document.getElementById('before').hidden", 'no banner')
     press(browser, '[name=mode][value=manual]', 'sampling.mode is manual')
@@ -221,15 +210,14 @@ PAINTED = ("(() => {const c = document.querySelector('NAME');"
 
 def cleared(browser: Any) -> None:
     """Clear: it asks twice, and no is no."""
-    count = browser.execute_script("return document.querySelectorAll('#samples li').length")
+    count = browser.execute_script(f'return {LINES}')
     click(browser, '#clear')
     browser.find_element('id', 'yes').click()
     wait(browser, "document.getElementById('question').textContent.startsWith('Really?')",
          'the second question')
     browser.find_element('id', 'no').click()
-    assert browser.execute_script(
-        "return document.querySelectorAll('#samples li').length") == count
+    assert browser.execute_script(f'return {LINES}') == count
     click(browser, '#clear')
     browser.find_element('id', 'yes').click()
     press(browser, '#yes', 'removed; bags and clocks may start again')
-    wait(browser, "document.querySelectorAll('#samples li').length === 0", 'no samples')
+    wait(browser, f'{LINES} === 0', 'no samples')
