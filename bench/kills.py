@@ -234,7 +234,7 @@ class Operator:
             if isinstance(item, TimedPose):
                 self._poses.publish(pose_cdr(item))
             else:
-                self._profiles.publish(cloud_cdr(item, Config()))
+                self._profiles.publish(cloud_cdr(item))
 
     def _asked(self, name: str) -> Any:
         """Return the answer of a service, None of a dead node."""
@@ -300,7 +300,7 @@ def run(kill: Kill, count: int, seed: int, output_dir: Path) -> None:
     """Kill so many times, and print what is left."""
     rng, taken, removed, starts = random.Random(seed), 0, 0, list[float]()
     config = with_values(Config(), {k: v for k, v in SETTINGS.items() if k != 'session'}, 'kills')
-    cloud_cdr(profile(0), config)  # what is loaded once, the killed processes inherit
+    cloud_cdr(profile(0))  # what is loaded once, the killed processes inherit
     of_node = kill is kill_node
     for begun in range(0, count, KILLS_OF_A_SESSION):
         tally, parent = Tally(), output_dir / f'{begun:04d}'

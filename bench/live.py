@@ -29,7 +29,7 @@ import time
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.bags.bag_write import LAYOUTS, serialised
+from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr
 from handeye_ros.data import Array, Profile, TimedPose
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -94,7 +94,7 @@ def publish(rate: float, seconds: float, scene: Scene) -> None:
             sent += 1
         while posed < now * 1e-9 * POSES:
             stamp = start + round(posed * 1e9 / POSES)
-            poses.publish(serialised(scene.pose(stamp, posed / POSES), LAYOUTS['xyz'], 'm'))
+            poses.publish(pose_cdr(scene.pose(stamp, posed / POSES)))
             posed += 1
         time.sleep(max(BEAT * 0.9 if due < int(now * 1e-9 * rate) else 0.0,
                        (sent + 1) / rate - (time.time_ns() - start) * 1e-9))
@@ -149,7 +149,7 @@ def cloud_of(centre: Array, rng: np.random.Generator) -> bytes:
     inside = RADIUS ** 2 - centre[1] ** 2 - (x - centre[0]) ** 2
     z = centre[2] - np.sqrt(np.where(inside > 0, inside, np.nan))
     points = np.column_stack([x, z + rng.normal(0, 2e-5, COLUMNS)])
-    return serialised(Profile(1, 'laser', points), LAYOUTS['xyz'], 'm')
+    return cloud_cdr(Profile(1, 'laser', points))
 
 
 @contextmanager

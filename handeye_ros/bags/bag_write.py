@@ -7,11 +7,11 @@ Profiles and poses as drivers publish them, and paths.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from itertools import chain
 import json
+from operator import attrgetter
 import os
 from pathlib import Path
 import shutil
@@ -35,50 +35,39 @@ OURS = (METADATA, truth_file.NAME)  # a folder with one of these may be replaced
 CHUNK = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
 PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
-# The points of real drivers: dtypes with the fields x, y and z.
-LAYOUTS: dict[str, np.dtype[Any]] = {
-    'xyz': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')]),
-    'double': np.dtype([('x', '<f8'), ('y', '<f8'), ('z', '<f8')]),
-    'big_endian': np.dtype([('x', '>f4'), ('y', '>f4'), ('z', '>f4')]),
-    'padded': np.dtype({'names': ['x', 'y', 'z', 'intensity'], 'formats': ['<f4'] * 4,
-                        'offsets': [0, 4, 8, 16], 'itemsize': 32}),
-    'scancontrol': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<u2'),
-                             ('reflection_width', '<u2'), ('threshold', '<u2'),
-                             ('moment0', '<u4'), ('moment1', '<u4')]),
-}
+# of the points of a cloud
+SINGLE, DOUBLE = (np.dtype([(axis, code) for axis in 'xyz']) for code in ('<f4', '<f8'))
 
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          tables: Mapping[str, str] | None = None, layout: str = 'xyz', force: bool = False,
-          joints: Sequence[tuple[int, Array]] = ()) -> None:
+          tables: Mapping[str, str] | None = None, layout: np.dtype[Any] = SINGLE,
+          force: bool = False, joints: Sequence[tuple[int, Array]] = ()) -> None:
     """
     Write a rosbag2 folder, including truth.yaml if the truth is given.
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
-    folder, by name; layout: a key of LAYOUTS. force: an existing bag is replaced. joints: stamps
-    and values of joint_1, joint_2, ... Raises InputError if the path exists, UnwritableError if
-    it cannot be written.
+    folder, by name; layout: of a point, with the fields x, y and z; force: an existing bag is
+    replaced; joints: stamps and values of joint_1, joint_2, ... Raises InputError if the path
+    exists, UnwritableError if it cannot be written.
     """
     texts = dict(tables or {})
     if truth is not None:
         texts[truth_file.NAME] = truth_file.text(truth)
-    write_folder(path, texts, lambda folder: _write_messages(
-        folder, profiles, poses, config or Config(), LAYOUTS[layout], joints), force)
+    config = config or Config()
+    profile_topic, pose_topic, joint_topic = map(full_name, (
+        config.profile_topic, config.pose_topic, config.joint_topic))
 
+    def messages() -> Iterator[Raw]:
+        items: list[Profile | TimedPose] = [*profiles, *poses]
+        for item in sorted(items, key=attrgetter('stamp')):
+            yield (Raw(profile_topic, item.stamp, cloud_cdr(item, config.profile.unit, layout))
+                   if isinstance(item, Profile) else Raw(pose_topic, item.stamp, pose_cdr(item)))
+        for stamp, values in joints:
+            yield Raw(joint_topic, stamp, joints_cdr(stamp, values))
 
-def _write_messages(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
-                    config: Config, dtype: np.dtype[Any], joints: Sequence[tuple[int, Array]]
-                    ) -> None:
-    items: list[Profile | TimedPose] = sorted([*profiles, *poses], key=lambda item: item.stamp)
-    messages = chain(
-        (Raw(full_name(config.profile_topic if isinstance(item, Profile) else config.pose_topic),
-             item.stamp, serialised(item, dtype, config.profile.unit)) for item in items),
-        (Raw(full_name(config.joint_topic), stamp, joints_cdr(stamp, values))
-         for stamp, values in joints))
-    kinds = {config.profile_topic: CLOUD, config.pose_topic: POSE,
-             **({config.joint_topic: JOINTS} if joints else {})}
-    _write_bag(path, {full_name(topic): kind for topic, kind in kinds.items()}, messages)
+    types = {profile_topic: CLOUD, pose_topic: POSE, **({joint_topic: JOINTS} if joints else {})}
+    write_folder(path, texts, lambda folder: _write_bag(folder, types, messages()), force)
 
 
 def _write_bag(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
@@ -202,13 +191,6 @@ def to_cdr(message: Any) -> bytes:
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
-def serialised(item: Profile | TimedPose, dtype: np.dtype[Any], unit: str) -> bytes:
-    """Return the message of a profile, with layout and unit, or of a pose."""
-    if isinstance(item, Profile):
-        return to_cdr(_cloud(item, dtype, unit))
-    return pose_cdr(item)
-
-
 def pose_cdr(pose: TimedPose) -> bytes:
     """Return a pose as a serialised geometry_msgs/PoseStamped."""
     header = _header(pose.stamp, pose.parent_frame)
@@ -220,9 +202,19 @@ def string_cdr(text: str) -> bytes:
     return to_cdr(_new(STRING, text))
 
 
-def cloud_cdr(profile: Profile, config: Config) -> bytes:
-    """Return a profile as a serialised sensor_msgs/PointCloud2 in double precision."""
-    return serialised(profile, LAYOUTS['double'], config.profile.unit)
+def cloud_cdr(profile: Profile, unit: str = 'm', layout: np.dtype[Any] = SINGLE) -> bytes:
+    """Return a profile as a serialised sensor_msgs/PointCloud2; unit: of its coordinates."""
+    signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
+    points = np.zeros(len(profile.points), layout)
+    for axis, column in zip(profile.axes, (profile.points * signs).T / UNITS[unit], strict=True):
+        points[axis[-1]] = column
+    codes = {name: code for code, name in DATATYPES.items()}
+    fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
+              for name, (kind, offset, *_) in (layout.fields or {}).items()]
+    return to_cdr(_new(
+        CLOUD, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
+        layout['x'].byteorder == '>', layout.itemsize, layout.itemsize * len(points),
+        points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all())))
 
 
 def _new(kind: str, *values: Any) -> Any:
@@ -239,19 +231,6 @@ def joints_cdr(stamp: int, values: Array, names: Sequence[str] = ()) -> bytes:
     """Return a serialised JointState; names: joint_1, joint_2, ... if not given."""
     names, empty = names or [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
     return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, empty, empty))
-
-
-def _cloud(profile: Profile, dtype: np.dtype[Any], unit: str) -> Any:
-    signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
-    points = np.zeros(len(profile.points), dtype)
-    for axis, column in zip(profile.axes, (profile.points * signs).T / UNITS[unit], strict=True):
-        points[axis[-1]] = column
-    codes = {name: code for code, name in DATATYPES.items()}
-    fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
-              for name, (kind, offset, *_) in (dtype.fields or {}).items()]
-    return _new(CLOUD, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
-                dtype['x'].byteorder == '>', dtype.itemsize, dtype.itemsize * len(points),
-                points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all()))
 
 
 def _pose(translation: Array, quaternion: Array) -> Any:

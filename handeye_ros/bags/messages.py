@@ -50,7 +50,6 @@ FEWEST_COLUMNS = 10  # of rows that are compared
 BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}  # share of a message's time before its stamp
 
 PROBE = 1_000_000_000  # ns between two profiles whose points are checked
-MOST_SHAPES = 1000  # of messages, that are known to be valid
 OVERHEAD = 600  # bytes of memory for a message, without its data
 
 T = TypeVar('T')
@@ -416,14 +415,13 @@ class ProfileReader:
     Receives the serialised clouds of one topic in order; their points are read on demand.
 
     A sensor publishes thousands of profiles while the robot moves, and a stop uses a few hundred.
-    A message of a new size is checked, and the points (wrong unit or axis) once a second;
+    The layout of every message is checked, and the points (wrong unit or axis) once a second;
     after an unusable message, those of every message until the next usable one.
     """
 
     def __init__(self, config: ProfileConfig) -> None:
         """Start with none; config: describes the clouds."""
         self.config = config
-        self._shapes: dict[tuple[int, int, int, str], int] = {}  # rows by size of a valid message
         self._probed = -PROBE
         self._trusted = False
 
@@ -434,26 +432,18 @@ class ProfileReader:
         fetch: returns the message again; without it the message is kept. Raises
         UnusableMessageError.
         """
-        stamp, frame, height, width = _read('PointCloud2', data, lambda cdr: (
-            *cdr.header(), *cdr.numbers('I', 2)))
-        shape = (len(data), height, width, frame)
-        rows = self._shapes.get(shape, 0)
-        if not rows:
-            cloud = cloud_from_cdr(data)
-            if height * width:
-                for axis in self.config.axes:
-                    cloud.view(axis[-1])
-            rows = rows_of(cloud, self.config)
-            described = height == 1 or self.config.rows != 'auto'  # else the points decide
-            if described and len(self._shapes) < MOST_SHAPES:
-                self._shapes[shape] = rows
-        if not self._trusted or abs(stamp - self._probed) >= PROBE:
+        cloud = cloud_from_cdr(data)
+        if cloud.height * cloud.width:
+            for axis in self.config.axes:
+                cloud.view(axis[-1])
+        rows = rows_of(cloud, self.config)
+        if not self._trusted or abs(cloud.stamp - self._probed) >= PROBE:
             self._trusted = False
-            cloud = cloud_from_cdr(data)
             points = profile_from_cloud(cloud if rows == 1 else cloud.row(0), self.config).points
-            self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), stamp
-        return RawProfile(stamp, frame, fetch or partial(bytes, data), profile_from_cdr,
-                          self.config, 0 if fetch else len(data) + OVERHEAD, rows)
+            self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), cloud.stamp
+        return RawProfile(cloud.stamp, cloud.frame, fetch or partial(bytes, data),
+                          profile_from_cdr, self.config, 0 if fetch else len(data) + OVERHEAD,
+                          rows)
 
 
 def rows_of(cloud: Cloud, config: ProfileConfig) -> int:

@@ -30,6 +30,7 @@ from typing import Any
 from handeye_ros.bags.bag_write import (
     cloud_cdr,
     contents_of,
+    DOUBLE,
     METADATA,
     pose_cdr,
     string_cdr,
@@ -270,9 +271,10 @@ def _messages(event: Event, seen: Stop, outcome: Outcome | None,
         types[joint_topic] = JOINTS
     offset = round(config.time_offset * 1e9)  # a driver may publish no stamp: log_time holds it
     messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in seen.poses]
-    messages += [Raw(profile_topic, profile.stamp - offset, bytes(profile.fetch())
-                     if isinstance(profile, RawProfile) else cloud_cdr(profile, config))
-                 for profile in seen.profiles]
+    messages += [
+        Raw(profile_topic, profile.stamp - offset,
+            bytes(profile.fetch()) if isinstance(profile, RawProfile)
+            else cloud_cdr(profile, config.profile.unit, DOUBLE)) for profile in seen.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     values = {'event': event.kind, 'number': event.number, 'began': event.began,
               'taken': event.taken, 'text': event.text, 'refused': event.refused}
@@ -324,7 +326,7 @@ def read_session(path: Path) -> Stored:
     stops: dict[int, tuple[Event, Stop]] = {}
     numbers, config = 0, Config()
     for file in files_of(path):
-        event = _event_of(_read_file(file, (CONFIGURATION, OUTCOME)), file)
+        event = _event_of(file)
         config, numbers = event.config, max(numbers, event.number)
         if event.kind == STOP:
             stops[event.number] = event, Stop(event.began, source=partial(load, file, event.began))
@@ -338,32 +340,35 @@ def load(file: Path, began: int, config: Config) -> Stop:
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
-    for message in _read_file(file, kinds := contents_of(file).topics):
-        if kinds[message.topic][0] == POSE:
+    for kind, message in _read_file(file):
+        if kind == POSE:
             poses.append(pose_from_cdr(message.data))
-        elif kinds[message.topic][0] == CLOUD:
+        elif kind == CLOUD:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
     return Stop(began, tuple(poses), tuple(profiles))
 
 
-def _read_file(file: Path, topics: Iterable[str]) -> list[Raw]:
-    """Return the messages of some topics; raises InputError."""
+def _read_file(file: Path, topics: Iterable[str] | None = None) -> list[tuple[str, Raw]]:
+    """Return the messages of some topics, or of all, with their types; raises InputError."""
     contents_of(file)  # whole files only
     try:
         with file.open('rb') as stream:
-            return [Raw(channel.topic, message.log_time, message.data) for _, channel, message in
-                    make_reader(stream, validate_crcs=True).iter_messages(list(topics))]
+            found = make_reader(stream, validate_crcs=True).iter_messages(topics)
+            return [(schema.name if schema else '',
+                     Raw(channel.topic, message.log_time, message.data))
+                    for schema, channel, message in found]
     except OSError as error:
         raise InputError(f'{file}: cannot be read: {error.strerror or error}') from error
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
         raise InputError(f'{file}: is damaged: {error}') from error
 
 
-def _event_of(messages: Iterable[Raw], file: Path) -> Event:
-    """Return the event of a file from its messages; raises InputError."""
-    texts = {raw.topic: text_from_cdr(raw.data) for raw in messages}
+def _event_of(file: Path) -> Event:
+    """Return the event of a file; raises InputError."""
+    texts = {raw.topic: text_from_cdr(raw.data)
+             for _, raw in _read_file(file, (CONFIGURATION, OUTCOME))}
     if not {CONFIGURATION, OUTCOME} <= set(texts):
         raise InputError(f'{file} does not say what happened')
     try:

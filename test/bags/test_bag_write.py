@@ -10,7 +10,7 @@ from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import InputError, UnwritableError
 import numpy as np
 import pytest
-from recordings import assert_equal_recordings, CONFIG, POSES, PROFILES
+from recordings import assert_equal_recordings, CONFIG, POINTS, POSES, PROFILES
 from rosbags.rosbag2 import Reader
 import yaml
 
@@ -28,7 +28,7 @@ def test_what_is_written_is_read_by_all(good_bag):
             POSES[0].stamp, max(POSES[-1].stamp, PROFILES[-1].stamp) + 1)
 
 
-@pytest.mark.parametrize('layout', bag_write.LAYOUTS)
+@pytest.mark.parametrize('layout', POINTS)
 @pytest.mark.parametrize(('unit', 'axes'), [('m', ('x', 'z')), ('mm', ('x', '-z')),
                                             ('mm', ('-y', 'z'))])
 def test_every_layout_unit_and_axes(tmp_path, layout, unit, axes):
@@ -37,7 +37,7 @@ def test_every_layout_unit_and_axes(tmp_path, layout, unit, axes):
     missing = PROFILES[3].points.copy()
     missing[5:9] = np.nan
     made[3] = replace(made[3], points=missing)
-    bag_write.write(tmp_path / 'bag', made, POSES, config, layout=layout)
+    bag_write.write(tmp_path / 'bag', made, POSES, config, layout=POINTS[layout])
     assert_equal_recordings(bag.read(tmp_path / 'bag', config), made)
 
 

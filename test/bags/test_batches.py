@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from handeye_ros.bags import bag
-from handeye_ros.bags.bag_write import LAYOUTS, serialised
+from handeye_ros.bags.bag_write import pose_cdr
 from handeye_ros.bags.messages import ProfileReader, rows_of, split
 from handeye_ros.bags.reader import CLOUD, POSE, Raw
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
@@ -110,7 +110,7 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     raws = [Raw('/profile', START + i * 50 * MS, d) for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
               for i, p in enumerate(poses())]
-    raws += [Raw('/flange_pose', p.stamp, serialised(p, LAYOUTS['xyz'], 'm')) for p in stands]
+    raws += [Raw('/flange_pose', p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws,
                    {'/profile': CLOUD, '/flange_pose': POSE})
     config = Config(profile=ProfileConfig(period=0.01))

@@ -36,6 +36,7 @@ from handeye_ros.results.evidence import verdict
 from live_sessions import changed, computed, Inline, new
 import numpy as np
 import pytest
+from recordings import POINTS
 from rosbags.highlevel import AnyReader
 import yaml
 
@@ -94,7 +95,8 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
 
 
 def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
-    write(tmp_path / 'bag', SPHERE.profiles, SPHERE.poses, SPHERE.config, layout='scancontrol')
+    write(tmp_path / 'bag', SPHERE.profiles, SPHERE.poses, SPHERE.config,
+          layout=POINTS['scancontrol'])
     recording = read(tmp_path / 'bag', SPHERE.config)
     live = feed(stored(tmp_path), recording, stops=2)
     sent = {profile.stamp: profile.fetch() for profile in recording.profiles}

@@ -21,6 +21,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pypcd4
 import pytest
+from recordings import POINTS
 
 GAP = 0.5
 
@@ -201,7 +202,8 @@ def test_a_cloud_that_breaks_off_is_not_there(tmp_path):
 
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100), layout='scancontrol')
+    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100),
+                    layout=POINTS['scancontrol'])
     run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', 'c.ply',
                   '--std', '--range', '-1m', 'inf', '--voxel', '0um', cwd=tmp_path)
     assert run.returncode == 0, run.stderr

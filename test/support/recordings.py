@@ -82,6 +82,18 @@ LAYOUTS_OF_MCAP = {
 }
 
 
+# of points, by drivers
+POINTS = {
+    'xyz': bag_write.SINGLE, 'double': bag_write.DOUBLE,
+    'big_endian': np.dtype([('x', '>f4'), ('y', '>f4'), ('z', '>f4')]),
+    'padded': np.dtype({'names': ['x', 'y', 'z', 'intensity'], 'formats': ['<f4'] * 4,
+                        'offsets': [0, 4, 8, 16], 'itemsize': 32}),
+    'scancontrol': np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<u2'),
+                             ('reflection_width', '<u2'), ('threshold', '<u2'),
+                             ('moment0', '<u4'), ('moment1', '<u4')]),
+}
+
+
 def halves(recording, count):
     """
     Return profiles and poses of the first so many stops, and of the rest, of a bag or of both.

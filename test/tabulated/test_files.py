@@ -97,7 +97,8 @@ def test_solve_answers_near_the_truth_and_says_how_near(name: str, handeye: Run,
 def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Path) -> None:
     made, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
     if made.profiles:
-        bag_write.write(folder, made.profiles, made.poses, tables=made.tables, layout='double')
+        bag_write.write(folder, made.profiles, made.poses, tables=made.tables,
+                        layout=bag_write.DOUBLE)
     else:
         folder.mkdir()
         (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))
