@@ -26,16 +26,8 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.common import (
-    ENDS,
-    FACE,
-    frames_along,
-    hemisphere,
-    linear_candidates,
-    some_of,
-    xyz,
-)
-from handeye_ros.targets.target import FaceTarget
+from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
+from handeye_ros.targets.target import ENDS, FACE, FaceTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 

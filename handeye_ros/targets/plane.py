@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import best_of, different
 from handeye_ros.profiles.faces import plane_features
-from handeye_ros.targets.common import (
+from handeye_ros.targets.starts import (
     frames_along,
     hemisphere,
     linear_candidates,

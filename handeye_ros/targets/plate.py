@@ -24,9 +24,9 @@ from handeye_ros.estimation.problem import (
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.common import FACE, some_stations, xyz
 from handeye_ros.targets.plane import PLANE
-from handeye_ros.targets.target import FaceTarget
+from handeye_ros.targets.starts import some_stations
+from handeye_ros.targets.target import FACE, FaceTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 

@@ -24,8 +24,8 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.arcs import arc_features, fit_circle
-from handeye_ros.targets.common import ObservationRows, some_of, xyz
-from handeye_ros.targets.target import ProfileTarget
+from handeye_ros.targets.starts import some_of
+from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

@@ -4,29 +4,97 @@
 What a target has to say, and what all targets share.
 
 A new target is a subclass in one file: the features of a profile that show it, the conditions of
-their points in the target's frame, which moves and measures of it are unknown, and a start.
+their points in the target's frame, which moves and measures of it are unknown, and a start. Here
+are its observations, the classes of targets, and the systematic errors that targets of faces have
+in common: set-back of faces, shapes of edges, flatness, range at grazing incidence.
 """
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
-from handeye_ros.estimation.blocks import Blocks
+from handeye_ros.estimation.basis import bent_surface
+from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Conditions, Linear, Observations, Target
-from handeye_ros.targets import blocks
-from handeye_ros.targets.common import (
-    add_face,
-    edge_noise,
-    ObservationRows,
-    out_of_face,
-    SOURCES,
-)
 import numpy as np
 from numpy.typing import NDArray
+
+ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
+NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
+FACE = 0  # the kind of a condition on a face, in every target that has them
+SOURCES = 64  # per feature, at most
+FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
+
+GRAZING = 0.64  # cosine of the incidence below which the range of a face may be wrong
+STEEPNESS = np.array([8, 16, 32])  # exponents of the smallest cosine over that of a point
+
+
+@dataclass
+class ObservationRows:
+    """Collects the conditions of a target, feature by feature."""
+
+    points: list[Array] = field(default_factory=list)
+    noise: list[Array] = field(default_factory=list)
+    numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
+    outward: list[Array] = field(default_factory=list)
+    shape: list[float] = field(default_factory=list)
+
+    def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
+            edge: EdgePoint | None = None) -> None:
+        """Append one condition; see Observations. edge: the edge that the point is on, or None."""
+        self.add_points(station, point[None], kind, noise[None], source, edge)
+
+    def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
+                   edge: EdgePoint | None = None) -> None:
+        """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
+        self.points.append(points)
+        self.noise.append(noise)
+        self.numbers.append((station, kind, source, 1 + ENDS.index(edge.kind) if edge else 0))
+        self.outward.append(edge.direction if edge else NOWHERE)
+        self.shape.append(edge.shape_std if edge else 0.0)
+
+    def observations(self) -> Observations:
+        """Return the observations collected; each point of a feature has its own error."""
+        count = [len(points) for points in self.points]
+        first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
+        numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
+        station, kind, source, end = np.repeat(numbers, count, axis=1)
+        return Observations(
+            station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
+            np.concatenate([np.empty((0, 2, 2)), *self.noise]),
+            source + np.arange(len(first)) - first, end,
+            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
+            np.repeat(np.array(self.shape), count))
+
+
+def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
+             kind: int = FACE) -> None:
+    """Append the normal points of a face line, or two decorrelated points where it has none."""
+    across = np.array([-line.direction[1], line.direction[0]])
+    points, std = line.points, line.points_std
+    if not len(points):
+        points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
+        std = np.full(2, line.std * 2 ** 0.5)
+    noise = np.zeros((len(points), 2, 2))
+    noise[:, :, 0] = std[:, None] * across
+    rows.add_points(station, points, kind, noise, source)
+
+
+def edge_noise(edge: EdgePoint) -> Array:
+    """Return the factor (2, 2) of an edge point's covariance."""
+    along = edge.direction
+    across = np.array([-along[1], along[0]])
+    return np.column_stack([along * edge.std, across * edge.std_across])
+
+
+def xyz(point: Array) -> dict[str, float]:
+    """Return a point (3,) as plain values."""
+    return dict(zip('xyz', map(float, point), strict=True))
 
 
 class ProfileTarget(Target):
@@ -127,9 +195,105 @@ class FaceTarget(ProfileTarget):
 
     def blocks(self, linear: Linear) -> Blocks:
         """Yield the blocks of set-backs, shapes of edges, and flatness of faces."""
-        for source in (blocks.setbacks, blocks.edge_shapes, blocks.flatness, blocks.grazing):
+        for source in (setbacks, edge_shapes, flatness, grazing):
             yield from source(linear)
 
     def feature_errors(self, linear: Linear) -> Array:
         """Return the derivatives (m, 1) by independent set-backs of edge points, in sigmas."""
         return out_of_face(linear)[:, None] * linear.problem.config.target.setback_std
+
+
+def out_of_face(linear: Linear) -> Array:
+    """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
+    outward = linear.problem.observations.outward
+    return np.asarray((linear.by_point * outward).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """
+    The ends of faces, m observations in all.
+
+    feature: (m,) index of the feature of each observation; parts: for each (kind, way the face
+    ends), which observations (m,) these are, kind 0 if an end has several; slope: (m,) of the face
+    there, against the line of sight.
+    """
+
+    feature: NDArray[np.intp]
+    parts: dict[tuple[int, int], NDArray[np.bool_]]
+    slope: Array
+
+    def outwards(self, linear: Linear) -> Array:
+        """Return derivatives (m,) by outward moves of the ends, of unit length per feature."""
+        along = out_of_face(linear)
+        length = np.sqrt(np.bincount(self.feature, along ** 2))[self.feature]
+        return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
+
+
+def ends_of(obs: Observations) -> Ends:
+    """Return the ends of faces among observations."""
+    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
+    _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
+    kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
+    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
+    slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
+                      where=obs.outward[:, 0] != 0)
+    return Ends(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
+
+
+def setbacks(linear: Linear) -> Blocks:
+    """Yield the blocks of the set-back of faces from their edges, one per kind of end."""
+    std, kinds = linear.problem.config.target.setback_std, linear.problem.target.kinds
+    obs = linear.problem.observations
+    ends = ends_of(obs)
+    outwards = ends.outwards(linear)
+    # the visible part of a bevel or a blurred step depends on the tilt
+    by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
+    for (kind, end), rows in ends.parts.items():
+        name = f'setback_{kinds[kind]}_{ENDS[end - 1]}'
+        yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std, report=name)
+    for end in sorted({end for _, end in ends.parts}):
+        tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
+        yield ParameterBlock(f'incidence_{ENDS[end - 1]}', tilted * std, std)
+
+
+def edge_shapes(linear: Linear) -> Blocks:
+    """Yield the blocks of the deviation of edge shapes from those seen in profiles."""
+    obs = linear.problem.observations
+    if not obs.shape.any():
+        return
+    ends = ends_of(obs)
+    outwards = ends.outwards(linear) * obs.shape
+    for kind in sorted({kind for kind, _ in ends.parts}):
+        rows = np.any([own for (k, _), own in ends.parts.items() if k == kind], axis=0)
+        # it comes from few points of a curve, and is extrapolated
+        yield ParameterBlock(f'shape_{linear.problem.target.kinds[kind]}',
+                             np.where(rows, outwards, 0.0)[:, None], 1.0, least=1.0)
+
+
+def flatness(linear: Linear) -> Blocks:
+    """Yield the blocks of bowed faces: polynomials over each face, by degree."""
+    problem, std = linear.problem, linear.problem.config.noise.flatness
+    faces = [i for i, name in enumerate(problem.target.kinds) if name.startswith('face')]
+    if not std or not faces:
+        return
+    p = problem.points_in_base(linear.estimate.X)
+    heights = zip(*(bent_surface(p, problem.observations.kind == i, list(FLATNESS))
+                    for i in faces), strict=True)
+    for (degree, share), columns in zip(FLATNESS.items(), heights, strict=True):
+        yield ParameterBlock(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share,
+                             report='flatness_error')
+
+
+def grazing(linear: Linear) -> Blocks:
+    """Yield the block of the range error of faces seen at grazing incidence."""
+    problem, std = linear.problem, linear.problem.config.noise.distortion
+    faces = [i for i, name in enumerate(problem.target.kinds) if name.startswith('face')]
+    on_face, points = np.isin(problem.observations.kind, faces), problem.observations.points
+    along = np.abs((linear.by_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
+    cosine = np.where(on_face, along, 1.0)
+    least = cosine.min(initial=1.0)
+    if std and least < GRAZING:
+        share = np.where(cosine < GRAZING, least / np.maximum(cosine, least), 0.0)
+        columns = linear.by_point[:, 1:] * share[:, None] ** STEEPNESS
+        yield ParameterBlock('grazing', columns * std, std)

@@ -28,15 +28,8 @@ from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
-from handeye_ros.targets.common import (
-    nearest_piece,
-    ObservationRows,
-    some_of,
-    sums_by_piece,
-    with_one_piece,
-    xyz,
-)
-from handeye_ros.targets.target import FaceTarget
+from handeye_ros.targets.starts import nearest_piece, some_of, sums_by_piece, with_one_piece
+from handeye_ros.targets.target import FaceTarget, ObservationRows, xyz
 import numpy as np
 from numpy.typing import NDArray
 

@@ -31,7 +31,7 @@ from handeye_ros.frames import in_mount, mounted, sensor_axes
 from handeye_ros.sampling.sweep import evenly_chosen, Pairing, single_samples
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.common import edge_noise, ObservationRows
+from handeye_ros.targets.target import edge_noise, ObservationRows
 from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np

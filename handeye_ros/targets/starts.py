@@ -1,87 +1,19 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Common to the targets: ends of faces, collecting observations, linear search for a start."""
+"""Starts of the targets: some stations, one piece of each profile, and a linear sweep."""
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array, EdgePoint, FaceLine
-from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
+from handeye_ros.data import Array
+from handeye_ros.estimation.problem import Estimate, Observations, Problem
 import numpy as np
 from numpy.typing import NDArray
 
-ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
-NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
-FACE = 0  # the kind of a condition on a face, in every target that has them
-SOURCES = 64  # per feature, at most
 GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
-
-
-def out_of_face(linear: Linear) -> Array:
-    """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
-    outward = linear.problem.observations.outward
-    return np.asarray((linear.by_point * outward).sum(axis=1))
-
-
-@dataclass
-class ObservationRows:
-    """Collects the conditions of a target, feature by feature."""
-
-    points: list[Array] = field(default_factory=list)
-    noise: list[Array] = field(default_factory=list)
-    numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
-    outward: list[Array] = field(default_factory=list)
-    shape: list[float] = field(default_factory=list)
-
-    def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
-            edge: EdgePoint | None = None) -> None:
-        """Append one condition; see Observations. edge: the edge that the point is on, or None."""
-        self.add_points(station, point[None], kind, noise[None], source, edge)
-
-    def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
-                   edge: EdgePoint | None = None) -> None:
-        """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
-        self.points.append(points)
-        self.noise.append(noise)
-        self.numbers.append((station, kind, source, 1 + ENDS.index(edge.kind) if edge else 0))
-        self.outward.append(edge.direction if edge else NOWHERE)
-        self.shape.append(edge.shape_std if edge else 0.0)
-
-    def observations(self) -> Observations:
-        """Return the observations collected; each point of a feature has its own error."""
-        count = [len(points) for points in self.points]
-        first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
-        numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
-        station, kind, source, end = np.repeat(numbers, count, axis=1)
-        return Observations(
-            station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
-            np.concatenate([np.empty((0, 2, 2)), *self.noise]),
-            source + np.arange(len(first)) - first, end,
-            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
-            np.repeat(np.array(self.shape), count))
-
-
-def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
-             kind: int = FACE) -> None:
-    """Append the normal points of a face line, or two decorrelated points where it has none."""
-    across = np.array([-line.direction[1], line.direction[0]])
-    points, std = line.points, line.points_std
-    if not len(points):
-        points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
-        std = np.full(2, line.std * 2 ** 0.5)
-    noise = np.zeros((len(points), 2, 2))
-    noise[:, :, 0] = std[:, None] * across
-    rows.add_points(station, points, kind, noise, source)
-
-
-def edge_noise(edge: EdgePoint) -> Array:
-    """Return the factor (2, 2) of an edge point's covariance."""
-    along = edge.direction
-    across = np.array([-along[1], along[0]])
-    return np.column_stack([along * edge.std, across * edge.std_across])
 
 
 def some_of(problem: Problem, rng: np.random.Generator) -> Problem:
@@ -193,8 +125,3 @@ def nearest_transform(x: Array) -> Array:
     U, _, Vt = np.linalg.svd(x[..., :6].reshape(*x.shape[:-1], 2, 3), full_matrices=False)
     r1, r3 = np.moveaxis(U @ Vt, -2, 0)
     return se3.transform(np.stack([r1, se3.cross(r3, r1), r3], axis=-1), x[..., 6:9])
-
-
-def xyz(point: Array) -> dict[str, float]:
-    """Return a point (3,) as plain values."""
-    return dict(zip('xyz', map(float, point), strict=True))
