@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Wu, Wang, Li et al. 2017: four points, eye to hand; seam centre line and tool frames.
+Wu, Wang, Li et al. 2017: four points, eye to hand. Its seams: handeye_ros/scanning/seam.py.
 
 Materials Science and Technology 25(2), 16-21, doi 10.11951/j.issn.1005-0299.20160369. The tip of
 a rod is put to ten places; the robot knows them in its base, the scanner sees them. Any four
@@ -82,31 +82,3 @@ def _rigid(matrix: Array, in_base: Array) -> Array:
     """Return the rigid transform nearest to matrix that maps the mean point as it does."""
     R, mean = se3.nearest_rotation(matrix[:3, :3]), in_base.mean(axis=0)
     return se3.transform(R, matrix[:3, :3] @ mean + matrix[:3, 3] - R @ mean)
-
-
-def centre_line(upper: Array, lower: Array) -> Array:
-    """Return the points (k, 3) midway between the two edges of a seam (eq. 6)."""
-    return np.asarray(0.5 * (upper + lower))
-
-
-def fit_cubic(points: Array) -> Array:
-    """Return the coefficients (3, 4) of eq. 7 for points (k, 3) at t = 1 to k, t^3 first."""
-    t = np.arange(1.0, len(points) + 1.0)
-    return np.asarray(np.polyfit(t, points, 3).T)
-
-
-def position(coefficients: Array, t: float | Array) -> Array:
-    """Return the points (..., 3) of the curve at t (...) (eq. 7)."""
-    return np.asarray(np.stack([t ** 3, t ** 2, t, np.ones_like(t)], axis=-1) @ coefficients.T)
-
-
-def advance(coefficients: Array, t: float | Array) -> Array:
-    """Return the unit tangents n (..., 3) of the curve at t (...) (eq. 8)."""
-    one = np.ones_like(t)
-    tangent = np.stack([3.0 * t ** 2, 2.0 * t, one, 0.0 * one], axis=-1) @ coefficients.T
-    return np.asarray(tangent / np.linalg.norm(tangent, axis=-1, keepdims=True))
-
-
-def tool_frame(n: Array, o: Array, point: Array) -> Array:
-    """Return T_p (4, 4) of eqs. 15 and 16, columns n, o, n x o: a rotation only if n . o = 0."""
-    return se3.transform(np.column_stack([n, o, np.cross(n, o)]), point)

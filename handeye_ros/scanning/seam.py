@@ -12,20 +12,18 @@ frames are rotations.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import write_whole
-from handeye_ros.published import wu2017
 from handeye_ros.scanning.curves import Curve, spline, through
-from handeye_ros.scanning.seam_edges import course, spacing_of
-from handeye_ros.scanning.seam_sections import Edges, edges
-from handeye_ros.scanning.seam_sheets import rims_of, sheets_of
+from handeye_ros.scanning.seam_edges import course
+from handeye_ros.scanning.seam_sections import edges
+from handeye_ros.scanning.seam_sheets import sheets_of
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 import yaml
 
@@ -94,46 +92,34 @@ def find_seam(points: Array, widest: float = WIDEST,
     if len(points) < FEWEST:
         raise DataError(f'the cloud has {len(points)} different points, fewer than {FEWEST}: scan '
                         'more densely, or widen --box')
-    spacing, tree, up = spacing_of(points), cKDTree(points), -np.asarray(towards)
-    sheets = sheets_of(points, tree, spacing, up)
-    rims = rims_of(points, tree, sheets, spacing)
-    rough = course(rims, points, spacing, widest, up)
-    sections = edges(points, tree, sheets, rims, rough, spacing)
-    if start is not None and np.argmin(
-            np.linalg.norm(sections.root[[0, -1]] - start, axis=1)) == 1:
-        sections = sections.reversed()
-    line = line if line != 'auto' else 'root' if rough.kind in ('v', 'fillet') else 'centre'
-    lines, residuals, std = _smoothed(sections, line)
+    up = -np.asarray(towards)
+    sheets = sheets_of(points, up)
+    rough = course(sheets, widest, up)
+    if start is not None and np.argmin(np.linalg.norm(
+            points[rough.pairs[[0, -1], 0]] - start, axis=1)) == 1:
+        rough = replace(rough, pairs=rough.pairs[::-1], t=rough.t[-1] - rough.t[::-1])
+    sections = edges(sheets, rough)
+    if line == 'auto':
+        line = 'root' if rough.kind in ('v', 'fillet') else 'centre'
+    lengths, ends = sections.lengths, sections.ends
+    curves = {name: spline(lengths, values) for name, values in sections.lines.items()}
+    grid = np.linspace(*ends, max(int((ends[1] - ends[0]) / SAMPLES_EACH), 8))
+    lines = {name: curve.position(grid) for name, curve in curves.items()}
+    direction = spline(lengths, sections.normals)
+    # the normals not beyond the sections, where they are uncertain
+    normals = direction.position(np.clip(grid, lengths[0], lengths[-1]))
+    std = np.column_stack([np.hypot(curves[line].std(grid), sections.resolution[line]),
+                           direction.std(grid)])
+    distance = np.linalg.norm(
+        curves['root'].position(np.clip(lengths, *ends)) - sections.lines['root'], axis=1)
+    residuals = np.interp(grid, lengths, distance)
     spread = float(np.sqrt((residuals ** 2).mean()))
-    if max(sections.noise, spread) > max(UNCLEAR * sheets.noise, spacing):
+    if max(sections.noise, spread) > max(UNCLEAR * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(max(sections.noise, spread))}, '
                         f'and the points by {mm(sheets.noise)}: this is not a uniform seam; cut '
                         'it out with --box, or scan more densely')
-    return Seam(rough.kind, line, lines['first'], lines['second'], lines['root'],
-                lines['normals'], residuals, through(lines[line]), sections.noise, spacing,
-                rough.others, std)
-
-
-def _smoothed(sections: Edges, line: str) -> tuple[dict[str, Array], Array, Array]:
-    """Return edges, root, centre and normals (k, 3), evenly spaced, residuals (k,), std (k, 2)."""
-    normals = sections.normals.sum(axis=1)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    curves = {name: spline(sections.lengths, values) for name, values in (
-        ('first', sections.first), ('second', sections.second), ('root', sections.root),
-        ('centre', wu2017.centre_line(sections.first, sections.second)), ('normals', normals))}
-    count = max(int((sections.ends[1] - sections.ends[0]) / SAMPLES_EACH), 8)
-    grid = np.linspace(*sections.ends, count)
-    # the normals not beyond the sections, where they are uncertain
-    within = np.clip(grid, sections.lengths[0], sections.lengths[-1])
-    lines = {name: curve.position(within if name == 'normals' else grid)
-             for name, curve in curves.items()}
-    lines['centre'] = wu2017.centre_line(lines['first'], lines['second'])
-    raw = np.array([np.interp(sections.lengths, grid, column) for column in lines['root'].T]).T
-    distance = np.linalg.norm(raw - sections.root, axis=1)
-    resolution = sections.resolution[list(curves).index(line)]
-    std = np.column_stack([np.hypot(curves[line].std(grid), resolution),
-                           curves['normals'].std(grid)])
-    return lines, np.interp(grid, sections.lengths, distance), std
+    return Seam(rough.kind, line, lines['first'], lines['second'], lines['root'], normals,
+                residuals, through(lines[line]), sections.noise, sheets.spacing, rough.others, std)
 
 
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
@@ -152,16 +138,20 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
                         f'{mm(float(np.median(seam.std[:, 0])))}, too much for a path: scan more '
                         'densely, or with less noise')
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
+    t = seam.curve.by_length(lengths)
+    n = seam.curve.advance(t)
+    o = -_interpolated(lengths, positions, seam.normals)
+    o[o @ np.asarray(towards) < 0] *= -1
+    o -= (o * n).sum(axis=1, keepdims=True) * n
+    o /= np.linalg.norm(o, axis=1, keepdims=True)
+    R = np.stack([n, o, np.cross(n, o)], axis=-1)
     tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
-    frames = []
-    for length, t in zip(lengths, seam.curve.by_length(lengths), strict=True):
-        p, n = seam.curve.position(t), seam.curve.advance(t)
-        o = -np.array([np.interp(length, positions, column) for column in seam.normals.T])
-        o = o if o @ np.asarray(towards) >= 0 else -o
-        orthogonal = o - (o @ n) * n
-        T = wu2017.tool_frame(n, orthogonal / np.linalg.norm(orthogonal), p)
-        frames.append(se3.transform(T[:3, :3] @ tilt, p))
-    return ToolFrames(lengths, np.array(frames))
+    return ToolFrames(lengths, se3.transform(R @ tilt, seam.curve.position(t)))
+
+
+def _interpolated(lengths: Array, positions: Array, values: Array) -> Array:
+    """Return values (k, m) at positions (k,) along the seam, at other lengths (n,)."""
+    return np.column_stack([np.interp(lengths, positions, column) for column in values.T])
 
 
 def measures(seam: Seam, frames: ToolFrames) -> Array:
@@ -180,9 +170,10 @@ def measures(seam: Seam, frames: ToolFrames) -> Array:
     along_sheets -= (across * tangent).sum(axis=1)[:, None] * tangent
     nearby = np.abs(positions - frames.lengths[:, None]) <= NEARBY
     residual = np.sqrt((nearby * seam.residuals ** 2).sum(axis=1) / nearby.sum(axis=1))
-    return np.column_stack([*(np.interp(frames.lengths, positions, v) for v in (
-        np.linalg.norm(along_sheets, axis=1), np.abs(mismatch))), residual, np.interp(
-            frames.lengths, positions, seam.std[:, 0])])
+    known = np.column_stack([np.linalg.norm(along_sheets, axis=1), np.abs(mismatch),
+                             seam.std[:, 0]])
+    gap, height, std = _interpolated(frames.lengths, positions, known).T
+    return np.column_stack([gap, height, residual, std])
 
 
 def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:

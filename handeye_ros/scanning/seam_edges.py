@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.seam_sheets import Rims
+from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
@@ -34,39 +34,32 @@ OUTWARDS = 0.9  # cosine between the axis of a V and the normals of its plates
 KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
 
 Pairs = NDArray[np.intp]
-"""Pairs (k, 2) of rows of the rims that face each other."""
+"""Pairs (k, 2) of points on rims that face each other: rows of the cloud."""
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Pairs (k, 2) in order along the seam; others: number of other seams."""
+    """Pairs (k, 2) in order along the seam, at t (k,) (m); others: number of other seams."""
 
     kind: str
     pairs: Pairs
+    t: Array
     others: int
 
 
-def spacing_of(points: Array) -> float:
-    """Return the median distance between neighbouring points (n, 3) of an even cloud."""
-    subset = points[::max(len(points) // 5000, 1)]
-    distance = cKDTree(points).query(subset, 7)[0]
-    # six nearest of n points on an area: n = 6 at pi r^2 / d^2
-    return float(np.median(distance[:, 6]) * np.sqrt(np.pi / 6.0))
-
-
-def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) -> Course:
+def course(sheets: Sheets, widest: float, up: Array) -> Course:
     """
-    Return the rough course of the only seam between the rims of sheets in points (n, 3).
+    Return the rough course of the only seam between sheets.
 
     widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
     """
-    pairs = _facing(rims, widest, spacing)
+    pairs, spacing = _facing(sheets, widest), sheets.spacing
     of_kind: dict[str, list[Pairs]] = {kind: [] for kind in (*KINDS, 'none')}
-    sides = np.sort(rims.label[pairs], axis=1)
-    for sheets in np.unique(sides, axis=0):
-        for part in _connected(rims, pairs[(sides == sheets).all(axis=1)], spacing):
-            of_kind[_kind(rims, part, points, spacing, up)].append(part)
-    seams = {kind: _connected(rims, np.concatenate([pairs[:0], *of_kind[kind]]), spacing)
+    sides = np.sort(sheets.label[pairs], axis=1)
+    for two in np.unique(sides, axis=0):
+        for part, _ in _connected(sheets, pairs[(sides == two).all(axis=1)]):
+            of_kind[_kind(sheets, part, up)].append(part)
+    seams = {kind: _connected(sheets, np.concatenate([pairs[:0], *of_kind[kind]]))
              for kind in KINDS}
     kind = next((kind for kind in KINDS if seams[kind]), '')
     if not kind:
@@ -74,10 +67,10 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
             f'{mm(4 * spacing)} to be seen: scan more densely, or check what was scanned')
-    middles = [rims.points[part].mean(axis=1) for part in seams[kind]]
+    middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
     if kind == 'step':
         raise DataError(
-            f'a step of {mm(_height(rims, seams[kind][0]))} at '
+            f'a step of {mm(_height(sheets, seams[kind][0][0]))} at '
             f'{position_text(middles[0].mean(axis=0))} whose wall is not seen: too high for a '
             'lap, and the root of a T cannot be found without it: scan with the sensor tilted by '
             '30 to 45 degrees towards the wall')
@@ -88,7 +81,7 @@ def course(rims: Rims, points: Array, spacing: float, widest: float, up: Array) 
         raise DataError(
             f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if it '
             'is a single one, scan again what is not seen of it')
-    return Course(kind, seams[kind][0], sum(map(len, seams.values())) - 1)
+    return Course(kind, *seams[kind][0], sum(map(len, seams.values())) - 1)
 
 
 def position_text(point: Array) -> str:
@@ -96,23 +89,24 @@ def position_text(point: Array) -> str:
     return 'x y z = ' + ' '.join(f'{v * 1e3:.0f}' for v in point) + ' mm'
 
 
-def _facing(rims: Rims, widest: float, spacing: float) -> Pairs:
+def _facing(sheets: Sheets, widest: float) -> Pairs:
     """Return the pairs of rims that face each other, the nearest of their sheets."""
-    i, j = cKDTree(rims.points).query_pairs(widest, output_type='ndarray').T
-    offset = rims.points[j] - rims.points[i]
+    points, label, outward = sheets.points, sheets.label, sheets.outward
+    i, j = sheets.rims[cKDTree(points[sheets.rims]).query_pairs(widest, output_type='ndarray')].T
+    offset = points[j] - points[i]
     length = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
-    threshold = np.where(rims.label[i] == rims.label[j], -AHEAD, AHEAD) * length
-    ahead = (offset * rims.outward[i]).sum(axis=1) > threshold
-    ahead &= -(offset * rims.outward[j]).sum(axis=1) > threshold
-    alike = np.abs((rims.normals[i] * rims.normals[j]).sum(axis=1)) > PARALLEL
-    opposite = (rims.outward[i] * rims.outward[j]).sum(axis=1) < OPPOSITE
+    threshold = np.where(label[i] == label[j], -AHEAD, AHEAD) * length
+    ahead = (offset * outward[i]).sum(axis=1) > threshold
+    ahead &= -(offset * outward[j]).sum(axis=1) > threshold
+    alike = np.abs((sheets.normals[i] * sheets.normals[j]).sum(axis=1)) > PARALLEL
+    opposite = (outward[i] * outward[j]).sum(axis=1) < OPPOSITE
     # sheets in contact may meet at an obtuse angle; across a V, a plate faces the other bevel
-    ahead &= (alike == opposite) | (~alike & (length < TOUCHING * spacing))
+    ahead &= (alike == opposite) | (~alike & (length < TOUCHING * sheets.spacing))
     i, j, length = i[ahead], j[ahead], length[ahead]
     # of each point the nearest on each other sheet
     nearest = []
     for first, second in ((i, j), (j, i)):
-        key = np.unique(first * (rims.label.max(initial=0) + 1) + rims.label[second],
+        key = np.unique(first * (label.max(initial=0) + 1) + label[second],
                         return_inverse=True)[1]
         shortest = np.full(len(i), np.inf)
         np.minimum.at(shortest, key, length)
@@ -122,12 +116,12 @@ def _facing(rims: Rims, widest: float, spacing: float) -> Pairs:
     return np.stack([i[chosen], j[chosen]], axis=1)
 
 
-def _connected(rims: Rims, pairs: Pairs, spacing: float) -> list[Pairs]:
-    """Return the pairs, in order, of each connected line of sufficient length."""
+def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
+    """Return each connected line of sufficient length: its pairs in order, their places (m)."""
     if not len(pairs):
         return []
-    middle = rims.points[pairs].mean(axis=1)
-    links = cKDTree(middle).query_pairs(LINK * spacing, output_type='ndarray')
+    middle = sheets.points[pairs].mean(axis=1)
+    links = cKDTree(middle).query_pairs(LINK * sheets.spacing, output_type='ndarray')
     length = np.linalg.norm(middle[links[:, 0]] - middle[links[:, 1]], axis=1)
     n = len(middle)
     graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
@@ -139,63 +133,66 @@ def _connected(rims: Rims, pairs: Pairs, spacing: float) -> list[Pairs]:
         end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
         along = dijkstra(inner, directed=False, indices=end)
         if along.max() >= SHORTEST:
-            found.append(pairs[rows[np.argsort(along)]])
+            order = np.argsort(along)
+            found.append((pairs[rows[order]], along[order]))
     return found
 
 
-def _kind(rims: Rims, pairs: Pairs, points: Array, spacing: float, up: Array) -> str:
+def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
     """Return the kind of a seam between two sheets; none: a convex corner, a ridge."""
     i, j = pairs.T
-    normals, outward = rims.normals, rims.outward
+    normals, outward = sheets.normals, sheets.outward
     alike = (normals[i] * normals[j]).sum(axis=1)
     if np.median(np.abs(alike)) > PARALLEL:
-        height = _height(rims, pairs)
-        distance = np.linalg.norm(rims.points[j] - rims.points[i], axis=1)
+        height = _height(sheets, pairs)
+        distance = np.linalg.norm(sheets.points[j] - sheets.points[i], axis=1)
         lateral = np.sqrt(max(float(np.median(distance)) ** 2 - height ** 2, 0.0))
         if height > 0.5 * lateral:
             return 'lap' if height <= HIGHEST_LAP else 'step'
-        is_gap = lateral > NARROWEST * spacing and not _covered(rims, pairs, points, spacing)
+        is_gap = lateral > NARROWEST * sheets.spacing and not _covered(sheets, pairs)
         return 'butt' if is_gap else 'none'
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
     if np.median(inward) > -INWARDS:
         return 'none'
-    return 'v' if _is_v(rims, pairs, spacing) else 'fillet'
+    return 'v' if _is_v(sheets, pairs) else 'fillet'
 
 
-def _height(rims: Rims, pairs: Pairs) -> float:
+def _height(sheets: Sheets, pairs: Pairs) -> float:
     """Return the median height of a step."""
-    offset = rims.points[pairs[:, 1]] - rims.points[pairs[:, 0]]
-    return float(np.median(np.abs((offset * rims.normals[pairs[:, 0]]).sum(axis=1))))
+    offset = sheets.points[pairs[:, 1]] - sheets.points[pairs[:, 0]]
+    return float(np.median(np.abs((offset * sheets.normals[pairs[:, 0]]).sum(axis=1))))
 
 
-def _covered(rims: Rims, pairs: Pairs, points: Array, spacing: float) -> bool:
+def _covered(sheets: Sheets, pairs: Pairs) -> bool:
     """Return whether points in a gap are higher than its edges."""
-    ends = rims.points[pairs]
-    normal = np.linalg.svd(rims.normals[pairs].reshape(-1, 3), full_matrices=False)[2][0]
-    normal *= np.sign((rims.normals[pairs] @ normal).sum())
+    ends, spacing = sheets.points[pairs], sheets.spacing
+    normal = np.linalg.svd(sheets.normals[pairs].reshape(-1, 3), full_matrices=False)[2][0]
+    normal *= np.sign((sheets.normals[pairs] @ normal).sum())
     flat = np.eye(3) - np.outer(normal, normal)
     reach = 0.25 * float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)))
     middle = ends.mean(axis=1)
-    distance, neighbours = cKDTree(points @ flat).query(
+    distance, neighbours = cKDTree(sheets.points @ flat).query(
         middle @ flat, 8, distance_upper_bound=max(reach, spacing))
     valid = np.isfinite(distance)
-    above = (points[np.where(valid, neighbours, 0)] - middle[:, None]) @ normal > 4 * spacing
-    return bool((above & valid).any(axis=1).mean() > 0.5)
+    offset = sheets.points[np.where(valid, neighbours, 0)] - middle[:, None]
+    return bool(((offset @ normal > 4 * spacing) & valid).any(axis=1).mean() > 0.5)
 
 
-def _is_v(rims: Rims, pairs: Pairs, spacing: float) -> bool:
+def _is_v(sheets: Sheets, pairs: Pairs) -> bool:
     """Return whether both sheets of a concave corner bend outwards at their other ends."""
-    axis = -rims.outward[pairs].sum(axis=(0, 1))
+    axis = -sheets.outward[pairs].sum(axis=(0, 1))
     axis /= np.linalg.norm(axis)
-    candidates = np.flatnonzero(np.isin(rims.label, rims.label[pairs], invert=True))
-    if not len(candidates):
+    label = sheets.label[sheets.rims]
+    plates = sheets.rims[np.isin(label, sheets.label[pairs], invert=True)]
+    if not len(plates):
         return False
-    tree = cKDTree(rims.points[candidates])
-    for sheet in np.unique(rims.label[pairs]):
-        upper = (rims.label == sheet) & (rims.outward @ axis > INWARDS)
-        distance, neighbours = tree.query(rims.points[upper], distance_upper_bound=LINK * spacing)
-        plate = candidates[neighbours[np.isfinite(distance)]]
-        if (np.abs(rims.normals[plate] @ axis) > OUTWARDS).sum() < len(pairs) / 8:
+    tree = cKDTree(sheets.points[plates])
+    for sheet in np.unique(sheets.label[pairs]):
+        rims = sheets.rims[label == sheet]
+        upper = sheets.points[rims[sheets.outward[rims] @ axis > INWARDS]]
+        distance, nearest = tree.query(upper, distance_upper_bound=LINK * sheets.spacing)
+        plate = plates[nearest[np.isfinite(distance)]]
+        if (np.abs(sheets.normals[plate] @ axis) > OUTWARDS).sum() < len(pairs) / 8:
             return False
     return True

@@ -10,19 +10,18 @@ its lower edges.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import arc_length, averaged, Curve, spline
+from handeye_ros.scanning.curves import Curve, spline
 from handeye_ros.scanning.seam_edges import Course, position_text
-from handeye_ros.scanning.seam_sheets import Rims, Sheets
+from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.spatial import cKDTree
+from scipy.signal import find_peaks
 from scipy.special import log_ndtr
 
 FEWEST = 12  # points of a side of a section
@@ -49,58 +48,43 @@ class Edges:
     """
     The two edges of a seam, by sections.
 
-    lengths: (k,) along the rough course; first, second, root: (k, 3); normals: (k, 2, 3) of the
-    sheets, out of the part; noise: 1 sigma about the sheets (m); ends: lengths of start and end of
-    the seam. resolution: (4,) common 1 sigma of first, second, root and centre (m).
+    lengths: (k,) along the rough course; lines: (k, 3) of first, second, root and centre;
+    resolution: their common 1 sigma (m); normals: (k, 3) of the part, out of it; noise: 1 sigma
+    about the sheets (m); ends: lengths of start and end of the seam.
     """
 
     lengths: Array
-    first: Array
-    second: Array
-    root: Array
+    lines: dict[str, Array]
+    resolution: dict[str, float]
     normals: Array
     noise: float
     ends: tuple[float, float]
-    resolution: Array
-
-    def reversed(self) -> Edges:
-        """Return the same seam from its other end, where first and second change places."""
-        start, end = self.ends
-        return replace(self, lengths=-self.lengths[::-1], first=self.second[::-1],
-                       second=self.first[::-1], root=self.root[::-1],
-                       normals=self.normals[::-1, ::-1], ends=(-end, -start),
-                       resolution=self.resolution[[1, 0, 2, 3]])
 
 
-@dataclass(frozen=True, eq=False)
-class _Side:
+class _Side(NamedTuple):
     """
     A sheet in a section: its end (3,), outward direction (3,), mean normal (3,).
 
-    noise: 1 sigma about it; span: its extent along the seam; resolution: 1 sigma of the end from
-    the distance between columns that follow the seam (m).
+    noise: 1 sigma about it; begins, stops: its extent along the seam; resolution: 1 sigma of the
+    end from the distance between columns that follow the seam (m). Of k sections: arrays (k, ...).
     """
 
     end: Array
     outwards: Array
     normal: Array
-    noise: float
-    span: tuple[float, float]
-    resolution: float
+    noise: Array
+    begins: Array
+    stops: Array
+    resolution: Array
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The rough course: its curve, and for each pair t (k,) and the rims (2, k) of the sides."""
+    """The rough course: its curve, for each pair t (k,), and its points (2, k) on the sides."""
 
     curve: Curve
     t: Array
     rims: NDArray[np.intp]
-
-    @cached_property
-    def points(self) -> Array:
-        """Return the point (k, 3) of each pair on the curve."""
-        return self.curve.position(np.clip(self.t, self.curve.first, self.curve.last))
 
     def position(self, t: float) -> tuple[Array, Array]:
         """Return position and tangent at t, extrapolated a little beyond the ends."""
@@ -109,116 +93,102 @@ class _Line:
         return self.curve.position(clipped) + (t - clipped) * tangent, tangent
 
 
-@dataclass(frozen=True, eq=False)
-class _Cloud:
-    """The points (n, 3) with their sheets and rims, and the kind of the seam between two."""
-
-    points: Array
-    tree: cKDTree
-    spacing: float
-    sheets: Sheets
-    rims: Rims
-    kind: str
-
-    @property
-    def is_corner(self) -> bool:
-        """Return whether the sheets meet at an angle."""
-        return self.kind in ('v', 'fillet')
-
-
-def edges(points: Array, tree: cKDTree, sheets: Sheets, rims: Rims, rough: Course,
-          spacing: float) -> Edges:
-    """
-    Return the edges of the seam along a rough course.
-
-    Raises DataError.
-    """
-    cloud = _Cloud(points, tree, spacing, sheets, rims, rough.kind)
-    line = _line(cloud, rough)
-    found = _edges_along(line, cloud)
-    if cloud.is_corner:  # out of a corner the rough course may bend at its ends
-        line = replace(line, curve=spline(found.lengths, found.root))
-        found = _edges_along(line, cloud)
-    return found
-
-
-def _line(cloud: _Cloud, rough: Course) -> _Line:
-    """Return a smooth curve along the rough course, and the pairs in its order."""
-    rims, middle = cloud.rims, cloud.rims.points[rough.pairs].mean(axis=1)
-    t, index = np.unique(arc_length(averaged(middle)), return_index=True)
-    points, (i, j) = middle[index], rough.pairs[index].T
-    curve = spline(t, points)
-    distance = np.linalg.norm(curve.position(t) - points, axis=1)
+def edges(sheets: Sheets, rough: Course) -> Edges:
+    """Return the edges of the seam along a rough course; raises DataError."""
+    is_corner = rough.kind in ('v', 'fillet')
+    middle, (i, j) = sheets.points[rough.pairs].mean(axis=1), rough.pairs.T
+    curve = spline(rough.t, middle)
+    distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
-    if widest > WIDEST_LINE * cloud.spacing:
-        place = position_text(points[int(np.argmax(distance))])
+    if widest > WIDEST_LINE * sheets.spacing:
+        place = position_text(middle[int(np.argmax(distance))])
         raise DataError(f'what looks like a seam is not a single open line: it is '
                         f'{mm(2 * widest)} wide at {place} (closed, or branching?): cut a part '
                         'out with --box')
-    up = (-rims.outward[i] - rims.outward[j] if cloud.is_corner
-          else rims.normals[i] + rims.normals[j])
-    across = np.cross(up, curve.advance(t))
-    turned = ((rims.outward[i] - rims.outward[j]) * across).sum(axis=1) < 0
-    return _Line(curve, t, np.where(turned, [j, i], [i, j]))
+    up = (-sheets.outward[i] - sheets.outward[j] if is_corner
+          else sheets.normals[i] + sheets.normals[j])
+    across = np.cross(up, curve.advance(rough.t))
+    turned = _dot(sheets.outward[i] - sheets.outward[j], across)[:, 0] < 0
+    rims = np.where(turned, [j, i], [i, j])
+    found = _edges_along(sheets, _Line(curve, rough.t, rims), rough.kind)
+    if not is_corner:
+        return found
+    # out of a corner the rough course may bend at its ends
+    curve = spline(found.lengths, found.lines['root'])
+    return _edges_along(sheets, _Line(curve, rough.t, rims), rough.kind)
 
 
-def _edges_along(line: _Line, cloud: _Cloud) -> Edges:
+def _dot(a: Array, b: Array) -> Array:
+    """Return the scalar products (k, 1) of vectors (k, 3)."""
+    return np.asarray((a * b).sum(axis=1, keepdims=True))
+
+
+def _edges_along(sheets: Sheets, line: _Line, kind: str) -> Edges:
     """Return the edges by sections across a line; raises DataError."""
-    step = max(1e-3, 3 * cloud.spacing)
+    step = max(1e-3, 3 * sheets.spacing)
     first, last = line.t[0] - OVERHANG, line.t[-1] + OVERHANG
-    sections: list[tuple[float, _Side, _Side]] = []
-    for t in np.arange(first + 0.5 * step, last, step).tolist():
-        a, b = (_side(cloud, line, side, t, step) for side in (0, 1))
-        if a is not None and b is not None:
-            sections.append((t, a, b))
-    seen = np.array([t for t, _, _ in sections] or [first, last])
+    count = int((last - first) / step)  # the same sections from the other end
+    places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
+    sections = [(t, *both) for t in places.tolist() if None not in (
+        both := [_side(sheets, line, side, t, step, kind) for side in (0, 1)])]
+    seen = np.array([t for t, *_ in sections] or [first, last])
     missing = np.append(np.diff(seen) - step, 0.0)
     worst = int(np.argmax(missing))
     if not sections or missing[worst] > MISSING:
         place = position_text(line.position(0.5 * (seen[worst] + seen[worst + 1]))[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
-    (t0, a0, b0), (t1, a1, b1) = sections[0], sections[-1]
-    filled = [(t, a, b) for t, a, b in sections
-              if min(np.ptp(a.span), np.ptp(b.span)) > 0.5 * step - cloud.spacing]
-    gap = np.median([(a.end - b.end) @ (b.outwards - a.outwards)
-                     / np.linalg.norm(b.outwards - a.outwards) for _, a, b in filled])
-    meeting = {'fillet': np.inf, 'v': MET * cloud.spacing * (gap < ROOT_GAP * cloud.spacing)}
-    joint = partial(_joint, cloud.kind, meeting.get(cloud.kind, 0.0))
-    rows = np.array([joint(a, b) for _, a, b in filled])
-    return Edges(np.array([t for t, _, _ in filled]), rows[:, 0], rows[:, 1], rows[:, 2],
-                 rows[:, 3:], float(np.median([s.noise for _, *sides in filled for s in sides])),
-                 (t0 + max(a0.span[0], b0.span[0]), t1 + min(a1.span[1], b1.span[1])),
-                 np.median([_resolution(joint, a, b) for _, a, b in filled], axis=0))
+    a, b = (_Side(*map(np.array, zip(*sides, strict=True)))
+            for sides in list(zip(*sections, strict=True))[1:])
+    ends = (float(seen[0] + max(a.begins[0], b.begins[0])),
+            float(seen[-1] + min(a.stops[-1], b.stops[-1])))
+    filled = np.minimum(a.stops - a.begins, b.stops - b.begins) > 0.5 * step - sheets.spacing
+    a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
+    between = b.outwards - a.outwards
+    gap = np.median(_dot(a.end - b.end, between)[:, 0] / np.linalg.norm(between, axis=1))
+    met = {'fillet': np.inf, 'v': MET * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
+    meeting = met.get(kind, 0.0)
+    lines = _lines(kind, meeting, a, b)
+    further = [side._replace(end=side.end + side.resolution[:, None] * side.outwards)
+               for side in (a, b)]
+    changed = _lines(kind, meeting, further[0], b), _lines(kind, meeting, a, further[1])
+    resolution = {name: float(np.median(np.linalg.norm(
+        [moved[name] - lines[name] for moved in changed], axis=(0, 2)))) for name in lines}
+    normals = a.normal + b.normal
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return Edges(seen[filled], lines, resolution, normals,
+                 float(np.median([a.noise, b.noise])), ends)
 
 
-def _side(cloud: _Cloud, line: _Line, side: int, t: float, step: float) -> _Side | None:
+def _side(sheets: Sheets, line: _Line, side: int, t: float, step: float, kind: str
+          ) -> _Side | None:
     """Return one sheet in the section at t, None where it does not end there."""
-    rims, spacing, margin = cloud.rims, cloud.spacing, MARGIN * cloud.spacing
+    points, spacing, margin = sheets.points, sheets.spacing, MARGIN * sheets.spacing
     window = np.abs(line.t - np.clip(t, line.t[0], line.t[-1])) <= WINDOW
     own, other = line.rims[side, window], line.rims[1 - side, window]
     if not len(own):
         return None
     position, tangent = line.position(t)
-    inwards, upright = _axes(rims, own, other, tangent)
-    offset = np.median(rims.points[own] - line.points[window], axis=0)
+    inwards, upright = _axes(sheets, own, other, tangent)
+    on_line = line.curve.position(np.clip(line.t[window], line.curve.first, line.curve.last))
+    offset = np.median(points[own] - on_line, axis=0)
     # the points of a pair may be displaced along the seam
     start = position + offset - (offset @ tangent) * tangent
     width = max(WIDTH * spacing, NARROWEST)
-    rows = np.array(cloud.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
+    rows = np.array(sheets.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
                     dtype=int)
-    labels, counts = np.unique(rims.label[own], return_counts=True)
-    rows = rows[np.isin(cloud.sheets.label[rows], labels[counts > 0.1 * len(own)])]
-    along, b, height = ((cloud.points[rows] - start)
+    labels, counts = np.unique(sheets.label[own], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
+    along, b, height = ((points[rows] - start)
                         @ np.column_stack([tangent, inwards, upright])).T
     limit = BEYOND
-    if np.isin(labels, rims.label[other]).any():  # one sheet on both sides
-        separation = np.median((rims.points[own] - rims.points[other]) @ inwards)
+    if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
+        separation = np.median((points[own] - points[other]) @ inwards)
         limit = min(0.5 * abs(float(separation)), BEYOND)
     resolution = _column_resolution(b, spacing)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
-    fitted = _sheet_through(b, height, margin, 1 if cloud.is_corner else 2)
+    fitted = _sheet_through(b, height, margin, 1 if kind in ('v', 'fillet') else 2)
     if fitted is None:
         return None
     sheet, noise = fitted
@@ -231,21 +201,21 @@ def _side(cloud: _Cloud, line: _Line, side: int, t: float, step: float) -> _Side
     mean = np.polyfit(b[inner], height[inner], 1)[0]
     return _Side(start + end * inwards + np.polyval(sheet, end) * upright,
                  -(inwards + slope * upright) / np.hypot(1, slope),
-                 (upright - mean * inwards) / np.hypot(1, mean), noise,
-                 (float(along[on_sheet].min()), float(along[on_sheet].max())), resolution)
+                 (upright - mean * inwards) / np.hypot(1, mean), np.array(noise),
+                 along[on_sheet].min(), along[on_sheet].max(), np.array(resolution))
 
 
-def _axes(rims: Rims, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array
+def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array
           ) -> tuple[Array, Array]:
     """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
-    inwards = -rims.outward[own].mean(axis=0)
+    inwards = -sheets.outward[own].mean(axis=0)
     inwards -= (inwards @ tangent) * tangent
     inwards /= np.linalg.norm(inwards)
     upright = np.cross(tangent, inwards)
-    towards = upright @ rims.outward[other].mean(axis=0)
+    towards = upright @ sheets.outward[other].mean(axis=0)
     if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
         return inwards, -np.sign(towards) * upright
-    return inwards, upright if upright @ rims.normals[own].mean(axis=0) >= 0 else -upright
+    return inwards, upright if upright @ sheets.normals[own].mean(axis=0) >= 0 else -upright
 
 
 def _sheet_through(b: Array, height: Array, margin: float, degree: int
@@ -293,41 +263,33 @@ def _column_resolution(b: Array, spacing: float) -> float:
     differs from profile to profile.
     """
     counts, _ = np.histogram(b / spacing, round((INNER - MARGIN) / BIN), (MARGIN, INNER))
-    if counts.sum() < FEWEST:
-        return 0.0
-    periodic = np.abs(np.fft.rfft(counts, 1024)) / counts.sum()
+    periodic = np.abs(np.fft.rfft(counts, 1024)) / max(counts.sum(), 1)
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
-    if periodic.max() < REGULAR:
-        return 0.0
-    peak = int(np.argmax(periodic > 0.8 * periodic.max()))  # the first, not a multiple of it
-    while periodic[peak + 1] > periodic[peak]:
-        peak += 1
-    return float(spacing / FREQUENCIES[peak] / np.sqrt(12))
+    # the first, not a multiple of it
+    peaks, _ = find_peaks(periodic, height=max(REGULAR, 0.8 * periodic.max()))
+    few = counts.sum() < FEWEST or not len(peaks)
+    return 0.0 if few else float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 
 
-def _joint(kind: str, meeting: float, a: _Side, b: _Side) -> Array:
+def _lines(kind: str, meeting: float, a: _Side, b: _Side) -> dict[str, Array]:
     """
-    Return the two edges, the root and the two normals (5, 3) of a section.
+    Return first and second edge, root and centre (k, 3) of sections.
 
     meeting: edges of a corner that are nearer to each other meet (m).
     """
-    first, second, root = a.end, b.end, 0.5 * (a.end + b.end)
+    first, second = a.end, b.end
+    root = 0.5 * (first + second)
     if kind == 'lap':
         normal = a.normal + b.normal  # the curvature of the sheets cancels
-        upper, lower = (a, b) if (a.end - b.end) @ normal > 0 else (b, a)
-        across = upper.outwards - (upper.outwards @ normal) / (normal @ normal) * normal
+        a_is_upper = np.median(_dot(a.end - b.end, normal)) > 0
+        upper, lower = (a, b) if a_is_upper else (b, a)
+        across = upper.outwards - _dot(upper.outwards, normal) / _dot(normal, normal) * normal
         root = lower.end + lower.outwards * (
-            ((upper.end - lower.end) @ across) / (lower.outwards @ across))
-        first, second = (first, root) if upper is a else (root, second)
-    elif np.linalg.norm(first - second) < meeting:
-        directions = np.column_stack([a.outwards, -b.outwards])
-        root = a.end + a.outwards * np.linalg.lstsq(directions, b.end - a.end, rcond=None)[0][0]
-    return np.array([first, second, root, a.normal, b.normal])
-
-
-def _resolution(joint: Callable[[_Side, _Side], Array], a: _Side, b: _Side) -> Array:
-    """Return the resolution (4,) of first, second, root and centre of a section (m)."""
-    further = [replace(side, end=side.end + side.resolution * side.outwards) for side in (a, b)]
-    change = np.stack([joint(further[0], b), joint(a, further[1])]) - joint(a, b)
-    lines = np.concatenate([change[:, :3], change[:, :2].mean(axis=1, keepdims=True)], axis=1)
-    return np.asarray(np.sqrt((lines ** 2).sum(axis=(0, 2))))
+            _dot(upper.end - lower.end, across) / _dot(lower.outwards, across))
+        first, second = (first, root) if a_is_upper else (root, second)
+    elif meeting:
+        apart, cosine = b.end - a.end, _dot(a.outwards, b.outwards)
+        met = a.end + a.outwards * ((
+            _dot(apart, a.outwards) - cosine * _dot(apart, b.outwards)) / (1 - cosine ** 2))
+        root = np.where(np.sqrt(_dot(apart, apart)) < meeting, met, root)
+    return {'first': first, 'second': second, 'root': root, 'centre': 0.5 * (first + second)}

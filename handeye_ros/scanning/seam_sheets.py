@@ -35,29 +35,29 @@ CHUNK = 20_000
 @dataclass(frozen=True, eq=False)
 class Sheets:
     """
-    The sheets of a cloud of points (n, 3).
+    The points (n, 3) of a cloud, and the sheets that they lie on.
 
-    label: (n,) of the sheet, -1 where there is none; normals: (n, 3), up; noise: 1 sigma of the
-    points across their sheets (m).
+    spacing: median distance of neighbouring points (m); label: (n,) of the sheet, -1 where there
+    is none; normals: (n, 3), up; noise: 1 sigma of the points across their sheets (m). rims: (k,)
+    rows of points on borders, one per cube of two spacings; outward: (n, 3) directions there.
     """
 
+    points: Array
+    tree: cKDTree
+    spacing: float
     label: NDArray[np.intp]
     normals: Array
     noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class Rims:
-    """Points (k, 3) on borders of sheets, outward directions, normals (k, 3) and labels (k,)."""
-
-    points: Array
+    rims: NDArray[np.intp]
     outward: Array
-    normals: Array
-    label: NDArray[np.intp]
 
 
-def sheets_of(points: Array, tree: cKDTree, spacing: float, up: Array) -> Sheets:
+def sheets_of(points: Array, up: Array) -> Sheets:
     """Return the sheets of points (n, 3); up: (3,) the side that is visible."""
+    tree = cKDTree(points)
+    # six nearest of n points on an area: n = 6 at pi r^2 / d^2
+    sixth = tree.query(points[::max(len(points) // 5000, 1)], 7)[0][:, 6]
+    spacing = float(np.median(sixth) * np.sqrt(np.pi / 6.0))
     normals, thickness = np.zeros_like(points), np.full(len(points), np.inf)
     linked = np.zeros((len(points), LINKED), dtype=np.int32)
     for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
@@ -74,7 +74,9 @@ def sheets_of(points: Array, tree: cKDTree, spacing: float, up: Array) -> Sheets
     _assign_unlabelled(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
     # one displaced profile makes a band that is not flat, but does not divide a sheet
     label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
-    return Sheets(_without_single_profiles(points, label, THINNEST * spacing), normals, noise)
+    label = _without_single_profiles(points, label, THINNEST * spacing)
+    rims, outward = _rims(points, tree, label, normals, spacing)
+    return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
 
 
 def _without_single_profiles(points: Array, label: NDArray[np.intp], thinnest: float
@@ -127,36 +129,34 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDAr
     return np.where(flat & (size[label] >= SMALLEST), label, -1)
 
 
-def rims_of(points: Array, tree: cKDTree, sheets: Sheets, spacing: float) -> Rims:
-    """Return the points on the borders of the sheets, one per cube of two spacings."""
+def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array, spacing: float
+          ) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows (k,) of points on the borders of sheets, and outward directions (n, 3)."""
     free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
     for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
-        n = sheets.normals[block]
-        same_sheet = valid & (sheets.label[neighbours] == sheets.label[block][:, None])
+        n = normals[block]
         first = np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]]))
         first /= np.maximum(np.linalg.norm(first, axis=1), 1e-12)[:, None]
         second = np.cross(n, first)
-        free_angle[block], middle = _free_angle(np.arctan2(
-            np.einsum('nij,nj->ni', offset, second),
-            np.einsum('nij,nj->ni', offset, first)), same_sheet)
+        free_angle[block], middle = _free_angle(
+            np.arctan2(np.einsum('nij,nj->ni', offset, second),
+                       np.einsum('nij,nj->ni', offset, first)),
+            valid & (label[neighbours] == label[block][:, None]))
         outward[block] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
-    rows = np.flatnonzero((free_angle > FREE_ANGLE) & (sheets.label >= 0))
-    cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), sheets.label[rows]])
-    rows = rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
-    return Rims(points[rows], outward[rows], sheets.normals[rows], sheets.label[rows])
+    rows = np.flatnonzero((free_angle > FREE_ANGLE) & (label >= 0))
+    cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), label[rows]])
+    return rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])], outward
 
 
 def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the widest angle (n,) between the valid directions (n, k), and its middle."""
-    angle = np.sort(np.where(valid, angle, np.inf), axis=1)
-    angle = np.where(np.isfinite(angle), angle, angle[:, :1] + 2 * np.pi)
-    angle = np.where(np.isfinite(angle), angle, 0.0)  # alone
+    rows = np.arange(len(angle))
+    one = angle[rows, np.argmax(valid, axis=1)]
+    angle = np.sort(np.where(valid, angle, one[:, None]), axis=1)
     gaps = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     widest = np.argmax(gaps, axis=1)
-    rows = np.arange(len(angle))
     free = gaps[rows, widest]
-    return (np.where(valid.sum(axis=1) >= 6, free, 0.0),
-            angle[rows, widest] + free / 2)
+    return np.where(valid.sum(axis=1) >= 6, free, 0.0), angle[rows, widest] + free / 2
 
 
 def _neighbours(tree: cKDTree, points: Array, spacing: float
