@@ -52,7 +52,7 @@ from handeye_ros.guidance.advice import advise, turn_and_tilt
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes, learn_view, mapped_points, View
 from handeye_ros.pipeline import Answer
-from handeye_ros.results.truth_file import mapped_point_error
+from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import of_profiles
 from handeye_ros.sampling.session import duplicate_pose, Outcome
@@ -329,7 +329,8 @@ def followed(cell: World, away: float, stations: int) -> Followed:
 def error_of(solution: Solution, cell: World) -> float:
     """Return the RMS error (m) of points mapped over the field of view."""
     (x0, z0), (x1, z1) = cell.view.low, cell.view.high
-    return mapped_point_error(solution.estimate.X, cell.T_flange_sensor, (x0, x1), (z0, z1))
+    return errors_against(solution.estimate.X, cell.T_flange_sensor,
+                          field_points((x0, x1), (z0, z1))).mapped_points
 
 
 def tell_refused(targets_: list[str], seeds: range, stations: int) -> None:

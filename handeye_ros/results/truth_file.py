@@ -40,7 +40,6 @@ def true_transform(bag: Path) -> Array | None:
     return transform_from(path, 'T_flange_sensor', content['T_flange_sensor'])
 
 
-
 @dataclass(frozen=True)
 class Errors:
     """
@@ -58,33 +57,18 @@ def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> E
     """
     Return the errors of T_flange_sensor (4, 4) against the true one.
 
-    field: points (k, 3) in the sensor frame that are mapped, field_points when not given.
+    field: points (k, 3) in the sensor frame that are mapped, field_points when not given. The
+    RMS of |(T_est - T_true) p| is the error in use; that of the translation alone is dominated by
+    the lever arm of the rotation.
     """
-    delta = se3.difference(T_est, T_true)
+    delta, points = se3.difference(T_est, T_true), field_points() if field is None else field
+    away = se3.apply(T_est, points) - se3.apply(T_true, points)
     return Errors(float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:])),
-                  _mapped(T_est, T_true, field_points() if field is None else field))
-
-
-def mapped_point_error(T_est: Array, T_true: Array, x: tuple[float, float] = (-0.02, 0.02),
-                       z: tuple[float, float] = (0.16, 0.19)) -> float:
-    """
-    Return the RMS of |(T_est - T_true) p| over a field of view (metres).
-
-    T_est, T_true: (4, 4); p: a grid in the sensor plane, along the line within x and in range
-    within z. This is the error in use; the error of the translation alone is dominated by the
-    lever arm of the rotation.
-
-    """
-    return _mapped(T_est, T_true, field_points(x, z))
+                  float(np.sqrt((away ** 2).sum(axis=1).mean())))
 
 
 def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
                  ) -> Array:
-    """Return a grid (k, 3) in the sensor plane, see mapped_point_error."""
+    """Return a grid (k, 3) in the sensor plane, along the line within x, in range within z."""
     along, across = np.meshgrid(np.linspace(*x, STEPS), np.linspace(*z, STEPS))
     return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])
-
-
-def _mapped(T_est: Array, T_true: Array, points: Array) -> float:
-    difference = se3.apply(T_est, points) - se3.apply(T_true, points)
-    return float(np.sqrt((difference ** 2).sum(axis=1).mean()))

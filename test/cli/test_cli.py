@@ -23,7 +23,7 @@ from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.data import TimeOffset
 from handeye_ros.results import calibration_file
-from handeye_ros.results.truth_file import mapped_point_error, true_transform
+from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.units import assigned
 import numpy as np
 import pytest
@@ -83,8 +83,8 @@ def test_solve_writes_what_the_library_answers(tmp_path):
     assert provenance['config']['name'] == 'mine'
     assert provenance['version'] == __version__
 
-    error = mapped_point_error(calibration.T_flange_sensor, true_transform(BAG))
-    assert f'mapped points {error * 1e3:.3f} mm' in run.stdout
+    errors = errors_against(calibration.T_flange_sensor, true_transform(BAG))
+    assert f'mapped points {errors.mapped_points * 1e3:.3f} mm' in run.stdout
     assert '\x1b' not in run.stdout
 
 
@@ -96,7 +96,8 @@ def test_a_bag_with_a_file_beside_it_is_solved_as_well(tmp_path):
                   cwd=tmp_path, before=before)
     assert (run.returncode, run.stderr) == (0, '')
     calibration = calibration_file.read_calibration(tmp_path / 'a' / 'b' / 'calibration.yaml')
-    assert mapped_point_error(calibration.T_flange_sensor, true_transform(tracker)) < 1e-4
+    errors = errors_against(calibration.T_flange_sensor, true_transform(tracker))
+    assert errors.mapped_points < 1e-4
     assert [Path(entry['path']).name for entry in calibration.provenance['inputs']] == [
         'tracker.mcap', 'tracker.csv']
     assert run.stdout.splitlines()[-1] == '[]'

@@ -12,7 +12,7 @@ from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
 from handeye_ros.estimation.problem import Problem, Target
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.results.truth_file import mapped_point_error
+from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
@@ -98,7 +98,8 @@ def solved(problem: Problem, seed: int = 0) -> Solution:
 def field_error(T: Array, truth: Truth, scenario: Scenario) -> float:
     """Return the RMS error over the field of view that is x +-20 mm, range 160-190 mm."""
     T_sensor_standard = se3.inverse(FRAMES[scenario.layout.frame].T_standard_sensor)
-    return mapped_point_error(T @ T_sensor_standard, truth.T_flange_sensor @ T_sensor_standard)
+    return errors_against(T @ T_sensor_standard,
+                          truth.T_flange_sensor @ T_sensor_standard).mapped_points
 
 
 @dataclass(frozen=True, eq=False)
