@@ -12,9 +12,10 @@ import re
 from types import SimpleNamespace
 from typing import Any
 
+from calibrations import CALIBRATION
 from command import assert_refused, handeye
 from handeye_ros import config, orientations, se3
-from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.data import Array
 from handeye_ros.errors import UnknownNameError, UnwritableError
 from handeye_ros.results import calibration_file, exports
 from hypothesis import example, given, settings
@@ -26,25 +27,12 @@ import yaml
 
 urdf_parser_py = pytest.importorskip('urdf_parser_py.urdf', reason='needs urdf_parser_py')
 
-ANY = Calibration(
-    name='plate', method='plate', parent_frame='tool0', child_frame='laser',
-    T_flange_sensor=se3.transform(se3.exp_rotation(np.array([0.3, -1.2, 2.0])),
-                                  np.array([0.0123, -0.05, 0.1])),
-    covariance=np.diag([1e-5, 2e-5, 3e-5, 1e-4, 2e-4, 3e-4]) ** 2,
-    target={}, quality=Quality(1, 0, 2.1e-5, 2.6e-5, 'position along z of flange (m)', 4e-5),
-    samples=(SampleReport(1700000000500000001, True, 'p', 1.9e-5),),
-    provenance={'config': config.flatten(config.Config())})
-
 
 def from_xyzw(translation: list[float], rotation: list[float]) -> Array:
     """Return a transform as scipy, not the package, makes it."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_quat(rotation).as_matrix(), translation
     return T
-
-
-def read_yaml(text: str) -> tuple[Array, str, str]:
-    return from_values(yaml.safe_load(text))
 
 
 def from_values(found: dict[str, Any]) -> tuple[Array, str, str]:
@@ -63,17 +51,6 @@ def read_urdf(text: str) -> tuple[Array, str, str]:
     return T, joint.parent, joint.child
 
 
-def publisher(words: list[str]) -> tuple[Array, str, str]:
-    """Read arguments as tf2_ros's static_transform_publisher does: pairs of flag and value."""
-    assert len(words) == 18
-    pairs = dict(zip(words[::2], words[1::2], strict=True))
-    assert pairs.keys() == {'--x', '--y', '--z', '--qx', '--qy', '--qz', '--qw', '--frame-id',
-                            '--child-frame-id'}
-    return (from_xyzw([float(pairs[f'--{k}']) for k in 'xyz'],
-                      [float(pairs[f'--q{k}']) for k in 'xyzw']),
-            pairs['--frame-id'], pairs['--child-frame-id'])
-
-
 def read_launch(text: str) -> tuple[Array, str, str]:
     code = re.sub(r'^from launch.*$', '', text, flags=re.MULTILINE)
     names = {'LaunchDescription': lambda entities: entities,
@@ -82,7 +59,12 @@ def read_launch(text: str) -> tuple[Array, str, str]:
     (node,) = names['generate_launch_description']()  # type: ignore[operator]
     assert (node.package, node.executable) == ('tf2_ros', 'static_transform_publisher')
     assert re.fullmatch('[a-z0-9_]+', node.name, re.IGNORECASE)
-    return publisher(node.arguments)
+    pairs = dict(zip(node.arguments[::2], node.arguments[1::2], strict=True))
+    place, turn = ([float(pairs.pop(f'--{key}')) for key in keys] for keys in (
+        'xyz', ('qx', 'qy', 'qz', 'qw')))
+    frames = pairs.pop('--frame-id'), pairs.pop('--child-frame-id')
+    assert not pairs
+    return from_xyzw(place, turn), *frames
 
 
 def read_easy_handeye2(text: str) -> tuple[Array, str, str]:
@@ -111,22 +93,22 @@ def read_json(text: str) -> tuple[Array, str, str]:
     return T, parent, child
 
 
-def read_robot(text: str, vendor: str, scale: float) -> tuple[Array, None, None]:
+def read_robot(text: str, vendor: str) -> tuple[Array, None, None]:
     """Return what the last line says, its numbers in their order."""
     line = re.sub('[A-Za-z_]+[_0-9]*', ' ', text.splitlines()[-1])
     numbers = np.array([float(v) for v in re.findall(r'-?[0-9]+[.][0-9]+', line)])
-    T = np.eye(4)
-    T[:3, :3] = orientations.of(vendor).rotation(numbers[None, 3:]).as_matrix()[0]
-    T[:3, 3] = numbers[:3] * scale
+    T, notation = np.eye(4), orientations.of(vendor)
+    T[:3, :3] = notation.rotation(numbers[None, 3:]).as_matrix()[0]
+    T[:3, 3] = numbers[:3] * (1e-3 if notation.length == 'mm' else 1.0)
     return T, None, None
 
 
 ROBOTS = ('kuka', 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
 READERS: dict[str, Callable[[str], tuple[Array, str | None, str | None]]] = {
-    'yaml': read_yaml, 'urdf': read_urdf, 'launch': read_launch,
-    'easy_handeye2': read_easy_handeye2, 'matrix': read_matrix, 'json': read_json,
-    **{name: partial(read_robot, vendor=name, scale=1.0 if name == 'ur' else 1e-3)
-       for name in ROBOTS}}
+    'yaml': lambda text: from_values(yaml.safe_load(text)), 'urdf': read_urdf,
+    'launch': read_launch, 'easy_handeye2': read_easy_handeye2, 'matrix': read_matrix,
+    'json': read_json,
+    **{name: partial(read_robot, vendor=name) for name in ROBOTS}}
 
 FINITE = st.floats(-10, 10)
 QUATERNIONS = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
@@ -145,9 +127,9 @@ UPRIGHT = 0.5 ** 0.5
 def test_what_is_written_reads_back(name: str, place: tuple[float, ...], turn: list[float],
                                     frames: tuple[str, str], on_base: bool) -> None:
     calibration = replace(
-        ANY, T_flange_sensor=from_xyzw(list(place), turn), parent_frame=frames[0],
+        CALIBRATION, T_flange_sensor=from_xyzw(list(place), turn), parent_frame=frames[0],
         child_frame=frames[1], provenance={'config': {
-            **ANY.provenance['config'],
+            **CALIBRATION.provenance['config'],
             'calibration_type': 'eye_on_base' if on_base else 'eye_in_hand'}})
     T, parent, child = READERS[name](exports.FORMATS[name].text(calibration))
     digits = 2e-7 if name in ROBOTS else 1e-9  # as a pendant takes them
@@ -156,7 +138,7 @@ def test_what_is_written_reads_back(name: str, place: tuple[float, ...], turn: l
 
 
 def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
-    saved = exports.save_all(ANY, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
+    saved = exports.save_all(CALIBRATION, tmp_path / 'a' / 'b', config.SAVE_FORMATS)
     assert sorted(saved.files) == sorted((tmp_path / 'a' / 'b').iterdir())
     assert len(saved.files) == len(config.SAVE_FORMATS) and saved.previous is None
     assert str(saved) == f'wrote {", ".join(map(str, saved.files))}'
@@ -165,10 +147,10 @@ def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
 
 
 def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
-    first = exports.save_all(ANY, tmp_path, ['urdf', 'json'])
+    first = exports.save_all(CALIBRATION, tmp_path, ['urdf', 'json'])
     texts = {path.name: path.read_text() for path in first.files}
     (tmp_path / 'notes.txt').write_text('mine')
-    moved = replace(ANY, T_flange_sensor=se3.inverse(ANY.T_flange_sensor))
+    moved = replace(CALIBRATION, T_flange_sensor=se3.inverse(CALIBRATION.T_flange_sensor))
     second = exports.save_all(moved, tmp_path, ['urdf'])
     assert second.previous and second.previous.parent == tmp_path / 'history'
     assert {path.name: path.read_text() for path in second.previous.iterdir()} == texts
@@ -183,30 +165,30 @@ def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
 
 def test_an_export_keeps_what_was_there(tmp_path: Path) -> None:
     file = tmp_path / 'mine.xml'
-    assert exports.export(ANY, 'urdf', file).previous is None
+    assert exports.export(CALIBRATION, 'urdf', file).previous is None
     text = file.read_text()
-    assert exports.export(ANY, 'urdf', file).previous is None  # the same again
-    saved = exports.export(ANY, 'matrix', file)
+    assert exports.export(CALIBRATION, 'urdf', file).previous is None  # the same again
+    saved = exports.export(CALIBRATION, 'matrix', file)
     assert saved.previous and (saved.previous / 'mine.xml').read_text() == text
-    assert file.read_text() == exports.FORMATS['matrix'].text(ANY)
+    assert file.read_text() == exports.FORMATS['matrix'].text(CALIBRATION)
 
 
 def test_an_unknown_format_and_an_unwritable_place_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match='there is no format "udf"; did you mean "urdf"'):
-        exports.save_all(ANY, tmp_path, ['udf'])
+        exports.save_all(CALIBRATION, tmp_path, ['udf'])
     assert not list(tmp_path.iterdir())
     (tmp_path / 'file').write_text('')
     with pytest.raises(UnwritableError, match='choose another place'):
-        exports.save_all(ANY, tmp_path / 'file')
+        exports.save_all(CALIBRATION, tmp_path / 'file')
 
 
 def test_the_verb_exports_beside_the_calibration(tmp_path: Path) -> None:
-    exports.save_all(ANY, tmp_path / 'a')
+    exports.save_all(CALIBRATION, tmp_path / 'a')
     run = handeye('export', 'a', '--format', 'urdf', cwd=tmp_path)
     file = tmp_path / 'a' / 'sensor.urdf.xacro'
     assert (run.returncode, run.stdout) == (0, f'wrote {file}\n'), run.stderr
     T, *_ = read_urdf(file.read_text())
-    np.testing.assert_allclose(T, ANY.T_flange_sensor, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(T, CALIBRATION.T_flange_sensor, rtol=0, atol=1e-9)
     assert_refused(handeye('export', 'a', '--format', 'udf', cwd=tmp_path), 2, 'mean "urdf"?')
     run = handeye('export', 'a/calibration.yaml', '--format', 'matrix', '--out', '-', cwd=tmp_path)
     np.testing.assert_allclose(read_matrix(run.stdout)[0], T, rtol=0, atol=1e-9)
