@@ -35,11 +35,11 @@ calibration on request. All settings are ROS parameters and follow --ros-args:
 
 def own_arguments() -> list[str]:
     """Return the arguments of the executable that are not for ROS."""
-    from rclpy._rclpy_pybind11 import UnknownROSArgsError  # rclpy has it there alone
+    from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # they are there alone
     from rclpy.utilities import remove_ros_args
     try:
         return list(remove_ros_args(sys.argv)[1:])
-    except UnknownROSArgsError:
+    except (RCLError, UnknownROSArgsError):
         return []  # ros says what is wrong
 
 
