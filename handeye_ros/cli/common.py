@@ -52,7 +52,6 @@ CalibrationFile = Annotated[Path, File(
 MeasureConfig = Annotated[NoPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
 OutFile = Annotated[NoPath, File(help='Write the result as YAML too.')]
-TABLES = ('.csv',)  # files of measured values
 INTERRUPTED = 130
 
 
@@ -130,7 +129,7 @@ def stored_session(path: Path) -> 'Stored | None':
 
 def is_table(path: Path) -> bool:
     """Return whether a path is a file of measured values."""
-    return path.suffix in TABLES and path.is_file()
+    return path.suffix == '.csv' and path.is_file()
 
 
 def _is_solved_from_files(path: Path, settings: 'Config') -> bool:
