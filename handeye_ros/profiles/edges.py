@@ -60,16 +60,21 @@ class End:
     """
     The end of a straight piece with the last of its rows, and the frame of the face there.
 
-    The other end is the last one in the reversed profile, which ends_of gives. points: (n, 2) of
-    the profile; returns: (k,) rows with a return; behind: the pieces behind the end, the nearest
-    first; near: sign for which near * range is larger for nearer points.
+    The other end is the last one in the reversed profile, which ends_of gives. segments: all of
+    the profile, in the order of its rows; points: (n, 2) of the profile; returns: (k,) rows with a
+    return; near: sign for which near * range is larger for nearer points.
     """
 
     segment: Segment
+    segments: Sequence[Segment]
     points: Array
     returns: NDArray[np.intp]
-    behind: Sequence[Segment]
     near: int
+
+    @cached_property
+    def behind(self) -> list[Segment]:
+        """Return the pieces that reach beyond the end, whether they overlap it or not."""
+        return [other for other in self.segments if other.last > self.row]
 
     @property
     def row(self) -> int:
@@ -131,13 +136,8 @@ def ends_of(segments: Sequence[Segment], points: Array, config: Config
     n, returns, near = len(points), returned(points), -config.profile.range_sign
     turned = [segment.reversed(n) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].rows)):
-        back, own = turned[-1 - k], segments[k]
-        # One surface that is seen bent is split into pieces that overlap by a few points. They
-        # count as behind the first end only: alike at both ends is as correct, but loses answers
-        # beside a surface that is 1 mm higher (bench/physics.py --only neighbour).
-        yield (End(back, points[::-1], n - 1 - returns[::-1],
-                   [s for s in turned if s.last > back.last], near),
-               End(own, points, returns, [s for s in segments if s.first > own.last], near))
+        yield (End(turned[-1 - k], turned, points[::-1], n - 1 - returns[::-1], near),
+               End(segments[k], segments, points, returns, near))
 
 
 def edge_at(end: End) -> EdgePoint | str:

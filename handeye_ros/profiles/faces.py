@@ -22,7 +22,9 @@ import numpy as np
 
 SURE_EDGE = 1.5  # weight of a face with a sure edge
 BEHIND = 0.02  # weight of a surface beside a nearer one: all stations should choose the same
-WIDEST_GAP, SPLINTER = 0.02, 0.002  # largest gap between adjacent surfaces; largest splinter (m)
+WIDEST_GAP = 0.012  # largest gap (m) between adjacent surfaces, without what the nearer one hides
+HIDDEN = 0.4  # width that a nearer surface hides, over its height
+SPLINTER = 0.002  # largest piece that is no surface (m)
 MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
 MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
 SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
@@ -72,7 +74,8 @@ def _is_above(end: End, other: Segment) -> bool:
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False
     u, v = end.outwards_and_below(other.rows[[0, -1]])
-    return math.hypot(u[1] - u[0], v[1] - v[0]) > SPLINTER and bool(u.min() < WIDEST_GAP)
+    return (math.hypot(u[1] - u[0], v[1] - v[0]) > SPLINTER
+            and bool(u.min() < WIDEST_GAP + HIDDEN * rise))
 
 
 def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:

@@ -109,14 +109,23 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
     rows = without_clutter(returned(points), points, noise)
     x, z = points.take(rows, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
-    segments, free = [], np.arange(len(rows))
+    segments, free = list[Segment](), np.arange(len(rows))
+
+    def fitted(members: NDArray[np.intp]) -> list[Segment]:
+        return [segment for piece in _pieces(members) if len(piece) >= min_points for segment in
+                _segments(rows.take(piece), x.take(piece), z.take(piece), noise / 3)]
+
     for _ in range(MAX_LINES):
         near = dominant_line(x.take(free), z.take(free), tolerance, min_points)
         if near is None:
             break
-        for piece in _pieces(free[near]):
-            if len(piece) >= min_points:
-                segments += _segments(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
+        found = fitted(free[near])
+        if len(found) > 1:
+            # a line that slants through two surfaces may have more points than either has
+            largest = max(found, key=lambda s: len(s.rows))
+            near = np.abs(z.take(free) - largest.height(x.take(free))) < tolerance
+            found = fitted(free[near])
+        segments += found
         free = free[~near]
     return sorted(segments, key=lambda s: s.first)
 

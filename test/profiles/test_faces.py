@@ -142,6 +142,21 @@ def test_columns_may_run_backwards_and_a_mirror_mirrors(mirror: list[int], step:
         assert (line.std, line.spread) == pytest.approx((line_m.std, line_m.spread), rel=0.02)
 
 
+@pytest.mark.parametrize('step', [1, -1])
+@pytest.mark.parametrize(('gap', 'first', 'last'), [
+    (0.004, -0.02, -0.01), (0.008, -0.02, -0.01), (0.014, 0.004, 0.02)])
+def test_a_face_beside_a_parallel_one_is_whole_seen_from_either_side(
+        gap: float, first: float, last: float, step: int) -> None:
+    # a line that slants through both has more points than either; the nearer one counts if near
+    def height(x: Array) -> Array:
+        return np.where(x > gap - 0.01, face(x), np.where(x < -0.01, face(x) - 0.001, np.nan))
+    for seed in range(10):
+        line, (edge,) = found(marked(height, seed)[::step] * [step, 1])
+        assert line.spread == pytest.approx((last - first) / 12 ** 0.5 / np.cos(0.1), rel=0.06)
+        inner = last if last < 0 else first
+        assert edge.point[0] == pytest.approx(step * inner, abs=2 * PITCH)
+
+
 def test_a_driver_that_leaves_lost_points_out_gives_open_ends() -> None:
     points = marked(gap_up_to(0.0))
     points = points[np.isfinite(points).all(axis=1)]
