@@ -242,7 +242,7 @@ def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, s
     """
     probability = chi2_sf(mean_squares * freedom, freedom)
     most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
-    worst = np.argsort(probability, kind='stable')[:most]
+    worst = np.lexsort((-mean_squares, probability))[:most]  # some may be as good as impossible
     return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
 
 

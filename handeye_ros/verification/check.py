@@ -14,8 +14,9 @@ sentence names these and their odds; if nothing changed, the smallest change tha
 """
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 import math
 from typing import Any
 
@@ -23,9 +24,17 @@ from handeye_ros import frames, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
-from handeye_ros.estimation.problem import Target, UNUSED
+from handeye_ros.estimation.noise import covariances
+from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.targets import TARGETS
-from handeye_ros.verification.fit import agreeing, contradictions, root_of, StationSet
+from handeye_ros.targets.common import out_of_face
+from handeye_ros.verification.fit import (
+    agreeing_groups,
+    Numbers,
+    predicted,
+    require_stations,
+    root_of,
+)
 from handeye_ros.verification.stations import compared
 import numpy as np
 import scipy.linalg
@@ -93,25 +102,32 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     """
     whole = _comparison(samples, calibration, config, reason)
 
-    def without(left_out: Collection[int]) -> tuple[_Comparison, dict[int, float]]:
-        rest = replace(whole, stations=whole.stations.without(left_out, reason))
-        rows = rest.residuals()
-        moves = np.hstack([rows.target, rows.sensor])
-        changed = rows.covariance + moves * np.tile(_prior(SCALES[-1]), 2) @ moves.T
-        W = np.asarray(np.linalg.inv(changed))
-        return rest, contradictions(W, rows.r, rest.stations.row_groups)
+    def compared_at(stops: Numbers) -> tuple[_Comparison, Array, Numbers]:
+        rest = replace(whole, problem=whole.problem.subset(stops))
+        obs, rows = rest.problem.observations, rest.residuals()
+        require_stations([len(np.unique(obs.station))])
+        # whatever moved, and however the calibration errs
+        moves = np.hstack([rows.by[name] for name in ('target', 'sensor')])
+        errors = np.hstack([rows.errors, moves * np.sqrt(np.tile(_prior(SCALES[-1]), 2))])
+        factor = np.linalg.cholesky(rows.noise)
+        white = scipy.linalg.solve_triangular(factor, np.column_stack([errors, rows.r]),
+                                              lower=True)
+        U, s, _ = np.linalg.svd(white[:, :-1], full_matrices=False)
+        return rest, *predicted(white[:, -1], U * (s / np.hypot(s, 1.0)), stops[obs.station],
+                                stops)
 
-    comparison, left_out = agreeing(without, len(samples))
+    comparison, _, left_out = agreeing_groups(
+        np.unique(whole.problem.observations.station), compared_at)
     rows = comparison.residuals()
 
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
               _Cause('robot', _robot_likelihood(comparison, rows), STILL, 0.0, 0.0))
     likelihood = np.array([cause.likelihood for cause in causes])
     together = float(np.logaddexp.reduce(likelihood))
-    evidence = together - math.log(len(causes)) - rows.likelihood(np.zeros_like(rows.covariance))
+    evidence = together - math.log(len(causes)) - rows.likelihood(0.0)
     odds = {cause.name: float(np.exp(cause.likelihood - together)) for cause in causes}
-    target_axes, target_shows = _smallest_shifts(rows.target, rows.covariance)
-    sensor_axes, sensor_shows = _smallest_shifts(rows.sensor, rows.covariance)
+    target_axes, target_shows = _smallest_shifts(rows.by['target'], rows.covariance)
+    sensor_axes, sensor_shows = _smallest_shifts(rows.by['sensor'], rows.covariance)
     if evidence < math.log(EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
@@ -124,7 +140,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         sentence += f'. Left out, as they contradict the others: stops {stops}'
     target, sensor, _ = causes
     return Check(
-        samples[0].stamp, verdict, sentence, len(np.unique(comparison.stations.row_groups)),
+        samples[0].stamp, verdict, sentence, len(comparison.problem.poses),
         float(np.sqrt((rows.r ** 2).mean())),
         math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
         sensor.turn, sensor.displacement, sensor.displacement_std,
@@ -136,19 +152,25 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
 @dataclass(frozen=True, eq=False)
 class _Residuals:
     """
-    Residuals r (m,), their covariance (m, m) without a change, and derivatives by changes.
+    Residuals r (m,), without a change r = errors @ e + n, and derivatives by (m, 6) of changes.
 
-    target, sensor (m, 6): by a move of these; robot (m, 6): by the error of the pose of its
-    station.
+    errors (m, k): of the calibration, e of unit covariance; noise (m, m): covariance of n, of
+    blocks. by: the change of target or sensor, or of the pose of the own stop, for robot; lever:
+    (m, 3) of the points from what target or sensor turns about.
     """
 
     r: Array
-    covariance: Array
-    target: Array
-    sensor: Array
-    robot: Array
+    errors: Array
+    noise: Array
+    by: Mapping[str, Array]
+    lever: Mapping[str, Array]
 
-    def likelihood(self, added: Array, r: Array | None = None) -> float:
+    @cached_property
+    def covariance(self) -> Array:
+        """Return the covariance (m, m) without a change."""
+        return self.noise + self.errors @ self.errors.T
+
+    def likelihood(self, added: Array | float, r: Array | None = None) -> float:
         """Return the log marginal likelihood; added: covariance (m, m) of a change."""
         factor = np.linalg.cholesky(self.covariance + added)
         z = scipy.linalg.solve_triangular(factor, self.r if r is None else r, lower=True)
@@ -160,52 +182,42 @@ class _Comparison:
     """
     A recording with the calibration that it is compared with.
 
-    X (4, 4), state (s,): calibrated sensor plane in the mount, and calibrated target; covariance
-    (6 + k, 6 + k): their joint covariance; noise_scale: factor of the stated noise.
+    calibrated: sensor plane in the mount, and target; root (6 + k, 6 + k): R R' is their joint
+    covariance; middle (3,): of the points, about which the target turns; noise_scale: factor of
+    the stated noise.
     """
 
-    target: Target
-    stations: StationSet
-    X: Array
-    state: Array
-    covariance: Array
-    config: Config
+    problem: Problem
+    calibrated: Estimate
+    root: Array
+    middle: Array
     noise_scale: float
-
-    @property
-    def middle(self) -> Array:
-        """Return the middle (3,) of the observed points, about which the target turns."""
-        return np.asarray(self.stations.points(self.X).mean(axis=0))
 
     def residuals(self, cause: str = '', move: Array = STILL) -> _Residuals:
         """Return the residuals after a move of the target or the sensor."""
-        X = se3.perturb(self.X, move) if cause == 'sensor' else self.X
-        back = se3.exp_rotation(-move[3:]) if cause == 'target' else np.eye(3)
-        points = p = self.stations.points(X)
-        if cause == 'target':
-            p = (p - self.middle - move[:3]) @ back.T + self.middle
-        obs, noise = self.stations.observations, self.config.noise
-        at = self.target.conditions(p, obs.kind, self.state, self.config)
-        by_p = at.dg_dp @ back
-        by_X = np.einsum('mi,mij->mj', by_p, self.stations.by_calibration(X))
-        errors = np.hstack([np.hstack([by_X, at.dg_dtarget]) @ root_of(self.covariance),
-                            self._setbacks(X, by_p)])
-        # the error of the sensor's field differs from stop to stop, as that of the pose does
-        S = scipy.linalg.block_diag(*self.stations.noise(X, by_p, noise, noise.distortion))
-        flange = self.stations.poses[obs.station, :3, 3]
-        return _Residuals(at.g, self.noise_scale ** 2 * S + errors @ errors.T,
-                          np.hstack([by_p, se3.cross(p - self.middle, by_p)]), -by_X,
-                          np.hstack([by_p, se3.cross(points - flange, by_p)]))
-
-    def _setbacks(self, X: Array, by_p: Array) -> Array:
-        """Return the set-backs (m, e) of the ends of each kind at each edge, 1 sigma."""
-        obs = self.stations.observations
-        R = self.stations.poses[obs.station, :3, :3]
-        out = np.einsum('mi,mij,jk,mk->m', by_p, R, X[:3, [0, 2]], obs.outward)
-        groups = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
-        columns = [np.where((obs.kind == k) & (obs.end == e), out, 0.0)
-                   for k, e in sorted(groups)]
-        return self.config.target.setback_std * np.reshape(columns, (-1, len(out))).T
+        problem, at = self.problem, self.calibrated
+        if cause == 'sensor':
+            at = replace(at, X=se3.perturb(at.X, move))
+        elif cause == 'target':  # as if all else had moved back
+            there = se3.transform(np.eye(3), self.middle)
+            moved = there @ se3.perturb(np.eye(4), move) @ se3.inverse(there)
+            problem = replace(problem, poses=se3.inverse(moved) @ problem.poses)
+        linear = linearise(problem, at)
+        noise = np.zeros((len(linear.residuals),) * 2)
+        for stops in problem.stations:
+            noise[stops.rows[:, :, None], stops.rows[:, None]] = (
+                self.noise_scale ** 2 * covariances(linear, stops).sum(axis=0))
+        # the set-backs of the ends of each kind at each edge
+        obs, out = problem.observations, out_of_face(linear)
+        ends = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
+        setbacks = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in sorted(ends)]
+        lever = obs.in_base(problem.poses, at.X) - self.middle
+        return _Residuals(
+            linear.residuals, np.hstack([linear.jacobian @ self.root, np.reshape(
+                setbacks, (-1, len(out))).T * problem.config.target.setback_std]), noise,
+            {'target': np.hstack([linear.by_base, se3.cross(lever, linear.by_base)]),
+             'sensor': -linear.jacobian[:, :6], 'robot': linear.by_pose},
+            {'target': lever, 'sensor': linear.lever})
 
 
 def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str
@@ -222,11 +234,17 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
             'with: the target with its covariance. Solve its recording again with this version, '
             f'as one of {", ".join(TARGETS)}, or measure a known object with "handeye verify"'
             ) from error
-    stations = StationSet.of(samples, target.observe(samples), config).without((), reason)
     X = calibration.T_flange_sensor @ frames.sensor_axes(config)
-    obs = target.relabel(stations.observations, stations.points(X), state, config)
-    stations = replace(stations, observations=obs.select(obs.kind != UNUSED))
-    return _Comparison(target, stations, X, state, covariance, config, scale)
+    # the error of the sensor's field differs from stop to stop, as that of the pose does
+    noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
+        config.noise.robot_translation, config.noise.distortion))
+    problem = Problem(target, frames.mounted(samples, config), target.observe(samples),
+                      replace(config, noise=noise))
+    require_stations([len(np.unique(problem.observations.station))], reason)
+    obs = target.relabel(problem.observations, problem.points_in_base(X), state, config)
+    problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
+    return _Comparison(problem, Estimate(X, state), root_of(covariance),
+                       problem.points_in_base(X).mean(axis=0), scale)
 
 
 def _prior(scale: float) -> Array:
@@ -273,18 +291,16 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     move, scale = STILL, SCALES[-1]
     for _ in range(ITERATIONS):
         rows = comparison.residuals(name, move)
-        D = getattr(rows, name)
+        D = rows.by[name]
         gain = np.linalg.solve(rows.covariance, D).T
         C = np.linalg.inv(gain @ D + np.diag(1 / _prior(scale)))
         linear = rows.r + D @ move
         move = C @ gain @ linear
         likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in SCALES]
         scale = SCALES[int(np.argmax(likelihood))]
-    by_move = comparison.stations.by_calibration(comparison.X)
-    if name == 'target':
-        lever = comparison.stations.points(comparison.X) - comparison.middle
-        by_move = np.concatenate([np.broadcast_to(np.eye(3), (len(lever), 3, 3)),
-                                  -se3.skew(lever)], axis=2)
+    lever = rows.lever[name]
+    by_move = np.concatenate([np.broadcast_to(np.eye(3), (len(lever), 3, 3)), -se3.skew(lever)],
+                             axis=2)
     displacements = np.linalg.norm(by_move @ move, axis=1)
     worst = int(np.argmax(displacements))
     std = np.sqrt(np.trace(by_move[worst] @ C @ by_move[worst].T))
@@ -294,15 +310,14 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
 
 def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
     """Return the log likelihood of pose errors, smooth over the poses or white."""
-    station = comparison.stations.observations.station
-    # the flange in the base again
-    T = frames.in_mount(comparison.stations.poses[station], comparison.config)
+    problem, D = comparison.problem, rows.by['robot']
+    station = problem.observations.station
+    T = problem.robot_poses[station]
     away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
     smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTHNESS)
-    likelihood = [rows.likelihood(rows.robot * _prior(scale) @ rows.robot.T * kernel)
-                  for scale in SCALES
+    likelihood = [rows.likelihood(D * _prior(scale) @ D.T * kernel) for scale in SCALES
                   for kernel in (smooth, smoother, station[:, None] == station)]
     return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
 

@@ -11,7 +11,8 @@ G: its claimed covariance C is never part of the measurement's own uncertainty.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import partial
 import math
@@ -21,7 +22,15 @@ from handeye_ros import se3
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf, Rows, System, White
+from handeye_ros.estimation.least_squares import (
+    agreeing,
+    chi2_isf,
+    chi2_sf,
+    leave_one_out,
+    Rows,
+    System,
+    White,
+)
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import mounted
 import numpy as np
@@ -33,12 +42,11 @@ STEP = 1e-7  # of numeric derivatives (m, rad)
 REFITS = 5  # iterations for the calibration's error
 FARTHEST = 0.1  # m: no calibration error is larger
 LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
-MOST_DISTANCES = 1500  # of which each group is tested against the others
+MOST_DISTANCES = 1500  # of which the expected RMS is computed
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
-OUTLIER = 0.01  # probability that any good group is left out
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 T = TypeVar('T')
@@ -118,22 +126,28 @@ class StationSet:
                                + LEAST_NOISE ** 2 * np.eye(len(rows)))
         return covariances
 
-    def without(self, groups: Collection[int], reason: str) -> StationSet:
-        """
-        Return the points of the other groups; raises DataError where a recording has too few.
-
-        reason: why there are no more, in words.
-        """
-        others = np.isin(self.row_groups, list(groups), invert=True)
-        rest = replace(self, observations=self.observations.select(others))
-        stops = [len(np.unique(rest.observations.station[rest.row_bags == k]))
-                 for k in np.unique(self.bags)]
-        if min(stops, default=0) < LEAST_STATIONS:
-            raise DataError(
-                f'{sum(stops)} usable stations, fewer than {LEAST_STATIONS * max(len(stops), 1)}'
-                f'{f" (of the others: {reason})" if reason else ""}: measure more, with the '
-                'sensor turned differently at each')
+    def of_groups(self, groups: Numbers) -> StationSet:
+        """Return the points of some groups; raises DataError where a recording has too few."""
+        kept = np.isin(self.row_groups, groups)
+        rest = replace(self, observations=self.observations.select(kept))
+        require_stations([len(np.unique(rest.observations.station[rest.row_bags == k]))
+                          for k in range(int(self.bags.max()) + 1)])
         return rest
+
+
+def require_stations(usable: Sequence[int], reason: str = '') -> None:
+    """
+    Raise DataError for a recording with too few usable stations, of those in each.
+
+    reason: why there are no more, in words.
+    """
+    least = min(usable)
+    if least < LEAST_STATIONS:
+        of = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
+        raise DataError(
+            f'{least} usable stations{of}, fewer than {LEAST_STATIONS}'
+            f'{f" (of the others: {reason})" if reason else ""}: measure more, with the sensor '
+            'turned differently at each')
 
 
 def stacked(bags: Sequence[StationSet]) -> StationSet:
@@ -236,7 +250,8 @@ class Fit:
     (v - nominal)' cov^-1 (v - nominal), cov the sum of both covariances, of `freedom` values.
     error (6,): estimated error of the calibration; p_error, p_no_error: p-values of the distances
     with and without it; implied, implied_std: its largest displacement of a point (m).
-    contradictions: p-value of each group of poses, whatever the error of the calibration.
+    residuals (m,): whitened, of the shape as expected; taken_up (m, k): U U' is the part of them
+    that shape and calibration take up, whatever its error.
     """
 
     values: Array
@@ -255,7 +270,8 @@ class Fit:
     p_no_error: float
     implied: float
     implied_std: float
-    contradictions: dict[int, float]
+    residuals: Array
+    taken_up: Array
 
 
 def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
@@ -286,10 +302,9 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
         np.eye(6) + root.T @ A.T @ A @ root, explained)
     freedom = max(len(r) - len(q), 1)
     p_distances = float(chi2_sf(square, freedom))
-    expected, contradictions = float('nan'), dict[int, float]()
+    expected = math.nan
     if len(r) <= MOST_DISTANCES:
         expected = _expected_rms(np.hstack([np.eye(len(r)) - J @ gain, A @ root]), factors)
-        contradictions = _contradictions_whatever(np.hstack([J, G]), r, stations.row_groups)
 
     # the measured values, and those of them that have a nominal one
     values, F = shape.values(q), derivatives(shape.values, q)
@@ -323,7 +338,8 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
         p_distances, A.T @ A, np.einsum('mik,mil->kl', by_X, by_X) / len(r), region, len(known),
         error, float(chi2_sf(left, freedom_left)),
         float(chi2_sf((remainder @ remainder - left) / scale, 6)), float(displacements[worst]),
-        float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))), contradictions)
+        float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))), r,
+        _basis(np.hstack([J, G])))
 
 
 def refit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
@@ -366,57 +382,43 @@ def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
     return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
 
 
-def _contradictions_whatever(columns: Array, r: Array, groups: Numbers) -> dict[int, float]:
-    """Return contradictions of whitened distances r (m,), whatever the unknowns of columns are."""
+def _basis(columns: Array) -> Array:
+    """Return an orthonormal basis (m, r) of what columns (m, k) span."""
     size = np.linalg.norm(columns, axis=0)
     U, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    U = U[:, s > RANK * s[0]]
-    return contradictions(np.eye(len(r)) - U @ U.T, r, groups)
+    return np.asarray(U[:, s > RANK * s[0]])
 
 
-def contradictions(W: Array, r: Array, groups: Numbers) -> dict[int, float]:
+def predicted(r: Array, U: Array, row_groups: Numbers, groups: Numbers) -> tuple[Array, Numbers]:
     """
-    Return for each group how probable so large leave-one-out residuals are.
+    Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
-    W: (m, m) inverse covariance of the residuals r (m,), singular where the others determine
-    nothing.
+    r: (m,) whitened residuals; U: (m, k) with U U' the part of them that the unknowns take up.
     """
-    p, weighted = dict[int, float](), W @ r
-    for group in np.unique(groups).tolist():
-        rows = np.flatnonzero(groups == group)
-        value, vectors = np.linalg.eigh(W[np.ix_(rows, rows)])
-        free = value > RANK * W.diagonal().max()
-        projected = (vectors.T @ weighted[rows])[free]
-        square = projected @ (projected / value[free])
-        p[group] = float(chi2_sf(square, free.sum())) if free.any() else 1.0
-    return p
+    left, block = r - U @ (U.T @ r), np.searchsorted(groups, row_groups)
+    left_out = leave_one_out(left, U, np.eye(U.shape[1]), block)
+    freedom = np.bincount(block, minlength=len(groups))
+    return np.bincount(block, left * left_out, len(groups)) / np.maximum(freedom, 1), freedom
 
 
-def agreeing(fitted: Callable[[Collection[int]], tuple[T, dict[int, float]]], count: int
-             ) -> tuple[T, dict[int, float]]:
+def agreeing_groups(groups: Numbers, fitted: Callable[[Numbers], tuple[T, Array, Numbers]]
+                    ) -> tuple[T, dict[int, float], list[int]]:
     """
-    Return the fit of the groups that agree, and the p-value of each one left out.
+    Return the fit of the groups that agree, the p-value of each group, and those left out.
 
-    fitted(left_out): fit and contradictions of the other groups, DataError for too few; count: of
-    all groups. One after the other is left out, the worst first; none where too many would be.
+    fitted(groups): their fit, and how well the others predict each. None is left out where it
+    would be too many, or where too few would be left.
     """
-    def contradicting(p: dict[int, float]) -> int | None:
-        worst = min(p, key=p.__getitem__, default=None)
-        return worst if worst is not None and p[worst] * len(p) < OUTLIER else None
+    p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
-    everything = result, p = fitted(())
-    left_out = dict[int, float]()
-    while (worst := contradicting(p)) is not None:
-        left_out[worst] = p[worst] * len(p)
-        try:
-            result, p = fitted(left_out)
-        except DataError:
-            return everything[0], {}
-        if len(left_out) > MOST_OUTLIERS * count:
-            return everything[0], {}
-    for group in list(left_out)[:-1]:  # it may only have looked bad beside a worse one
-        again, p = fitted(left_out.keys() - {group})
-        if contradicting(p) is None:
-            del left_out[group]
-            result = again
-    return result, left_out
+    def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
+        found, squares, freedom = fitted(used)
+        p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
+        return found, squares, freedom
+
+    with suppress(DataError):
+        (found, *_), _, dropped = agreeing(groups, len(groups), len(groups) - most - 1, at,
+                                           lambda found: found[1:])
+        if len(dropped) <= most:
+            return found, p, list(dropped)
+    return at(None, groups)[0], p, []

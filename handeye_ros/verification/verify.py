@@ -10,7 +10,7 @@ takes no part in U.
 """
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from datetime import datetime, UTC
 import math
@@ -19,19 +19,22 @@ from typing import Any, NamedTuple
 
 from handeye_ros import __version__, output
 from handeye_ros.config import Config, VerifyConfig
-from handeye_ros.data import Calibration
+from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
 from handeye_ros.verification.fit import (
-    agreeing,
+    agreeing_groups,
     Fit,
     fit,
     K,
+    Numbers,
+    predicted,
     Quantity,
     refit,
+    require_stations,
     Shape,
     stacked,
     StationSet,
@@ -142,19 +145,21 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
     bags: observations in the order that the routine expects; reason: why other stations gave
     none. Raises DataError, and InputError where two recordings are one.
     """
-    stations = stacked([bag.without((), reason) for bag in bags])
+    require_stations([len(np.unique(bag.observations.station)) for bag in bags], reason)
+    stations = stacked(bags)
     stops = np.column_stack([stations.stamps, stations.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ sensor_axes(config)
 
-    def fitted(left_out: Collection[int]) -> tuple[tuple[Shape, Fit], dict[int, float]]:
-        shape = routine.shape(stations.without(left_out, reason), X, config.verify)
+    def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Numbers]:
+        shape = routine.shape(stations.of_groups(groups), X, config.verify)
         found = fit(shape, X, calibration.covariance, config)
-        return (shape, found), found.contradictions
+        return (shape, found), *predicted(found.residuals, found.taken_up,
+                                          shape.stations.row_groups, groups)
 
-    (shape, found), left_out = agreeing(fitted, len(stations.poses))
+    (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
     if max(found.p, found.p_error) < FOREIGN and routine.target != TEETH:
         freed = refit(shape, X, calibration.covariance, config)
         largest = float(np.abs(freed.distances).max())
@@ -170,7 +175,7 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
                   for quantity, value, s, c in zip(shape.quantities, found.values.tolist(), std,
                                                    claimed, strict=True)]
     quantities += routine.scatter(shape, found)
-    per_station = _station_results(stations, shape.stations, found, left_out)
+    per_station = _station_results(stations, shape.stations, found, p, left_out)
     weakest = _sensitivity(found)
     verdict, reasons = _decide(found, weakest, quantities, per_station, config.verify)
     distances = np.abs(found.distances)
@@ -187,7 +192,7 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
 
 
 def _station_results(stations: StationSet, used: StationSet, found: Fit,
-                     left_out: dict[int, float]) -> tuple[StationResult, ...]:
+                     p: Mapping[int, float], left_out: Sequence[int]) -> tuple[StationResult, ...]:
     """Return the results of all stops or passes of which points are used, or were left out."""
     results = []
     for group, first in zip(*np.unique(stations.groups, return_index=True), strict=True):
@@ -196,13 +201,13 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
         identity = bag + 1, int(group - before) + 1, int(stations.stamps[first])
         rows = np.flatnonzero(used.row_groups == group)
         if group in left_out:
-            results.append(StationResult(*identity, 0.0, 0.0, left_out[group], False, (
+            results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
             worst = rows[np.argmax(np.abs(found.distances[rows]))]
             results.append(StationResult(
                 *identity, float(abs(found.distances[worst])), float(found.distance_std[worst]),
-                found.contradictions.get(int(group), 1.0)))
+                p[group]))
     return tuple(results)
 
 
