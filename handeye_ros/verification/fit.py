@@ -26,7 +26,6 @@ from handeye_ros.estimation.least_squares import (
     agreeing,
     chi2_isf,
     chi2_sf,
-    leave_one_out,
     Rows,
     System,
     White,
@@ -47,6 +46,7 @@ LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in
 UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
 RANK = 1e-8  # relative singular value of an unknown that the points do not show
+ALONE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 T = TypeVar('T')
@@ -394,11 +394,18 @@ def predicted(r: Array, U: Array, row_groups: Numbers, groups: Numbers) -> tuple
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
     r: (m,) whitened residuals; U: (m, k) with U U' the part of them that the unknowns take up.
+    What a group alone determines is no part of it.
     """
-    left, block = r - U @ (U.T @ r), np.searchsorted(groups, row_groups)
-    left_out = leave_one_out(left, U, np.eye(U.shape[1]), block)
-    freedom = np.bincount(block, minlength=len(groups))
-    return np.bincount(block, left * left_out, len(groups)) / np.maximum(freedom, 1), freedom
+    left = r - U @ (U.T @ r)
+    squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
+    for k, group in enumerate(groups):
+        own, own_left = U[row_groups == group], left[row_groups == group]
+        share, V = np.linalg.eigh(own.T @ own)
+        shared = share < 1 - ALONE
+        b = (own_left @ own @ V)[shared]
+        squares[k] = own_left @ own_left + b @ (b / (1 - share[shared]))  # Woodbury
+        freedom[k] = len(own) - np.count_nonzero(~shared)
+    return squares / np.maximum(freedom, 1), freedom
 
 
 def agreeing_groups(groups: Numbers, fitted: Callable[[Numbers], tuple[T, Array, Numbers]]

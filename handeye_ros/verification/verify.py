@@ -21,7 +21,7 @@ from handeye_ros import __version__, output
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.least_squares import chi2_sf
+from handeye_ros.estimation.least_squares import chi2_sf, FALSE_ALARM
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
@@ -303,6 +303,10 @@ def _or_measure(used: int, too_large: float, conjunction: str) -> str:
 def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
            limits: VerifyConfig) -> tuple[str, ...]:
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
+    kept = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
+    if kept:
+        notes.append(f'{", ".join(kept)} contradict the others under every possible calibration, '
+                     'too many to be left out: measure again')
     if fit.p < INCONSISTENT:
         notes.append(f'the points disagree by more than calibration, noise.sensor and '
                      f'noise.robot_* explain (p = {fit.p:.1g}): the calibration is worse than '
