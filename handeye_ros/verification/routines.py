@@ -3,7 +3,7 @@
 """The verification routines, by name, and the shapes that they fit."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 import math
@@ -168,41 +168,44 @@ class Routine:
     One way to verify a calibration.
 
     says: what it measures. target: the target.type whose features the stations give, or TEETH
-    where points are taken while the robot moves. bags: smallest and largest number. shape: what
-    is fitted to the stations, with the sensor plane at X (4, 4) in the mount. scatter: further
-    quantities. lengths: valid numbers of verify.lengths for a number of bags.
+    where points are taken while the robot moves. bags: for each valid number of verify.lengths
+    the possible numbers of bags, ascending. shape: what is fitted to the stations, with the
+    sensor plane at X (4, 4) in the mount. scatter: further quantities.
     """
 
     name: str
     says: str
     target: str
-    bags: tuple[int, int]
+    bags: Mapping[int, Sequence[int]]
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
     scatter: Callable[[Shape, Fit], list[Quantity]] = lambda shape, fit: []
-    lengths: Callable[[int], tuple[int, ...]] = lambda bags: (0,)
+
+    def parts(self, lengths: int) -> Sequence[int]:
+        """Return the possible numbers of bags, ascending; raises InputError for wrong lengths."""
+        if lengths not in self.bags:
+            raise InputError(f'{self.name} needs {_listed(list(self.bags))} lengths '
+                             f'(verify.lengths), and got {lengths}')
+        return self.bags[lengths]
 
 
-def _blocks(bags: int) -> tuple[int, ...]:
-    """Return the possible numbers of heights for a number of faces: of one block, two or three."""
-    return tuple(bags - n for n in (1, 2, 3) if bags % n == 0 and bags > n)
-
-
+FLATNESS = partial(_form_error, 'flatness of face', 'F')
+ROUNDNESS = partial(_form_error, 'form error of ball', 'PF')
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
-    Routine('line', 'distances of edge points from a straight edge', 'line', (1, 1), line),
-    Routine('plane', 'distances of points from a flat face', 'plane', (1, 1), free_planes,
-            partial(_form_error, 'flatness of face', 'F')),
+    Routine('line', 'distances of edge points from a straight edge', 'line', {0: [1]}, line),
+    Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, free_planes,
+            FLATNESS),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            (1, 1), point, _point_scatter),
-    Routine('sphere', 'radius of a ball', 'sphere', (1, 1), spheres,
-            partial(_form_error, 'form error of ball', 'PF')),
-    Routine('ball_bar', 'distance of two balls', 'sphere', (2, 2), spheres,
-            partial(_form_error, 'form error of ball', 'PF'), lambda bags: (bags - 1,)),
+            {0: [1]}, point, _point_scatter),
+    Routine('sphere', 'radius of a ball', 'sphere', {0: [1]}, spheres, ROUNDNESS),
+    Routine('ball_bar', 'distance of two balls', 'sphere', {1: [2]}, spheres, ROUNDNESS),
     Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
-            (2, 12), parallel_planes, lengths=_blocks),
-    Routine('square', 'angle between two faces, and their flatness', 'plane', (2, 2), free_planes,
-            partial(_form_error, 'flatness of face', 'F')),
-    Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH, (2, 20),
-            teeth, lengths=lambda bags: (2,)),
+            # a block has one face more than heights
+            {n: [n + blocks for blocks in (1, 2, 3) if n % blocks == 0 and n + blocks <= 12]
+             for n in range(1, 12)}, parallel_planes),
+    Routine('square', 'angle between two faces, and their flatness', 'plane', {0: [2]},
+            free_planes, FLATNESS),
+    Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH,
+            {2: range(2, 21)}, teeth),
 )}
 """The routines of `handeye verify`."""
 
@@ -220,24 +223,13 @@ def settings_for(routine: Routine, config: Config, bags: int) -> Config:
 
     bags: how many there are.
     """
-    possible = parts_of(routine, len(config.verify.lengths))
+    possible = routine.parts(len(config.verify.lengths))
     if bags not in possible:
         raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {bags}')
     if routine.target == TEETH:
         return config
     return with_values(config, {'target.type': routine.target, 'method': 'auto',
                                 'target.radius': config.verify.radius}, routine.name)
-
-
-def parts_of(routine: Routine, lengths: int) -> list[int]:
-    """Return the possible numbers of bags, ascending; raises InputError for wrong lengths."""
-    fewest, most = routine.bags
-    fit = [n for n in range(fewest, most + 1) if lengths in routine.lengths(n)]
-    if not fit:
-        possible = {n for bags in range(fewest, most + 1) for n in routine.lengths(bags)}
-        raise InputError(f'{routine.name} needs {_listed(sorted(possible))} lengths '
-                         f'(verify.lengths), and got {lengths}')
-    return fit
 
 
 def _listed(numbers: Sequence[int]) -> str:

@@ -21,7 +21,7 @@ from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.verification.fit import StationSet
-from handeye_ros.verification.routines import parts_of, Routine, routine_of, settings_for, TEETH
+from handeye_ros.verification.routines import Routine, routine_of, settings_for, TEETH
 from handeye_ros.verification.stations import stations_of, stations_of_pass
 from handeye_ros.verification.verify import Verification, verify
 
@@ -72,7 +72,7 @@ class VerificationSession:
             raise InputError('verify.routine is not set, so there is nothing to measure: set it '
                              'to the artefact under the sensor (docs/measure.md)')
         self._name = routine_of(config.verify.routine).name
-        self._possible = parts_of(self.routine, len(config.verify.lengths))
+        self._possible = self.routine.parts(len(config.verify.lengths))
         self.parts = [Part()]
 
     @property
