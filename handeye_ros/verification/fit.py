@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
 
+SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
 K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 STEP = 1e-7  # of numeric derivatives (m, rad)
 REFITS = 5  # iterations for the calibration's error
@@ -236,33 +237,59 @@ def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
                      for d in STEP * np.eye(len(q))], axis=1)
 
 
+@dataclass(frozen=True)
+class Scatter:
+    """
+    Distances of the measured points from the fitted shape (m).
+
+    expected: 95 % quantile of the RMS if the uncertainties are as stated (nan for very many
+    points); p: probability that the points then disagree at least as much.
+    """
+
+    points: int
+    mean: float
+    std: float
+    rms: float
+    maximum: float
+    expected: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Weakest:
+    """
+    What an error of the calibration does in the direction in which it shows least.
+
+    size: root mean square displacement (m) of the points by the smallest detectable one;
+    estimate: that by the estimated error in this direction, and its 1 sigma std; direction: in
+    words.
+    """
+
+    size: float
+    estimate: float
+    std: float
+    direction: str
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
     Result of a fit.
 
-    values (v,): fitted; covariance, claimed (v, v): due to sensor and robot, infinite for a value
-    that the points leave open, and due to the calibration. distances (m,): residuals;
-    distance_std (m,): 1 sigma due to sensor and robot; rms_expected: 95 % quantile of their RMS;
-    p: p-value of the distances with the calibration's covariance. information (6, 6): of the
-    distances and of the values with a nominal, about an error of the calibration; shift (6, 6):
-    quadratic form that gives the mean square displacement of the points. region:
-    (v - nominal)' cov^-1 (v - nominal), cov the sum of both covariances, of `freedom` values.
+    quantities: those of the shape, as measured. distances (m,): residuals; distance_std (m,): 1
+    sigma due to sensor and robot. region: (v - nominal)' cov^-1 (v - nominal) of the `freedom`
+    values v with a nominal, cov the sum of their covariances by measurement and calibration.
     error (6,): estimated error of the calibration; p_error, p_no_error: p-values of the distances
     with and without it; implied, implied_std: its largest displacement of a point (m).
     residuals (m,): whitened, of the shape as expected; taken_up (m, k): U U' is the part of them
     that shape and calibration take up, whatever its error.
     """
 
-    values: Array
-    covariance: Array
-    claimed: Array
+    quantities: tuple[Quantity, ...]
+    scatter: Scatter
+    weakest: Weakest
     distances: Array
     distance_std: Array
-    rms_expected: float
-    p: float
-    information: Array
-    shift: Array
     region: float
     freedom: int
     error: Array
@@ -301,10 +328,12 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     square = remainder @ remainder - explained @ np.linalg.solve(
         np.eye(6) + root.T @ A.T @ A @ root, explained)
     freedom = max(len(r) - len(q), 1)
-    p_distances = float(chi2_sf(square, freedom))
-    expected = math.nan
-    if len(r) <= MOST_DISTANCES:
-        expected = _expected_rms(np.hstack([np.eye(len(r)) - J @ gain, A @ root]), factors)
+    expected = _expected_rms(np.hstack([np.eye(len(r)) - J @ gain, A @ root]), factors) if (
+        len(r) <= MOST_DISTANCES) else math.nan
+    size = np.abs(distances)
+    scatter = Scatter(len(r), float(size.mean()), float(size.std()),
+                      float(np.sqrt((size ** 2).mean())), float(size.max()), expected,
+                      float(chi2_sf(square, freedom)))
 
     # the measured values, and those of them that have a nominal one
     values, F = shape.values(q), derivatives(shape.values, q)
@@ -323,6 +352,11 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
         A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
         remainder = np.append(remainder, np.linalg.solve(factor, deviation))
     covariance[unseen, unseen] = np.inf
+    quantities = tuple(
+        replace(quantity, value=float(value), std=float(std), claimed=float(claim))
+        for quantity, value, std, claim in zip(
+            shape.quantities, values, *(np.sqrt(np.maximum(np.diag(each), 0.0))
+                                        for each in (covariance, claimed)), strict=True))
 
     # the most likely error of the calibration
     inverse = np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0))
@@ -333,13 +367,34 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     displacements = np.linalg.norm(by_X @ error, axis=1)
     worst = int(np.argmax(displacements))
     return Fit(
-        values, covariance, claimed, distances,
-        np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]), expected,
-        p_distances, A.T @ A, np.einsum('mik,mil->kl', by_X, by_X) / len(r), region, len(known),
+        quantities, scatter,
+        _weakest(A.T @ A, np.einsum('mik,mil->kl', by_X, by_X) / len(r), error), distances,
+        np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]), region, len(known),
         error, float(chi2_sf(left, freedom_left)),
         float(chi2_sf((remainder @ remainder - left) / scale, 6)), float(displacements[worst]),
         float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))), r,
         _basis(np.hstack([J, G])))
+
+
+def _weakest(information: Array, shift: Array, error: Array) -> Weakest:
+    """
+    Return the weakest direction of the calibration.
+
+    information (6, 6): about its error; shift (6, 6): quadratic form that gives the mean square
+    displacement of the points; error (6,): the estimated one.
+    """
+    shift = shift + 1e-12 * np.trace(shift) * np.eye(6)
+    power, directions = scipy.linalg.eigh(information, shift)
+    worst = directions[:, 0]  # displaces the points by 1 m RMS
+    by_rotation = np.sqrt(worst[3:] @ shift[3:, 3:] @ worst[3:])
+    motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
+                    ('rotation about', worst[3:]))
+    *others, last = [name for size, name in zip(np.abs(axis), 'xyz', strict=True)
+                     if size > 0.5 * np.abs(axis).max()]
+    axes = f'{", ".join(others)} and {last}' if others else last
+    std = float(1 / np.sqrt(max(power[0], 1e-12)))
+    return Weakest(SENSITIVE * std, abs(float(worst @ shift @ error)), std,
+                   f'{motion} {axes} of the flange')
 
 
 def refit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:

@@ -15,7 +15,7 @@ from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from datetime import datetime, UTC
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from handeye_ros import __version__, output
 from handeye_ros.config import Config, VerifyConfig
@@ -35,6 +35,7 @@ from handeye_ros.verification.fit import (
     Quantity,
     refit,
     require_stations,
+    Scatter,
     Shape,
     stacked,
     StationSet,
@@ -42,11 +43,9 @@ from handeye_ros.verification.fit import (
 from handeye_ros.verification.routines import Routine, TEETH
 import numpy as np
 from rich.table import Table
-import scipy.linalg
 import yaml
 
 EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
-SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # level of the tests of a calibration error
 INCONSISTENT = 1e-3  # level of the test that the points agree
@@ -76,24 +75,6 @@ class StationResult:
     def name(self) -> str:
         """Return the name of the stop."""
         return f'stop {self.number} of recording {self.bag}'
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """
-    Distances of the measured points from the fitted shape (m).
-
-    expected: 95 % quantile of the RMS if the uncertainties are as stated (nan for very many
-    points); p: probability that the points then disagree at least as much.
-    """
-
-    points: int
-    mean: float
-    std: float
-    rms: float
-    maximum: float
-    expected: float
-    p: float
 
 
 @dataclass(frozen=True)
@@ -160,32 +141,21 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
                                           shape.stations.row_groups, groups)
 
     (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
-    if max(found.p, found.p_error) < FOREIGN and routine.target != TEETH:
+    if max(found.scatter.p, found.p_error) < FOREIGN and routine.target != TEETH:
         freed = refit(shape, X, calibration.covariance, config)
-        largest = float(np.abs(freed.distances).max())
-        if freed.p_error < FOREIGN and largest > config.verify.tolerance:
+        if freed.p_error < FOREIGN and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
-                f'all points closer than {mm(largest)} to its shape. Check which object was under '
-                'the sensor, that it did not move, and that nothing else was in view '
-                '(verify.near)')
-    std, claimed = (np.sqrt(np.maximum(np.diag(C), 0.0)).tolist()
-                    for C in (found.covariance, found.claimed))
-    quantities = [replace(quantity, value=value, std=s, claimed=c)
-                  for quantity, value, s, c in zip(shape.quantities, found.values.tolist(), std,
-                                                   claimed, strict=True)]
-    quantities += routine.scatter(shape, found)
+                f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
+                'object was under the sensor, that it did not move, and that nothing else was in '
+                'view (verify.near)')
+    quantities = (*found.quantities, *routine.scatter(shape, found))
     per_station = _station_results(stations, shape.stations, found, p, left_out)
-    weakest = _sensitivity(found)
-    verdict, reasons = _decide(found, weakest, quantities, per_station, config.verify)
-    distances = np.abs(found.distances)
-    scatter = Scatter(len(distances), float(distances.mean()), float(distances.std()),
-                      float(np.sqrt((distances ** 2).mean())), float(distances.max()),
-                      found.rms_expected, found.p)
+    verdict, reasons = _decide(found, quantities, per_station, config.verify)
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        tuple(quantities), scatter, weakest.size, weakest.direction, found.region,
+        quantities, found.scatter, found.weakest.size, found.weakest.direction, found.region,
         found.freedom, _claim_p(found), per_station, stations.surface, says=routine.says,
         recorded=time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
@@ -211,45 +181,16 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
     return tuple(results)
 
 
-class _Sensitivity(NamedTuple):
-    """
-    The smallest detectable error of the calibration, in the least sensitive direction.
-
-    size: root mean square displacement of the points (m); estimate: that of the estimated error
-    in this direction, and its 1 sigma std; direction: in words.
-    """
-
-    size: float
-    estimate: float
-    std: float
-    direction: str
-
-
-def _sensitivity(fit: Fit) -> _Sensitivity:
-    shift = fit.shift + 1e-12 * np.trace(fit.shift) * np.eye(6)
-    power, directions = scipy.linalg.eigh(fit.information, shift)
-    worst = directions[:, 0]  # displaces the points by 1 m RMS
-    by_rotation = np.sqrt(max(worst[3:] @ fit.shift[3:, 3:] @ worst[3:], 0.0))
-    motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
-                    ('rotation about', worst[3:]))
-    *others, last = [name for size, name in zip(np.abs(axis), 'xyz', strict=True)
-                     if size > 0.5 * np.abs(axis).max()]
-    axes = f'{", ".join(others)} and {last}' if others else last
-    std = float(1 / np.sqrt(max(power[0], 1e-12)))
-    return _Sensitivity(SENSITIVE * std, abs(float(worst @ shift @ fit.error)), std,
-                        f'{motion} {axes} of the flange')
-
-
 def _claim_p(fit: Fit) -> float:
     """Return the p-value of the deviations under the calibration's stated covariance."""
     return float(chi2_sf(fit.region, fit.freedom)) if fit.freedom else 1.0
 
 
-def _decide(fit: Fit, weakest: _Sensitivity, quantities: Sequence[Quantity],
-            stations: Sequence[StationResult], limits: VerifyConfig
-            ) -> tuple[str, tuple[str, ...]]:
+def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
+            limits: VerifyConfig) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
-    other_size = fit.p_error < FOREIGN < fit.p  # the shape fits, but not in its size
+    weakest = fit.weakest
+    other_size = fit.p_error < FOREIGN < fit.scatter.p  # the shape fits, but not in its size
     notes = _notes(fit, other_size, stations, limits)
     tolerances = {'m': limits.tolerance, 'rad': limits.angle_tolerance}
     deviations = [(q, abs(q.error), tolerances[q.unit]) for q in quantities if q.error is not None]
@@ -307,10 +248,10 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
     if kept:
         notes.append(f'{", ".join(kept)} contradict the others under every possible calibration, '
                      'too many to be left out: measure again')
-    if fit.p < INCONSISTENT:
-        notes.append(f'the points disagree by more than calibration, noise.sensor and '
-                     f'noise.robot_* explain (p = {fit.p:.1g}): the calibration is worse than '
-                     'it claims, the artefact moved, or the noise is set too small')
+    if fit.scatter.p < INCONSISTENT:
+        notes.append('the points disagree by more than calibration, noise.sensor and '
+                     f'noise.robot_* explain (p = {fit.scatter.p:.1g}): the calibration is worse '
+                     'than it claims, the artefact moved, or the noise is set too small')
     if other_size:
         notes.append('the points fit the shape, and no error of the calibration explains these '
                      'deviations: check the nominal values (verify.radius, verify.lengths)')
