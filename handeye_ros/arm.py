@@ -274,14 +274,13 @@ def arm_of(text: str, base: str = '', flange: str = '', source: object = 'robot_
         raise InputError(f'{source}: holds xacro macros: write it as URDF first, with "xacro FILE '
                          '-o robot.urdf"')
     try:
-        root = ElementTree.fromstring(text)
-        elements = {e.attrib['name']: e for e in root.iterfind('joint')}
-        base, flange = _ends(root, base, flange)
+        elements = {e.attrib['name']: e for e in ElementTree.fromstring(text).iterfind('joint')}
         model = pinocchio.buildModelFromXML(text)
-    except (ElementTree.ParseError, KeyError, AttributeError, ValueError, RuntimeError) as error:
-        raise InputError(f'{source}: is no valid URDF: {error}') from error
-    first, last = (model.frames[model.getFrameId(name, pinocchio.BODY)] for name in (base, flange))
-    moving = list(model.supports[last.parentJoint])
+        first, last = (model.frames[k] for k in _ends(model, base, flange))
+    except (ElementTree.ParseError, KeyError, ValueError, RuntimeError) as error:
+        raise InputError(f'{source}: is no valid URDF of a serial arm, without closed loops such '
+                         f'as a parallel linkage: {error}') from error
+    base, flange, moving = first.name, last.name, list(model.supports[last.parentJoint])
     if first.parentJoint not in moving:
         raise InputError(f'{source}: the base {base} does not carry the flange {flange}: joints '
                          'that move it do not belong to the arm; name another base')
@@ -311,25 +310,21 @@ def _pinocchio() -> Any:
     return pinocchio
 
 
-def _ends(root: ElementTree.Element, base: str, flange: str) -> tuple[str, str]:
-    """Return the names of the links that the arm begins and ends with; raises ValueError."""
-    links = [link.get('name', '') for link in root.iterfind('link')]
-    parents, children = ([end.get('link', '') for end in root.iterfind(f'joint/{name}')]
-                         for name in ('parent', 'child'))
+def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
+    """Return the numbers of the frames of the links at both ends; raises ValueError."""
+    frames = model.frames
+    links = {f.name: k for k, f in enumerate(frames) if f.type == _pinocchio().FrameType.BODY}
     for name in filter(None, (base, flange)):
         if name not in links:
-            raise ValueError(f'it has no link {name}{nearest(name, links)}; its links are '
+            raise ValueError(f'it has no link {name}{nearest(name, list(links))}; its links are '
                              f'{", ".join(links)}')
-    for child in children:
-        if children.count(child) > 1:
-            raise ValueError(f'the link {child} hangs on two joints: a closed loop, such as a '
-                             'parallel linkage; only serial arms can be corrected')
+    parents = {frames[frames[k].parentFrame].parentFrame for k in links.values()}
     last = [flange] if flange else [name for name in FLANGES if name in links][:1] or [
-        link for link in links if link not in parents]
+        name for name, k in links.items() if k not in parents]
     if len(last) != 1:
         raise ValueError(f'it ends in several links ({", ".join(last)}): name the flange, as in '
                          f'--flange {", ".join(last[:1])}')
-    return base or next((link for link in links if link not in children), ''), last[0]
+    return links[base or next(iter(links))], links[last[0]]
 
 
 def _joint(element: ElementTree.Element, origin: Array) -> Joint:

@@ -102,23 +102,17 @@ class Points:
 
     def residuals(self, T_base_flange: Array, X: Array, target: Array) -> Residuals:
         """Return the residuals with the sensor in its mount X (4, 4) and the target (3,)."""
-        R, n = T_base_flange[:, :3, :3], len(self)
-        lever = self.points @ X[:3, :3].T
+        T = T_base_flange if self.in_hand else se3.inverse(T_base_flange)
+        lever, n = self.points @ X[:3, :3].T, len(self)
+        at = se3.apply(T, (lever + X[:3, 3])[:, None])[:, 0]  # where the target is fixed
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
-        if self.in_hand:
-            to_fixed = to_mount @ np.swapaxes(R, 1, 2)
-            seen = se3.apply(T_base_flange, (lever + X[:3, 3])[:, None])[:, 0]
-            values, sign, to_base, at = seen - target, 1.0, to_fixed, seen
-            values = (to_fixed @ values[:, :, None]).ravel()
-        else:
-            to_fixed = to_mount @ R
-            at = se3.apply(T_base_flange, target[None])[:, 0]
-            values = (to_mount @ (lever + X[:3, 3] - at)[:, :, None]).ravel()
-            sign, to_base = -1.0, to_mount
+        to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
+        values = to_fixed @ (at - target)[:, :, None]
         by_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
-        turn = -to_base @ se3.skew(at - T_base_flange[:, :3, 3])
-        by_pose = sign * np.concatenate([to_base, turn], axis=2)
-        return Residuals(values, by_own.reshape(3 * n, -1), by_pose.reshape(3 * n, 6))
+        by_shift, arm = (to_fixed, at - T[:, :3, 3]) if self.in_hand else (
+            -to_mount, target @ T[:, :3, :3])
+        by_pose = np.concatenate([by_shift, -by_shift @ se3.skew(arm)], axis=2)
+        return Residuals(values.ravel(), by_own.reshape(3 * n, -1), by_pose.reshape(3 * n, 6))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""

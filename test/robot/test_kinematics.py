@@ -183,7 +183,7 @@ def test_joint_values_that_contradict_the_points_are_named(from_table, words, jo
 @pytest.mark.parametrize(('urdf', 'flange', 'words'), [
     ('<robot name="a"><xacro:macro/></robot>', 'tip', 'xacro'),
     ('<robot', 'tip', 'no valid URDF'),
-    (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'tip', 'closed loop'),
+    (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'tip', 'closed loops'),
     (ODD, 'tool9', 'has no link tool9'),
     (ODD.replace('type="continuous"', 'type="floating"'), 'tip', 'floating'),
 ])
