@@ -27,7 +27,7 @@ from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.common import out_of_face
+from handeye_ros.targets.target import out_of_face
 from handeye_ros.verification.fit import (
     agreeing_groups,
     Numbers,
