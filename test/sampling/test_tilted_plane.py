@@ -3,7 +3,6 @@
 """A light plane that is tilted in its frame, published with all three coordinates."""
 from __future__ import annotations
 
-from dataclasses import replace
 import math
 from pathlib import Path
 
@@ -26,7 +25,7 @@ def tilted(raw: Raw, types: dict[str, str], degrees: float) -> Raw:
         return raw
     data = bytearray(raw.data)
     cloud = cloud_from_cdr(bytes(data))
-    cloud = replace(cloud, data=memoryview(data)[cloud.start:cloud.start + len(cloud.data)])
+    cloud = cloud._replace(data=memoryview(data)[cloud.start:cloud.start + len(cloud.data)])
     z = np.array(cloud.view('z'))
     cloud.view('y')[...] = z * math.sin(math.radians(degrees))
     cloud.view('z')[...] = z * math.cos(math.radians(degrees))
