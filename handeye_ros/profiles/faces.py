@@ -22,7 +22,7 @@ import numpy as np
 
 SURE_EDGE = 1.5  # weight of a face with a sure edge
 BEHIND = 0.02  # weight of a surface beside a nearer one: all stations should choose the same
-WIDEST_GAP = 0.012  # largest gap (m) between adjacent surfaces, without what the nearer one hides
+WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
 HIDDEN = 0.4  # width that a nearer surface hides, over its height
 SPLINTER = 0.002  # largest piece that is no surface (m)
 MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
