@@ -79,8 +79,7 @@ def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
     residuals = measured.residuals(solution.problem, solution.estimate, solution.corrected_poses())
     predicted = left_out(solution, measured)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
-    by_stamp = {stamp: i for i, stop in enumerate(stops)
-                for stamp in stop.samples or (stop.stamp,)}
+    by_stamp = {stamp: i for i, stop in enumerate(stops) for stamp in stop.samples}
     stop_of_point = np.array([by_stamp[sample.stamp] for sample in used])[measured.station]
     stops = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
     for i in np.unique(stop_of_point).tolist():
@@ -91,7 +90,7 @@ def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
 
 def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) -> Array:
     """Return time, RMS residual and speed (n, 3) of the samples of a moving robot."""
-    moving = [i for i, sample in enumerate(used) if sample.motion is not None]
+    moving = [i for i, sample in enumerate(used) if sample.moving]
     if not moving:
         return np.empty((0, 3))
     stamps = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
@@ -115,7 +114,7 @@ def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
         points = profile.read(config.profile).points if profile else points
     return StopSnapshot(outcome.number, stamp, in_mount(T, config), points,
                         sample.features if sample else (), getattr(outcome.result, 'reason', ''),
-                        samples=tuple(s.stamp for s in sample.single) if sample else ())
+                        samples=tuple(s.stamp for s in sample.parts) if sample else (stamp,))
 
 
 @dataclass(frozen=True)
@@ -143,8 +142,7 @@ def agreements(answer: Answer, samples: Sequence[Sample], config: Config
     solution, n = answer.solution, len(samples)
     if solution is None:
         return (None,) * n
-    owner = {one.stamp: k for k, sample in enumerate(samples)
-             for one in sample.single or (sample,)}
+    owner = {one.stamp: k for k, sample in enumerate(samples) for one in sample.parts}
     stations = np.array([owner[one.stamp] for one in answer.samples])
     used = [answer.samples[i] for i in solution.used]
     of_used = stations[solution.used]
@@ -167,8 +165,8 @@ def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: So
                config: Config) -> Array:
     """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
     ones = list(single_samples(samples))
-    number = np.repeat(np.arange(len(samples)), [len(s.single) or 1 for s in samples])
-    if any(one.motion for one in ones):
+    number = np.repeat(np.arange(len(samples)), [len(s.parts) for s in samples])
+    if any(one.moving for one in ones):
         at = Pairing.of(ones).at(*offsets)
         ones = [replace(one, T_base_flange=T) for one, T, inside in zip(
             ones, at.T_base_flange, at.inside, strict=True) if inside]

@@ -234,13 +234,14 @@ Feature: TypeAlias = FaceLine | EdgePoint | Arc
 @dataclass(frozen=True, eq=False)
 class Sample:
     """
-    A station: the features seen while the robot stood still, and its pose.
+    What a stop gives: the features seen while the robot stood still, and its pose.
 
-    Or one profile of a moving robot. stamp: of the first profile used; T_base_flange: (4, 4).
+    Or what a pass of a moving robot, or one of its profiles, gives.
+    stamp: of the first profile used; T_base_flange: (4, 4).
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting.
     motion: trajectory of a moving robot (sampling.trajectory); offsets: from the stamp to the time
-    of its pose, of the rotation behind the position (s), and drift (sampling.sweep). single: of a
-    pass, the samples of its profiles; the pass has the features of the middle one.
+    of its pose, of the rotation behind the position (s), and drift (sampling.sweep).
+    per_profile: of a pass, the samples of its profiles; it has the features of the middle one.
     """
 
     stamp: int
@@ -250,7 +251,17 @@ class Sample:
     flipped: tuple[Feature, ...] = ()
     motion: Any = None
     offsets: tuple[float, ...] = (0.0,)
-    single: tuple[Sample, ...] = ()
+    per_profile: tuple[Sample, ...] = ()
+
+    @property
+    def moving(self) -> bool:
+        """Return whether the robot moved: then the pose depends on the clocks."""
+        return self.motion is not None
+
+    @property
+    def parts(self) -> tuple[Sample, ...]:
+        """Return the samples that an answer uses: of a pass one per profile, else this one."""
+        return self.per_profile or (self,)
 
 
 @dataclass(frozen=True)

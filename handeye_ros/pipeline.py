@@ -101,7 +101,7 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     for profile in profiles:
         session.add_profile(profile)
     session.finish()
-    session.require_stations()
+    session.require_stops()
     return session
 
 
@@ -112,7 +112,7 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
 
 def answer_of(session: Session, config: Config) -> Answer:
     """Return the answer of a session; raises DataError when it holds no stops."""
-    session.require_stations()
+    session.require_stops()
     return answer(session.samples, session.rejects, session.with_base(config), session.frame_id,
                   session)
 

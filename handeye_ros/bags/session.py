@@ -44,7 +44,7 @@ from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced
-from handeye_ros.sampling.session import judged, Outcome, Session
+from handeye_ros.sampling.session import evaluated, Outcome, Session
 from handeye_ros.sampling.stops import Stop
 from mcap.reader import make_reader
 
@@ -139,7 +139,7 @@ class Stored:
         session = Session(config)
         frames = (profile.frame_id for _, stop in self.stops.values()
                   for profile in stop.load(config).profiles)
-        outcomes = [judged(Outcome(number, stop, Reject(stop.began, ''), event.refused), config)
+        outcomes = [evaluated(Outcome(number, stop, Reject(stop.began, ''), event.refused), config)
                     for number, (event, stop) in sorted(self.stops.items())]
         session.restore(outcomes, self.numbers, next(frames, ''))
         return session

@@ -158,7 +158,7 @@ class LiveAnswer:
         self.asked_with = values_of(live.config, ANSWER_KEYS)
         try:
             live.evaluate_all(rest=True)
-            live.copied().require_stations()
+            live.copied().require_stops()
         except HandeyeError as error:
             self._refuse(error)
             raise

@@ -209,7 +209,7 @@ def _edges(live: Live) -> dict[int, str]:
     problem = answer.solution.problem
     names, kinds = problem.target.kinds, problem.target.essential_kinds
     number = {one.stamp: outcome.number for outcome in live.copied().outcomes if outcome.sample
-              for one in outcome.sample.single or (outcome.sample,)}
+              for one in outcome.sample.parts}
     for station, i in enumerate(answer.solution.used.tolist()):
         crossed = set(problem.observations.kind[problem.observations.station == station])
         edges[number.get(answer.samples[i].stamp, 0)] = ', '.join(

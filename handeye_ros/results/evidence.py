@@ -28,7 +28,7 @@ class StopSnapshot:
     target is fixed; points: (n, 2) of one of its profiles, in the sensor plane; features: of the
     profiles; reason: why it was not used, empty if it was. residuals, left_out: (k,) of its
     measured points (metres), with and without it in the fit; empty where it was not used. samples:
-    stamps of the samples of a robot that moved.
+    stamps of its samples, many where the robot moved; of a reject its own.
     """
 
     number: int

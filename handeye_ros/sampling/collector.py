@@ -203,7 +203,7 @@ class StopCollector(Copied):
         if self.conflict:
             raise self.conflict
 
-    def require_stations(self) -> None:
+    def require_stops(self) -> None:
         """
         Refuse a recording in which the robot never stood still.
 

@@ -68,7 +68,7 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
         Sample(profile.stamp, pose, features,
                flipped=() if k % 8 else _flipped(profile, config))  # some suffice
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
-    return replace(single[len(single) // 2], profiles=len(single), single=single,
+    return replace(single[len(single) // 2], profiles=len(single), per_profile=single,
                    motion=trajectory_of(stop.poses, config.sampling.max_pose_gap))
 
 

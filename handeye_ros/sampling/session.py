@@ -44,7 +44,7 @@ class Outcome:
         return self.result if isinstance(self.result, Sample) else None
 
 
-def judged(outcome: Outcome, config: Config) -> Outcome:
+def evaluated(outcome: Outcome, config: Config) -> Outcome:
     """Return the outcome of the same stop with another configuration."""
     result = (Reject(outcome.stop.load(config).start, outcome.refused) if outcome.refused
               else result_of(outcome.stop, config))
@@ -144,7 +144,7 @@ class Session(StopCollector):
         """Return the numbered outcome of a stop; a duplicate pose gives no sample."""
         before = self._outcomes.get(stop.began)
         others = [o for o in self.outcomes if o is not before and not self.excludes(o)]
-        why = '' if isinstance(result, Reject) or result.single else duplicate_pose(
+        why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
             result, others, self._config)
         return Outcome(before.number if before else self.numbers + 1, stop,
                        Reject(result.stamp, why) if why else result, why)
@@ -169,7 +169,7 @@ class Session(StopCollector):
         for outcome in outcomes:
             self.put(outcome)
 
-    def require_stations(self) -> None:
+    def require_stops(self) -> None:
         """Refuse a recording without stops, see StopCollector."""
         if not self.numbers or self.conflict:
-            super().require_stations()
+            super().require_stops()

@@ -37,12 +37,12 @@ MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a sta
 
 def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    passes = [sample for sample in samples if sample.single]
+    passes = [sample for sample in samples if sample.per_profile]
     if not passes:
         return tuple(samples)
-    motion = joined([s.motion for s in passes if isinstance(s.motion, Trajectory)])
-    return tuple(replace(one, motion=motion) if sample.single else one
-                 for sample in samples for one in sample.single or (sample,))
+    motion = joined([sample.motion for sample in passes])
+    return tuple(replace(one, motion=motion) if sample.per_profile else one
+                 for sample in samples for one in sample.parts)
 
 
 def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
@@ -68,8 +68,8 @@ class Pairing:
         """Return the pairing of samples, at least one of them of a moving robot."""
         return cls(np.array([sample.T_base_flange for sample in samples]),
                    np.array([sample.stamp for sample in samples]),
-                   np.array([sample.motion is not None for sample in samples]),
-                   next(s.motion for s in samples if isinstance(s.motion, Trajectory)))
+                   np.array([sample.moving for sample in samples]),
+                   next(sample.motion for sample in samples if sample.moving))
 
     @property
     def since_middle(self) -> Array:
@@ -126,7 +126,7 @@ def problem_at_poses(samples: Sequence[Sample], config: Config) -> Problem:
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples; for a moving robot with the clocks among the unknowns."""
     problem = problem_at_poses(samples, config)
-    if not any(sample.motion for sample in samples):
+    if not any(sample.moving for sample in samples):
         return problem
     pairing = Pairing.of(samples)
     unknown, stds = _unknown(config)
@@ -135,7 +135,7 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
         (1,) * len(stds), tuple(stds.tolist()), least=1.0,
         blocks=partial(errors_in_motion, pairing.stamps),
         white=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    found = (*next(s.offsets for s in samples if s.motion), 0.0, 0.0)
+    found = (*next(s.offsets for s in samples if s.moving), 0.0, 0.0)
     return replace(problem, pose_model=model, pose_values=np.array([found[k] for k in unknown]))
 
 
@@ -180,7 +180,7 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
 
     At most MOST_SAMPLES are used. Raises DataError where no estimate can be started.
     """
-    if not any(sample.motion for sample in samples):
+    if not any(sample.moving for sample in samples):
         return Synchronised(list(samples), [])
     samples = [samples[i] for i in evenly_chosen(len(samples), MOST_SAMPLES)]
     problem = problem_of(samples, config)

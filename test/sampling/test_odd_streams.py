@@ -110,19 +110,19 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
 
 def test_no_poses_no_stops_and_millimetres_are_distinguished() -> None:
     with pytest.raises(DataError, match='no flange pose'):
-        played([], profiles(0, 3)).require_stations()
+        played([], profiles(0, 3)).require_stops()
     moving = [pose(t, x=0.2 * t) for t in np.arange(0, 3, 0.02)]
     with pytest.raises(DataError, match='150 poses'):
-        played(moving, profiles(0, 3)).require_stations()
+        played(moving, profiles(0, 3)).require_stops()
     metres_per_thousand = [replace(p, translation=p.translation * 1e3) for p in moving]
     with pytest.raises(DataError, match='mm'):
-        played(metres_per_thousand, profiles(0, 3)).require_stations()
+        played(metres_per_thousand, profiles(0, 3)).require_stops()
     sparse = [pose(t, x=0.1 * (t // 10)) for t in range(60)]
     with pytest.raises(DataError, match='only every 1 s, .*raise sampling.max_pose_gap'):
-        played(sparse, profiles(0, 60)).require_stations()
+        played(sparse, profiles(0, 60)).require_stops()
     wide = with_values(CONFIG, {'sampling.max_pose_gap': 2.0}, 'test')
     assert len(played(sparse, profiles(0, 60), wide).samples) == 6
-    played(stops((0, 1)), []).require_stations()
+    played(stops((0, 1)), []).require_stops()
 
 
 def test_silent_poses_are_reported() -> None:

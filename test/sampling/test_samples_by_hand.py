@@ -83,7 +83,7 @@ def test_the_last_sample_can_be_removed() -> None:
     first, second = session.samples
     assert removed_last(session).result is second and session.samples == (first,)
     assert removed_last(session).result is first and not session.samples
-    session.require_stations()  # they were stops
+    session.require_stops()  # they were stops
 
 
 def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:
