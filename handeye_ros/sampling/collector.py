@@ -93,10 +93,10 @@ class StopCollector(Copied):
         over = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in over]
         stops = self._completed(over)
-        # only what stops that wait, and the current one, can use is kept
+        # only what stops that wait, the current one, and those to come, can use is kept
         first, last = self._finder.window()
         self._profiles.keep(min([first, *(s.start for s in self._waiting)]),
-                            max([last, *(s.end for s in self._waiting)]))
+                            max([last, *(s.end for s in self._waiting)]), now)
         return stops
 
     def _before_setting_back(self) -> list[Stop]:

@@ -275,9 +275,10 @@ class ProfileBuffer(Copied):
             self.dropped += drop
             self._forget(slice(0, drop))
 
-    def keep(self, first: int, last: int) -> None:
-        """Forget all profiles outside two stamps."""
-        self._forget(slice(bisect_right(self.items, last, key=_stamp), len(self.items)))
+    def keep(self, first: int, last: int, now: int) -> None:
+        """Forget all profiles outside two stamps but those after a third one."""
+        self._forget(slice(bisect_right(self.items, last, key=_stamp),
+                           bisect_right(self.items, now, key=_stamp)))
         self._forget(slice(0, bisect_left(self.items, first, key=_stamp)))
 
     def _forget(self, part: slice) -> None:

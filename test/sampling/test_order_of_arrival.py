@@ -36,6 +36,19 @@ def test_the_order_of_arrival_changes_nothing(pose_next: list[bool], collecting:
         *(o for o in outcomes if isinstance(o, Reject))])
 
 
+@pytest.mark.parametrize('first', ['pose', 'profile'])
+def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
+    poses = stops((0, 1), (8, 9), (16, 17), rate=25.0)
+    late = profiles(0.0, 17.0, rate=8.0)
+    streams = [poses, late] if first == 'pose' else [late, poses]
+    session, outcomes = Session(CONFIG), list[Sample | Reject]()
+    for item in streams[0] + streams[1]:
+        add(session, item)
+        outcomes += collect(session)
+    outcomes += session.finish()
+    assert len(outcomes) == 3 and key(outcomes) == key(results(played(poses, late)))
+
+
 @pytest.mark.parametrize('jump', [-1e9, -30.0, 1.5, 1e9])
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 @pytest.mark.parametrize('place', [0, 7])

@@ -137,5 +137,6 @@ def test_no_more_is_kept_than_fits(steps: list[tuple[int, int, int]]) -> None:
         kept.add(before[-1:])
         assert sum(p.held for p in kept.items) <= 1000
         assert kept.items == before[kept.dropped - dropped:], 'the oldest go first'
-        kept.keep(stamp - behind, stamp - behind + ahead)
-        assert all(stamp - behind <= p.stamp <= stamp - behind + ahead for p in kept.items)
+        first, last = stamp - behind, stamp - behind + ahead
+        kept.keep(first, last, stamp)
+        assert all(first <= p.stamp <= last or p.stamp > stamp for p in kept.items)
