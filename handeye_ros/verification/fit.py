@@ -19,7 +19,7 @@ import math
 from typing import TypeVar
 
 from handeye_ros import se3
-from handeye_ros.config import Config, NoiseConfig
+from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import (
@@ -105,20 +105,23 @@ class StationSet:
         lever = self.observations.points @ X[:3, [0, 2]].T
         return np.concatenate([R, -R @ se3.skew(lever)], axis=2)
 
-    def noise(self, X: Array, by_p: Array, noise: NoiseConfig, aim: float = 0.0) -> list[Array]:
+    def noise(self, X: Array, by_p: Array, config: Config) -> list[Array]:
         """
         Return the covariance of the distances of each group of poses, in their order.
 
-        by_p: (m, 3) derivatives of the distances by the points; aim: 1 sigma of a further error
-        of the position of each pose (m).
+        by_p: (m, 3) derivatives of the distances by the points. config.verify.aim is a further
+        error of the position of each pose.
         """
-        obs = self.observations
-        R = self.poses[obs.station, :3, :3]
-        in_plane = np.einsum('mi,mij,jk->mk', by_p, R, X[:3, [0, 2]])
-        by_feature = np.einsum('mi,mij->mj', in_plane, obs.noise)
-        from_flange = np.einsum('mij,mj->mi', R, obs.points @ X[:3, [0, 2]].T + X[:3, 3])
-        by_pose = np.hstack([by_p, np.cross(from_flange, by_p)]) * np.repeat(
-            [np.hypot(noise.robot_translation, aim), noise.robot_rotation], 3)
+        obs, noise, p = self.observations, config.noise, self.points(X)
+        T = self.poses[obs.station]
+        by_mount = np.einsum('mi,mij->mj', by_p, T[:, :3, :3])
+        by_feature = np.einsum('mi,ij,mjk->mk', by_mount, X[:3, [0, 2]], obs.noise)
+        # the robot's errors: in the axes of its base, and about the origin of its flange
+        in_hand = config.calibration_type == 'eye_in_hand'
+        by_shift, lever = (by_p, p - T[:, :3, 3]) if in_hand else (
+            by_mount, np.einsum('mi,mij->mj', p, T[:, :3, :3]))
+        by_pose = np.hstack([by_shift, se3.cross(lever, by_shift)]) * np.repeat(
+            [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
         covariances = []
         for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(self.row_groups)) + 1):
             shared = obs.source[rows, None] == obs.source[rows]
@@ -308,11 +311,11 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; config.verify: the artefact,
     with the uncertainty of its nominal values and of the aim of the laser at it.
     """
-    stations, aim, certificate = shape.stations, config.verify.aim, config.verify.certificate
+    stations = shape.stations
     p, by_X = stations.points(X), stations.by_calibration(X)
 
     def factors_at(q: Array) -> list[Array]:
-        covariances = stations.noise(X, shape.by_point(p, q), config.noise, aim)
+        covariances = stations.noise(X, shape.by_point(p, q), config)
         return [np.asarray(np.linalg.cholesky(S)) for S in covariances]
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
@@ -342,7 +345,7 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > UNSEEN
     known = np.array([k for k, what in enumerate(shape.quantities)
                       if what.nominal is not None and not unseen[k]], dtype=int)
-    covariance[known, known] += (certificate / K) ** 2
+    covariance[known, known] += (config.verify.certificate / K) ** 2
     region = 0.0
     if len(known):
         deviation = values[known] - [shape.quantities[k].nominal for k in known]

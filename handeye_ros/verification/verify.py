@@ -247,7 +247,7 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
     kept = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
     if kept:
         notes.append(f'{", ".join(kept)} contradict the others under every possible calibration, '
-                     'too many to be left out: measure again')
+                     'and without them too little would be left: measure again')
     if fit.scatter.p < INCONSISTENT:
         notes.append('the points disagree by more than calibration, noise.sensor and '
                      f'noise.robot_* explain (p = {fit.scatter.p:.1g}): the calibration is worse '

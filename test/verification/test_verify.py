@@ -12,6 +12,7 @@ from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Arc, FaceLine
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.verification_file import protocol
+from handeye_ros.simulate.robot import perturbed, pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.routines import ROUTINES, settings_for
@@ -182,6 +183,23 @@ def test_stops_that_contradict_the_others_are_left_out_and_named_unless_they_are
         result('line', half, found)
 
 
+def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
+    inside, away = 0, se3.transform(np.eye(3), np.array([1.0, 0.3, -0.5]))  # of the robot's base
+    for seed in range(20):
+        made, found = measured('ball_bar', seed, robot=replace(
+            bench.ROBOT, repeatability=(0.0, 0.0)))
+        rng, bags = np.random.default_rng(seed), []
+        for bag in made.bags:
+            T = np.array([se3.inverse(s.T_base_flange @ se3.inverse(away)) for s in bag])
+            T = perturbed(T, pose_error(bench.ROBOT, T, rng))
+            bags.append([replace(s, T_base_flange=one) for s, one in zip(bag, T, strict=True)])
+        inside += bench.within(result(
+            'ball_bar', replace(made, bags=bags), replace(
+                found, T_flange_sensor=away @ found.T_flange_sensor),
+            Config(noise=bench.NOISE, calibration_type='eye_on_base')))
+    assert inside >= 17  # fewer of a true 95 % region: p = 0.003
+
+
 def test_what_cannot_be_verified_is_refused():
     made, found = measured('sphere')
     flat = with_features(made, lambda s: [FaceLine(
@@ -217,6 +235,18 @@ def test_teeth_of_another_gauge_never_pass(lengths):
         assert teeth(*measured('tooth'), lengths).verdict == 'fail'
     except DataError as refusal:
         assert 'not the gauge' in str(refusal)
+
+
+def test_passes_that_contradict_the_others_are_told():
+    made, found = measured('tooth', 1)
+    config = of_lengths(*made.lengths)
+    first, second, *others = bench.scanned(made, config)
+    off = replace(second, poses=se3.perturb(second.poses, np.array([6e-4, 6e-4, 6e-4, 0, 0, 0])))
+    for given, told in (second, False), (off, True):
+        judged = verify(ROUTINES['tooth'], [first, given, *others], found, config)
+        assert told == (judged.verdict != 'pass')
+        assert told == any(reason.startswith('stop 1 of recording 2 contradict the others')
+                           for reason in judged.reasons)
 
 
 def test_of_points_without_noise_none_is_an_outlier():
