@@ -55,7 +55,8 @@ from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import of_profiles
-from handeye_ros.sampling.session import duplicate_pose, Outcome
+from handeye_ros.sampling.session import duplicate_pose
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
 from handeye_ros.simulate.scenes import edge_frames, edge_lengths, FACING, facing, SCENES
@@ -141,7 +142,8 @@ class World:
         self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)
         sample = Sample(len(self.samples), reported(T_base_flange, error), features, len(used))
-        others = [Outcome(k, None, other) for k, other in enumerate(self.samples, 1)]
+        others = [Stop(other.stamp, number=k, result=other)
+                  for k, other in enumerate(self.samples, 1)]
         why = duplicate_pose(sample, others, self.config)
         if not why and self.solution:
             why = flat_crossing(sample, self.solution, self.config)

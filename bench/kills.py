@@ -287,7 +287,7 @@ def check(folder: Path, tally: Tally, config: Config, fewest: int) -> None:
     assert not back, f'{folder}: the removed samples {sorted(back)} are back'
     newest = max(found.stops, default=0)
     if newest:
-        assert sample_of(found.stops[newest][1], config).profiles >= fewest
+        assert sample_of(found.stops[newest], config).profiles >= fewest
     for file in files_of(folder):
         with file.open('rb') as stream:
             assert make_reader(stream).get_summary() is not None

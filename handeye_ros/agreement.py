@@ -27,7 +27,8 @@ from handeye_ros.frames import in_mount, mounted
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.evidence import Evidence, recording_of, StopSnapshot
-from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import Pairing, problem_at_poses, single_samples
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ def evidence(calibration: Calibration, bag: Path | None, folder: Path = Path()) 
 
 def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
     """Return the stops of a session with their part in its answer, and the answer."""
-    stops = [stop_snapshot(outcome, config) for outcome in session.outcomes]
+    stops = [stop_snapshot(stop, config) for stop in session.stops]
     calibration, solution = answer.calibration, answer.solution
     if calibration is None or solution is None:
         return Evidence(tuple(stops), refusal=str(answer.refusal or ''))
@@ -100,9 +101,9 @@ def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) 
                             np.linalg.norm(twists[:, :3], axis=1)])
 
 
-def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
+def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     """Return what was seen at a stop."""
-    stop, sample, stamp = outcome.stop.load(config), outcome.sample, outcome.result.stamp
+    stop, sample, stamp = stop.load(config), stop.sample, stop.result.stamp
     if sample:
         T = sample.T_base_flange
     else:
@@ -112,8 +113,8 @@ def stop_snapshot(outcome: Outcome, config: Config) -> StopSnapshot:
     profile = min(stop.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
     with suppress(UnusableMessageError):
         points = profile.read(config.profile).points if profile else points
-    return StopSnapshot(outcome.number, stamp, in_mount(T, config), points,
-                        sample.features if sample else (), getattr(outcome.result, 'reason', ''),
+    return StopSnapshot(stop.number, stamp, in_mount(T, config), points,
+                        sample.features if sample else (), getattr(stop.result, 'reason', ''),
                         samples=tuple(s.stamp for s in sample.parts) if sample else (stamp,))
 
 

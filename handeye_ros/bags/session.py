@@ -44,7 +44,7 @@ from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced
-from handeye_ros.sampling.session import evaluated, Outcome, Session
+from handeye_ros.sampling.session import evaluated, Session
 from handeye_ros.sampling.stops import Stop
 from mcap.reader import make_reader
 
@@ -125,23 +125,23 @@ class Stored:
     """
     A session on the disk.
 
-    config: the last settings; stops: by number, without removed ones; numbers: the largest number
-    so far.
+    config: the last settings; stops: by number, without removed ones; taken: how many of them gave
+    a sample; numbers: the largest number so far.
     """
 
     path: Path
     config: Config
-    stops: dict[int, tuple[Event, Stop]]
+    stops: dict[int, Stop]
+    taken: int
     numbers: int
 
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
         session = Session(config)
-        frames = (profile.frame_id for _, stop in self.stops.values()
+        frames = (profile.frame_id for stop in self.stops.values()
                   for profile in stop.load(config).profiles)
-        outcomes = [evaluated(Outcome(number, stop, Reject(stop.began, ''), event.refused), config)
-                    for number, (event, stop) in sorted(self.stops.items())]
-        session.restore(outcomes, self.numbers, next(frames, ''))
+        stops = [evaluated(stop, config) for _, stop in sorted(self.stops.items())]
+        session.restore(stops, self.numbers, next(frames, ''))
         return session
 
 
@@ -178,24 +178,22 @@ class SessionFiles:
             os.close(self._lock)
         self._lock = None
 
-    def add(self, outcome: Outcome, config: Config, joints: Sequence[tuple[int, bytes]] = ()
-            ) -> Outcome:
+    def add(self, stop: Stop, config: Config, joints: Sequence[tuple[int, bytes]] = ()) -> Stop:
         """
-        Write the outcome of a stop; return it with the stop as it is on the disk.
+        Write an evaluated stop; return it as it is on the disk.
 
         joints: stamps and serialised joint values. Raises UnwritableError.
         """
-        reason = outcome.result.reason if isinstance(outcome.result, Reject) else ''
-        event = Event(STOP, config, outcome.number, outcome.stop.began, outcome.sample is not None,
-                      reason, outcome.refused)
-        seen = outcome.stop.load(config)
-        joints = [one for one in joints if seen.poses[0].stamp <= one[0] <= seen.poses[-1].stamp]
-        file = self.append(event, seen, outcome, joints)
-        return replace(outcome, stop=Stop(outcome.stop.began,
-                                          source=partial(load, file, outcome.stop.began)))
+        reason = stop.result.reason if isinstance(stop.result, Reject) else ''
+        event = Event(STOP, config, stop.number, stop.began, stop.sample is not None, reason,
+                      stop.refused)
+        seen = stop.load(config)
+        joints = [one for one in joints if seen.start <= one[0] <= seen.end]
+        file = self.append(event, seen, joints)
+        return replace(stop, poses=(), profiles=(), source=partial(load, file, stop.began))
 
-    def append(self, event: Event, seen: Stop = NOTHING, outcome: Outcome | None = None,
-               joints: Sequence[tuple[int, bytes]] = ()) -> Path:
+    def append(self, event: Event, stop: Stop = NOTHING, joints: Sequence[tuple[int, bytes]] = ()
+               ) -> Path:
         """Write an event, with what was seen at its stop; raises UnwritableError."""
         path: object = self.path or 'the folder of the session'
         try:
@@ -207,7 +205,7 @@ class SessionFiles:
                                         'back, or call ~/clear_samples for a new session')
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
-            types, messages = _messages(event, seen, outcome, joints)
+            types, messages = _messages(event, stop, joints)
             with replaced(file) as temporary, temporary.open('wb') as stream:
                 write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
                 stream.flush()
@@ -259,8 +257,8 @@ def _claimed(folder: Path) -> int:
     return lock
 
 
-def _messages(event: Event, seen: Stop, outcome: Outcome | None,
-              joints: Sequence[tuple[int, bytes]]) -> tuple[dict[str, str], list[Raw]]:
+def _messages(event: Event, stop: Stop, joints: Sequence[tuple[int, bytes]]
+              ) -> tuple[dict[str, str], list[Raw]]:
     """Return the types of the topics of an event, and its messages."""
     config = event.config
     profile_topic = full_name(config.profile_topic)
@@ -270,18 +268,18 @@ def _messages(event: Event, seen: Stop, outcome: Outcome | None,
     if joints:
         types[joint_topic] = JOINTS
     offset = round(config.time_offset * 1e9)  # a driver may publish no stamp: log_time holds it
-    messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in seen.poses]
+    messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
     messages += [
         Raw(profile_topic, profile.stamp - offset,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
-            else cloud_cdr(profile, config.profile.unit, DOUBLE)) for profile in seen.profiles]
+            else cloud_cdr(profile, config.profile.unit, DOUBLE)) for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     values = {'event': event.kind, 'number': event.number, 'began': event.began,
               'taken': event.taken, 'text': event.text, 'refused': event.refused}
-    if outcome and outcome.sample:
-        values |= {'stamp': outcome.sample.stamp, 'profiles': outcome.sample.profiles,
-                   'T_base_flange': outcome.sample.T_base_flange.tolist()}
-    end = seen.poses[-1].stamp if seen.poses else time.time_ns()
+    if sample := stop.sample:
+        values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
+                   'T_base_flange': sample.T_base_flange.tolist()}
+    end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION, {'config': flatten(replace(config, session=''))}),
                            (OUTCOME, values)):
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
@@ -323,16 +321,19 @@ def read_session(path: Path) -> Stored:
     """
     if not is_session(path):
         raise InputError(f'{path} is no session: expected a folder that the node made')
-    stops: dict[int, tuple[Event, Stop]] = {}
-    numbers, config = 0, Config()
+    stops: dict[int, Stop] = {}
+    taken, numbers, config = set[int](), 0, Config()
     for file in files_of(path):
         event = _event_of(file)
         config, numbers = event.config, max(numbers, event.number)
         if event.kind == STOP:
-            stops[event.number] = event, Stop(event.began, source=partial(load, file, event.began))
+            stops[event.number] = Stop(event.began, source=partial(load, file, event.began),
+                                       number=event.number, refused=event.refused)
+            (taken.add if event.taken else taken.discard)(event.number)
         elif event.kind == REMOVED:
             stops.pop(event.number, None)
-    return Stored(path, config, stops, numbers)
+            taken.discard(event.number)
+    return Stored(path, config, stops, len(taken), numbers)
 
 
 def load(file: Path, began: int, config: Config) -> Stop:

@@ -51,8 +51,8 @@ class _Still:
 
 def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples fit poses of another time better."""
-    found = [(outcome, part) for outcome in session.outcomes if not outcome.refused
-             and not session.excludes(outcome) and (part := _profiles(outcome.stop, config))]
+    found = [(stop, part) for stop in session.stops if not stop.refused
+             and not session.excludes(stop) and (part := _profiles(stop, config))]
     seen = [part for _, part in found]
     if len(seen) < targets.target_for(config).minimum:
         return
@@ -61,7 +61,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     limit = max(MOVING * rest, SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
     # compared are the stops in which the profiles come to rest, whatever they show as it is set
-    stated = fit_of([outcome.sample for (outcome, _), still in zip(found, stills, strict=True)
+    stated = fit_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
                      if still.sample], config)
     require_stated(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
                             if abs(_offset(stills, behind)) > SMALLEST])

@@ -33,8 +33,7 @@ def require_settings(session: Session, config: Config) -> None:
     """Raise DataError (settings) where other settings explain the stops of a session better."""
     if config.sampling.moving:  # a pass: many profiles with their own poses
         return
-    kept = [outcome.stop for outcome in session.outcomes if not outcome.refused
-            and not session.excludes(outcome)]
+    kept = [stop for stop in session.stops if not stop.refused and not session.excludes(stop)]
     stops = [thinned(stop, config) for stop in kept[:MOST_STOPS]]
     results = [result_of(stop, config) for stop in stops]
     seen = with_common_shape([r for r in results if isinstance(r, Sample)])

@@ -28,22 +28,21 @@ def require_one_surface(session: Session, config: Config) -> None:
     """Raise DataError (surface) where the faces of some stops lie beside the plane of all."""
     if config.sampling.moving or config.target.type not in ('plate', 'line'):
         return
-    taken = [outcome for outcome in session.outcomes
-             if outcome.sample and not session.excludes(outcome)]
+    taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
     as_plane = changed(config, {'target.type': 'plane'})
-    fit = fit_of([result_of(thinned(outcome.stop, config), as_plane) for outcome in taken],
+    fit = fit_of([result_of(thinned(stop, config), as_plane) for stop in taken],
                  as_plane, all_starts=True)
     if fit is None or not fit.believable:
         return
     estimate = fit.solution.estimate
     T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
-        _height(outcome.sample, T_plane_mount @ in_mount(outcome.sample.T_base_flange, config)
-                @ estimate.X) for outcome in taken if outcome.sample])
+        _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)
+                @ estimate.X) for stop in taken if stop.sample])
     beside = np.abs(heights) > BESIDE
     if beside.sum() < FEWEST:
         return
-    others = fit_of([outcome.sample for outcome, other in zip(taken, ~beside, strict=True)
+    others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
                      if other], config, all_starts=True)
     if others is None or not others.believable:
         return

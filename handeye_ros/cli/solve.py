@@ -126,30 +126,30 @@ def samples(
     settings, session = given.settings, given.session
     if session is None:
         raise InputError(f'{path} is a table of measured values, without samples')
-    outcomes = [outcome for outcome in session.outcomes if outcome.sample]
+    stops = [stop for stop in session.stops if stop.sample]
     with doing('comparing the samples'):
         answer = pipeline.answer(session.samples, session.rejects, session.with_base(settings),
                                  session.frame_id)
-        found = agreements(answer, [o.sample for o in outcomes if o.sample], settings)
+        found = agreements(answer, [o.sample for o in stops if o.sample], settings)
     if answer.refusal:
         typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',
                    err=True)
     residuals = {o.number: (a.residual, a.left_out, a.used)
-                 for o, a in zip(outcomes, found, strict=True) if a}
+                 for o, a in zip(stops, found, strict=True) if a}
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for name in ('number', 'residual', 'left out'):
         table.add_column(name, justify='right')
     table.add_column()
     table.add_column()
-    for outcome in sorted(session.outcomes, key=lambda o: (
+    for stop in sorted(session.stops, key=lambda o: (
             -residuals.get(o.number, (0.0, -1.0))[1], o.number)):
-        residual, left_out, used = residuals.get(outcome.number, (None, None, True))
-        state = 'left out' if session.excludes(outcome) else '' if used else 'not believed'
+        residual, left_out, used = residuals.get(stop.number, (None, None, True))
+        state = 'left out' if session.excludes(stop) else '' if used else 'not believed'
         table.add_row(
-            str(outcome.number), *('' if value is None else f'{value * 1e3:.3f} mm'
+            str(stop.number), *('' if value is None else f'{value * 1e3:.3f} mm'
                                    for value in (residual, left_out)),
-            'no sample' if outcome.sample is None else state, sample_summary(outcome.result))
+            'no sample' if stop.sample is None else state, sample_summary(stop.result))
     show(table)
 
 

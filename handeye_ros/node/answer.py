@@ -26,7 +26,8 @@ from handeye_ros.node.pool import result_or_ended
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
 from handeye_ros.results.table import transform_rows
-from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
 import numpy as np
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def review_of(session: Session, config: Config, seen: Array, refused: Sequence[A
     """
     answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
                              session if asked else None)
-    samples = {one.number: one.sample for one in session.outcomes if one.sample}
+    samples = {one.number: one.sample for one in session.stops if one.sample}
     found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
     return Review(advise(in_order, config, answer, seen, refused), answer,
@@ -134,13 +135,13 @@ class LiveAnswer:
                             'and check that it succeeds')
         return replace(self.calibration, name=folder_name(self._live.config))
 
-    def objection(self, outcome: Outcome) -> str:
+    def objection(self, stop: Stop) -> str:
         """Return a sentence if the laser crosses an estimated edge at too small an angle."""
         solution = self.review.solution
-        if outcome.sample is None or solution is None or (
+        if stop.sample is None or solution is None or (
                 solution.degrees_of_freedom < SURE_FREEDOM):
             return ''
-        return flat_crossing(outcome.sample, solution, self._live.config)
+        return flat_crossing(stop.sample, solution, self._live.config)
 
     def forget(self, why: str) -> None:
         """Begin anew with other samples."""
@@ -175,7 +176,7 @@ class LiveAnswer:
         """Return what identifies samples and settings; a session by its files."""
         live = self._live
         return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')), len(live.refused),
-                [(o.number, o.stop.began) for o in live.session.outcomes if o.sample])
+                [(o.number, o.began) for o in live.session.stops if o.sample])
 
     def _begin(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
@@ -185,8 +186,8 @@ class LiveAnswer:
         if asked:
             self.asked_with = values_of(config, ANSWER_KEYS)
         session = Session(config)  # the messages of the streams stay here
-        session.restore(now.outcomes, now.numbers, now.frame_id)
-        sampled = {outcome.stop.began for outcome in now.outcomes if outcome.sample}
+        session.restore(now.stops, now.numbers, now.frame_id)
+        sampled = {stop.began for stop in now.stops if stop.sample}
         refused = [T for began, T in live.refused.items() if began not in sampled]
         return live.compute(
             COMPUTED if asked else '', partial(self._put, self._basis(), session, asked),
@@ -265,8 +266,8 @@ def summary(calibration: Calibration) -> str:
 
 def _numbers(session: Session) -> set[int]:
     """Return the numbers of the samples that an answer uses; none is ever used again."""
-    return {outcome.number for outcome in session.outcomes
-            if outcome.sample and not session.excludes(outcome)}
+    return {stop.number for stop in session.stops
+            if stop.sample and not session.excludes(stop)}
 
 
 def values_of(config: Config, keys: tuple[str, ...]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ A running session without ROS: from messages to stored samples.
 
 The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
 into the session. A stop that is over, or long enough, waits in `waiting` or `early` for the
-worker, which has it evaluated in another process, stores it on the disk, puts the outcome into the
+worker, which has it evaluated in another process, stores it on the disk, puts it into the
 session and calls `changed`: this publishes ~/samples (outputs.py). What is used is stored, and
 what is stored is used. What follows from the samples is in answer.py and verification.py.
 
@@ -51,7 +51,7 @@ from handeye_ros.node.state import MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.sampling.collector import silent_poses
 from handeye_ros.sampling.features import features_of, result_of
-from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 
@@ -326,7 +326,7 @@ class LiveSession:
             self._evaluate(stop, True)
 
     def _evaluate(self, stop: Stop, over: bool) -> None:
-        """Put the outcome of a stop into the session, replacing an earlier one."""
+        """Put a stop with its result into the session, replacing an earlier part of it."""
         if not over and self.session.is_taken(stop):
             return
         if self.verification.session:
@@ -335,59 +335,57 @@ class LiveSession:
             with suppress(DataError):
                 self.verification.add_stop(stop)
             return
-        outcome = self._outcome(stop)
-        earlier = self._known(outcome.number)
-        remark = self.answer.objection(outcome)  # no refusal, as in the solution of a recording
+        stop = self._evaluated(stop)
+        earlier = self._known(stop.number)
+        remark = self.answer.objection(stop)  # no refusal, as in the solution of a recording
         try:
-            outcome = self._stored(outcome)
+            stop = self._stored(stop)
         except InputError as error:
-            if earlier and earlier.stop.source:
-                outcome = earlier  # of fewer profiles, but on the disk
+            if earlier and earlier.source:
+                stop = earlier  # of fewer profiles, but on the disk
             else:
-                outcome = Outcome(outcome.number, stop, Reject(outcome.result.stamp, str(error)),
-                                  refused=str(error))
-        if outcome.sample is None:
+                stop = replace(stop, result=Reject(stop.result.stamp, str(error)),
+                               refused=str(error))
+        if stop.sample is None:
             self.refused[stop.began] = stop.pose(self.config)
-        self._put(outcome, over)
-        if earlier is None or bool(earlier.sample) != bool(outcome.sample):
+        self._put(stop, over)
+        if earlier is None or bool(earlier.sample) != bool(stop.sample):
             # the same result with more profiles is not reported again
-            verdict = (f'sample {outcome.number} taken' if outcome.sample else
-                       f'stop {outcome.number} gave no sample')
-            text = '; '.join(filter(None, (
-                f'{verdict}: {sample_summary(outcome.result)}', remark)))
-            self.tried(text, outcome.number, outcome.result)
+            verdict = (f'sample {stop.number} taken' if stop.sample else
+                       f'stop {stop.number} gave no sample')
+            text = '; '.join(filter(None, (f'{verdict}: {sample_summary(stop.result)}', remark)))
+            self.tried(text, stop.number, stop.result)
 
     def _evaluate_again(self, number: int) -> None:
         """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
-        outcome = self._known(number)
-        if outcome and not outcome.stop.source:  # it could not be stored before
+        stop = self._known(number)
+        if stop and not stop.source:  # it could not be stored before
             with suppress(InputError):
-                self._put(self._stored(self._outcome(outcome.stop)), over=False)
-        elif outcome and not outcome.refused:
-            result = self.result_of(outcome.stop, self.config)
-            self._put(replace(outcome, result=result), over=False)
+                self._put(self._stored(self._evaluated(stop)), over=False)
+        elif stop and not stop.refused:
+            result = self.result_of(stop, self.config)
+            self._put(replace(stop, result=result), over=False)
 
     def result_of(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives."""
-        needed = stop if stop.source else stop.needed(config)
         try:
-            return self.pool.run(result_of, needed, config)
+            return self.pool.run(result_of, stop.needed(config), config)
         except PoolEndedError as error:  # nothing is lost: the stop itself will be stored
             return Reject(stop.began, str(error))
 
-    def _outcome(self, stop: Stop) -> Outcome:
-        """Return the outcome of a stop, not yet in the session."""
-        return self.session.outcome(stop, self.result_of(stop, self.config))
+    def _evaluated(self, stop: Stop) -> Stop:
+        """Return a stop with its number and result, not yet in the session."""
+        return self.session.numbered(stop, self.result_of(stop, self.config))
 
-    def _known(self, number: int) -> Outcome | None:
-        """Return the outcome of a number in the session."""
-        return next((o for o in self.session.outcomes if o.number == number), None)
+    def _known(self, number: int) -> Stop | None:
+        """Return the stop of a number in the session."""
+        return next((stop for stop in self.session.stops if stop.number == number), None)
 
-    def _stored(self, outcome: Outcome) -> Outcome:
-        """Store an outcome; return the stored form. Raises InputError."""
+    def _stored(self, stop: Stop) -> Stop:
+        """Store an evaluated stop; return the stored form. Raises InputError."""
         with self.lock:
             joints = list(self.joints)
-        return self._write(self.files.add, outcome, self.config, joints)
+        return self._write(self.files.add, stop, self.config, joints)
 
     def _write(self, write: Callable[..., Result], *args: Any) -> Result:
         """Write an event; raises InputError, which is kept as trouble until the next event."""
@@ -399,13 +397,13 @@ class LiveSession:
         self._store_trouble = ''
         return result
 
-    def _put(self, outcome: Outcome, over: bool = True) -> None:
-        """Put an outcome into the session, in place of an earlier one of its stop."""
+    def _put(self, stop: Stop, over: bool = True) -> None:
+        """Put an evaluated stop into the session, in place of an earlier part of it."""
         with self.lock:
-            self.session.put(outcome, over)
+            self.session.put(stop, over)
 
     def _leave(self, stop: Stop) -> None:
-        """Give no further outcome of a stop."""
+        """Give no further result of a stop."""
         with self.lock:
             self.session.leave(stop)
 
@@ -433,23 +431,23 @@ class LiveSession:
             raise
 
     def _take_at(self, stop: Stop) -> str:
-        outcome = self._outcome(stop)
-        if outcome.refused:
-            raise DataError(f'{outcome.refused}: move on, and turn the tool')
-        objection = self.answer.objection(outcome)
-        if objection or outcome.sample is None:
+        stop = self._evaluated(stop)
+        if stop.refused:
+            raise DataError(f'{stop.refused}: move on, and turn the tool')
+        objection = self.answer.objection(stop)
+        if objection or stop.sample is None:
             self.refused[stop.began] = stop.pose(self.config)
             raise DataError(f'{objection}, and take the sample again' if objection else
-                            sample_summary(outcome.result))
-        note = ' again, as the robot has not moved since' if self._known(outcome.number) else ''
-        self._put(self._stored(outcome))
-        text = f'sample {outcome.number} taken{note}: {sample_summary(outcome.sample)}'
-        self.tried(text, outcome.number, outcome.sample)
+                            sample_summary(stop.result))
+        note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
+        self._put(self._stored(stop))
+        text = f'sample {stop.number} taken{note}: {sample_summary(stop.sample)}'
+        self.tried(text, stop.number, stop.sample)
         return text
 
     def remove_last_sample(self) -> str:
         """Forget the last sample; raises DataError when there is none, InputError unstored."""
-        samples = [outcome for outcome in self.session.outcomes if outcome.sample]
+        samples = [stop for stop in self.session.stops if stop.sample]
         if not samples:
             raise DataError('there is no sample to remove', reason='nothing_to_remove')
         last = samples[-1]
@@ -470,7 +468,7 @@ class LiveSession:
 
     def _forget(self, why: str) -> int:
         """Forget stops, messages, and what follows; return the number of samples there were."""
-        count = sum(outcome.sample is not None for outcome in self.session.outcomes)
+        count = sum(stop.sample is not None for stop in self.session.stops)
         with self.lock:
             for messages in (self._profiles, self._poses, self.waiting, self._stale):
                 messages.clear()
@@ -493,7 +491,7 @@ class LiveSession:
             self.files.append(Event(CONFIGURED, self.config))
         if session.samples:
             self.answer.asked_with = {}  # as with other settings: solve again
-        count = sum(outcome.sample is not None for outcome in session.outcomes)
+        count = sum(stop.sample is not None for stop in session.stops)
         return f'continuing with {count_of(count, "sample")} of {self.path}'
 
     def open(self, files: SessionFiles, session: Session, old_config: Config) -> str:
@@ -512,7 +510,7 @@ class LiveSession:
             if config.verify.routine != old.verify.routine:
                 self.verification.session = None
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
-            self._stale = deque(outcome.number for outcome in self.session.outcomes)
+            self._stale = deque(stop.number for stop in self.session.stops)
         if self.files.path:
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.append, Event(CONFIGURED, config))

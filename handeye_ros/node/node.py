@@ -190,7 +190,7 @@ class HandeyeNode(Node):
     def _other_topics(self, config: Config) -> bool:
         """Return whether settings name other topics than now; raises InputError."""
         others = self._streams.changes(config)
-        if others and any(outcome.sample for outcome in self.live.copied().outcomes):
+        if others and any(stop.sample for stop in self.live.copied().stops):
             raise InputError('the topics cannot change while there are samples from them: call '
                              '~/clear_samples first, which begins a new session')
         return others

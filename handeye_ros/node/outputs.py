@@ -120,7 +120,7 @@ class Outputs:
             changed = self._samples.show(json.dumps(samples_message(state)), _string)
             answered = self._show_answer(live.answer.calibration, config)
             if changed or answered:
-                samples = [(o.number, o.sample) for o in live.copied().outcomes if o.sample]
+                samples = [(o.number, o.sample) for o in live.copied().stops if o.sample]
                 self._markers.publish(session_markers(samples, live.answer.calibration, config))
             self._status.show(json.dumps(status_message(state)), _string)
             guidance = state['guidance']

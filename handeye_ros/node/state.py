@@ -16,7 +16,8 @@ from handeye_ros import se3
 from handeye_ros.agreement import Agreement, sample_summary
 from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
-from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
 import numpy as np
 
 if TYPE_CHECKING:
@@ -101,8 +102,8 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     session, config, attempt = live.copied(), live.config, live.attempt
     review = live.answer.review
     obstacles, profiles, poses = obstacles or {}, live.messages['profile'], live.messages['pose']
-    samples = [_sample(outcome, session, review.agreements.get(outcome.number))
-               for outcome in session.outcomes]
+    samples = [_sample(stop, session, review.agreements.get(stop.number))
+               for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion
     late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
@@ -182,7 +183,7 @@ def _stream(messages: MessageCount, topic: str, obstacle: str) -> State:
             'trouble': trouble}
 
 
-def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> State:
+def _sample(stop: Stop, session: Session, agreement: Agreement | None) -> State:
     """
     Return one stop of the robot.
 
@@ -191,12 +192,12 @@ def _sample(outcome: Outcome, session: Session, agreement: Agreement | None) -> 
     (m), None without a fit; translation, rotation: the flange in the base (quaternion x y z w),
     None without a sample.
     """
-    sample, excluded = outcome.sample, session.excludes(outcome)
+    sample, excluded = stop.sample, session.excludes(stop)
     return {
-        'number': outcome.number, 'stamp': outcome.result.stamp, 'taken': sample is not None,
+        'number': stop.number, 'stamp': stop.result.stamp, 'taken': sample is not None,
         'excluded': excluded,
         'believed': sample is not None and not excluded and (agreement is None or agreement.used),
-        'text': sample_summary(outcome.result),
+        'text': sample_summary(stop.result),
         'residual': agreement.residual if agreement else None,
         'left_out': agreement.left_out if agreement else None,
         **_pose(sample.T_base_flange if sample else None)}

@@ -145,7 +145,7 @@ def _cell(node: Served) -> dict[str, Any]:
                 if path.name != current]
     previous = 0
     if sessions and not node.state['samples']:
-        previous = sum(event.taken for event, _ in read_session(sessions[0]).stops.values())
+        previous = read_session(sessions[0]).taken
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,
@@ -194,10 +194,10 @@ def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str
 
 def stop_profile(live: Live, number: int) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
-    for outcome in live.copied().outcomes:
-        if outcome.number == number:
-            stop = stop_snapshot(outcome, live.config)
-            return {**profile_picture(stop.points, stop.features), 'reason': stop.reason}
+    for stop in live.copied().stops:
+        if stop.number == number:
+            seen = stop_snapshot(stop, live.config)
+            return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
     raise InputError(f'there is no stop {number}')
 
 
@@ -208,8 +208,8 @@ def _edges(live: Live) -> dict[int, str]:
         return edges
     problem = answer.solution.problem
     names, kinds = problem.target.kinds, problem.target.essential_kinds
-    number = {one.stamp: outcome.number for outcome in live.copied().outcomes if outcome.sample
-              for one in outcome.sample.parts}
+    number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
+              for one in stop.sample.parts}
     for station, i in enumerate(answer.solution.used.tolist()):
         crossed = set(problem.observations.kind[problem.observations.station == station])
         edges[number.get(answer.samples[i].stamp, 0)] = ', '.join(
@@ -228,7 +228,7 @@ def _scene(live: Live, current: Any) -> dict[str, Any]:
     config, advice = live.config, live.answer.review.advice
     solution = live.answer.review.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
-    samples = [(o.number, o.sample.T_base_flange) for o in live.copied().outcomes if o.sample]
+    samples = [(o.number, o.sample.T_base_flange) for o in live.copied().stops if o.sample]
     pose = live.pose
     aim = advice.next.T_base_flange if advice.next else None
     extreme_points = live.answer.seen

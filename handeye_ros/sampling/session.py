@@ -8,7 +8,7 @@ The same Session takes the messages of a bag and those of live topics (see colle
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 
 from handeye_ros import se3, targets
@@ -24,34 +24,13 @@ PATIENCE = 2 * NS  # of a stop without any profile, before it is said that it gi
 CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """
-    Result of a stop: a sample, or the reason why there is none.
-
-    number: from 1, never reused in a session; refused: why the stop gives no sample, whatever its
-    profiles show, '' if it may.
-    """
-
-    number: int
-    stop: Stop
-    result: Sample | Reject
-    refused: str = ''
-
-    @property
-    def sample(self) -> Sample | None:
-        """Return the sample, or None."""
-        return self.result if isinstance(self.result, Sample) else None
+def evaluated(stop: Stop, config: Config) -> Stop:
+    """Return the stop with what it gives with a configuration."""
+    return replace(stop, result=Reject(stop.load(config).start, stop.refused) if stop.refused
+                   else result_of(stop, config))
 
 
-def evaluated(outcome: Outcome, config: Config) -> Outcome:
-    """Return the outcome of the same stop with another configuration."""
-    result = (Reject(outcome.stop.load(config).start, outcome.refused) if outcome.refused
-              else result_of(outcome.stop, config))
-    return replace(outcome, result=result)
-
-
-def duplicate_pose(sample: Sample, others: Iterable[Outcome], config: Config) -> str:
+def duplicate_pose(sample: Sample, others: Iterable[Stop], config: Config) -> str:
     """Return in words which of other stops has the pose of a sample, '' if none."""
     limits = config.sampling
     for other in others:
@@ -79,19 +58,19 @@ class Session(StopCollector):
     def clear(self) -> None:
         """Forget all samples and all messages."""
         super().clear()
-        self._outcomes: dict[int, Outcome] = {}  # by the beginnings of the stops
+        self._stops: dict[int, Stop] = {}  # by their beginnings
         self.numbers = 0
         self._early: tuple[int, float] = -1, 0.0  # stop checked by early(), time of the next check
 
     @property
-    def outcomes(self) -> tuple[Outcome, ...]:
-        """Return the outcomes in the order of their numbers."""
-        return tuple(sorted(self._outcomes.values(), key=lambda outcome: outcome.number))
+    def stops(self) -> tuple[Stop, ...]:
+        """Return the evaluated stops in the order of their numbers."""
+        return tuple(sorted(self._stops.values(), key=lambda stop: stop.number))
 
     @property
     def samples(self) -> tuple[Sample, ...]:
         """Return the samples, without those of samples.exclude."""
-        return single_samples([o.sample for o in self.outcomes
+        return single_samples([o.sample for o in self.stops
                                if o.sample and not self.excludes(o)])
 
     @property
@@ -99,11 +78,11 @@ class Session(StopCollector):
         """Return the stops without a sample or with an excluded one, with the reasons."""
         return tuple(o.result if isinstance(o.result, Reject) else
                      Reject(o.result.stamp, f'sample {o.number} is left out by samples.exclude')
-                     for o in self.outcomes if o.sample is None or self.excludes(o))
+                     for o in self.stops if o.sample is None or self.excludes(o))
 
-    def excludes(self, outcome: Outcome) -> bool:
-        """Return whether samples.exclude contains a sample."""
-        return outcome.number in self._config.samples.exclude
+    def excludes(self, stop: Stop) -> bool:
+        """Return whether samples.exclude contains the sample of a stop."""
+        return stop.number in self._config.samples.exclude
 
     def with_base(self, config: Config) -> Config:
         """Return the settings with the frame of the poses as the base, if they name none."""
@@ -116,7 +95,7 @@ class Session(StopCollector):
 
         Raises InputError when messages of two frames came on one topic.
         """
-        return [self.put(self.outcome(stop, result_of(stop, self._config))).result
+        return [self.put(self.numbered(stop, result_of(stop, self._config))).result
                 for stop in self.rest()]
 
     def early(self) -> Stop | None:
@@ -134,40 +113,41 @@ class Session(StopCollector):
         if sampling.moving or stood < next_check:
             return None
         self._early = began, CHECK_LATER * next_check
-        stop, known = self.standing(), self._outcomes.get(began)
+        stop, known = self.standing(), self._stops.get(began)
         if stop is None or (known and known.sample):
             return None
         enough = MOST_PROFILES if next_check == first else 1 if stood < PATIENCE else 0
         return stop if len(stop.steady(self._config)) >= enough else None
 
-    def outcome(self, stop: Stop, result: Sample | Reject) -> Outcome:
-        """Return the numbered outcome of a stop; a duplicate pose gives no sample."""
-        before = self._outcomes.get(stop.began)
-        others = [o for o in self.outcomes if o is not before and not self.excludes(o)]
+    def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
+        """Return a stop with its number and result; a duplicate pose gives no sample."""
+        before = self._stops.get(stop.began)
+        others = [other for other in self.stops
+                  if other is not before and not self.excludes(other)]
         why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
             result, others, self._config)
-        return Outcome(before.number if before else self.numbers + 1, stop,
-                       Reject(result.stamp, why) if why else result, why)
+        return replace(stop, number=before.number if before else self.numbers + 1,
+                       result=Reject(result.stamp, why) if why else result, refused=why)
 
-    def put(self, outcome: Outcome, over: bool = True) -> Outcome:
-        """Store and return the outcome of a stop in place of an earlier one."""
-        self._outcomes[outcome.stop.began] = outcome
-        self.numbers = max(self.numbers, outcome.number)
+    def put(self, stop: Stop, over: bool = True) -> Stop:
+        """Store and return an evaluated stop, in place of an earlier part of it."""
+        self._stops[stop.began] = stop
+        self.numbers = max(self.numbers, stop.number)
         if over:
-            self.leave(outcome.stop)
-        return outcome
+            self.leave(stop)
+        return stop
 
-    def remove(self, outcome: Outcome) -> None:
-        """Forget the outcome of a stop; the stop counts as taken."""
-        self.leave(outcome.stop)
-        self._outcomes.pop(outcome.stop.began, None)
+    def remove(self, stop: Stop) -> None:
+        """Forget the result of a stop; it counts as taken."""
+        self.leave(stop)
+        self._stops.pop(stop.began, None)
 
-    def restore(self, outcomes: Sequence[Outcome], numbers: int, frame_id: str) -> None:
+    def restore(self, stops: Sequence[Stop], numbers: int, frame_id: str) -> None:
         """Continue from the stops of an earlier run; numbers: how many were assigned."""
         self.clear()
         self.numbers, self._profile_stream.frame = numbers, frame_id or None
-        for outcome in outcomes:
-            self.put(outcome)
+        for stop in stops:
+            self.put(stop)
 
     def require_stops(self) -> None:
         """Refuse a recording without stops, see StopCollector."""

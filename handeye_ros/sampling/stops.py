@@ -17,7 +17,7 @@ import math
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, TimedPose
+from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import around, Copied
 import numpy as np
@@ -34,6 +34,8 @@ FOREVER = 2**63
 # settings, and for the test of the clocks (50 ms apart, see checks/settings.py) in 3.75 s.
 MOST_PROFILES = 32
 
+NOT_EVALUATED = Reject(0, 'not evaluated yet')
+
 
 @dataclass(frozen=True, eq=False)
 class Stop:
@@ -43,16 +45,29 @@ class Stop:
     began: stamp of the first pose (ns), which identifies the stop, though a long one forgets it.
     poses, profiles: in the order of their stamps. source: of a stop on the disk, which holds no
     messages itself: reads them for a configuration.
+    number: in its session, from 1, never reused; 0 before. result: a sample, or the reason why
+    there is none; refused: why the stop gives no sample, whatever its profiles show, '' if it may.
     """
 
     began: int
     poses: tuple[TimedPose, ...] = ()
     profiles: tuple[AnyProfile, ...] = ()
     source: Callable[[Config], Stop] | None = None
+    number: int = 0
+    result: Sample | Reject = NOT_EVALUATED
+    refused: str = ''
+
+    @property
+    def sample(self) -> Sample | None:
+        """Return the sample, or None."""
+        return self.result if isinstance(self.result, Sample) else None
 
     def load(self, config: Config) -> Stop:
         """Return the stop with its messages."""
-        return self.source(config) if self.source else self
+        if self.source is None:
+            return self
+        messages = self.source(config)
+        return replace(self, poses=messages.poses, profiles=messages.profiles, source=None)
 
     @property
     def start(self) -> int:
@@ -91,13 +106,13 @@ class Stop:
         return evenly([p for p in self.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
     def needed(self, config: Config) -> Stop:
-        """Return the stop reduced to the messages of its sample, to be evaluated elsewhere."""
-        loaded = self.load(config)
-        if config.sampling.moving:
-            return loaded
-        profiles = loaded.steady(config)
-        poses = around(loaded.poses, [profile.stamp for profile in profiles])
-        return replace(loaded, poses=tuple(poses), profiles=tuple(profiles))
+        """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
+        alone = replace(self, result=NOT_EVALUATED)
+        if self.source or config.sampling.moving:
+            return alone
+        profiles = self.steady(config)
+        poses = around(self.poses, [profile.stamp for profile in profiles])
+        return replace(alone, poses=tuple(poses), profiles=tuple(profiles))
 
     def _has(self, profile: AnyProfile) -> bool:
         """Return whether a profile was surely taken during the stop, given its duration."""

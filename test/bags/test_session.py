@@ -56,7 +56,7 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
             live.add_profile(item)
         if live.waiting:
             live.update()
-        if len(live.copied().outcomes) >= stops:
+        if len(live.copied().stops) >= stops:
             break
     return live
 
@@ -100,8 +100,8 @@ def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
     recording = read(tmp_path / 'bag', SPHERE.config)
     live = feed(stored(tmp_path), recording, stops=2)
     sent = {profile.stamp: profile.fetch() for profile in recording.profiles}
-    for outcome in live.copied().outcomes:
-        seen = outcome.stop.load(live.config)
+    for stop in live.copied().stops:
+        seen = stop.load(live.config)
         assert seen.profiles
         assert all(p.fetch() == sent[p.stamp] for p in seen.profiles)
 
@@ -186,7 +186,7 @@ def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path
     assert f'they are kept in {before}' in live.clear_samples()
     assert len(read_session(before).stops) == 2
     assert next(sessions_in(tmp_path / 'sphere')) == Path(live.path) != before
-    assert again(live).copied().outcomes == ()
+    assert again(live).copied().stops == ()
 
 
 def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
@@ -219,9 +219,8 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert len(read_session(Path(live.path)).stops) == 2
     changed(live, sampling__min_points=20)
-    stops = read_session(Path(live.path)).stops
-    assert sorted(stops) == [1, 2, 3] and taken(state_of(live)) == sum(
-        event.taken for event, _ in stops.values())
+    kept = read_session(Path(live.path))
+    assert sorted(kept.stops) == [1, 2, 3] and taken(state_of(live)) == kept.taken
     assert not list(Path(live.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)
@@ -271,7 +270,7 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
     other = again(live)
     with AnyReader([folder]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
-    assert counts['/handeye_ros/session/outcome'] == 3 == len(other.copied().outcomes)
+    assert counts['/handeye_ros/session/outcome'] == 3 == len(other.copied().stops)
 
 
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:

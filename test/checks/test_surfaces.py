@@ -38,11 +38,11 @@ def test_the_stops_that_show_a_clamp_are_named(monkeypatch: pytest.MonkeyPatch, 
     session = pipeline.gather(made.profiles, made.poses, made.config)
     T_target_base = se3.inverse(made.truth.T_base_target)
     on_clamps = []
-    for outcome in session.outcomes:
-        face = next(f for f in outcome.sample.features if isinstance(f, FaceLine))
-        T = T_target_base @ outcome.sample.T_base_flange @ made.truth.T_flange_sensor
+    for stop in session.stops:
+        face = next(f for f in stop.sample.features if isinstance(f, FaceLine))
+        T = T_target_base @ stop.sample.T_base_flange @ made.truth.T_flange_sensor
         if T[2, [0, 2]] @ face.centre + T[2, 3] > HEIGHT / 2:
-            on_clamps.append(outcome.number)
+            on_clamps.append(stop.number)
     with pytest.raises(DataError, match='15.0 mm above') as caught:
         pipeline.calibrate_session(session, made.config)
     assert caught.value.reason == 'surface'

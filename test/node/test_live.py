@@ -98,7 +98,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
-    began = [outcome.stop.began for outcome in fed().copied().outcomes]
+    began = [stop.began for stop in fed().copied().stops]
     poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
              if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=tuple(poses)))
@@ -135,7 +135,7 @@ def test_settings_that_change_need_no_new_samples() -> None:
 def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_refused() -> None:
     plate = recorded('plate')
     live = fed(plate.config, plate)
-    count = len(live.copied().outcomes)
+    count = len(live.copied().stops)
     # another stop of the same cell, turned about the range axis in the edge's point
     scenario = replace(plate.scenario, stations=(1, 0))
     stop = SCENES['plate'].stops(scenario, np.random.default_rng(1))
@@ -151,7 +151,7 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
     assert not state_of(live)['attempt']['accepted']
     changed(live, sampling__mode='still')
     computed(live)  # for which the stop that the robot stands in is over
-    assert len(live.copied().outcomes) == count + 1 and live.copied().outcomes[-1].sample
+    assert len(live.copied().stops) == count + 1 and live.copied().stops[-1].sample
     assert 'cannot count: turn the tool about the range axis' in state_of(live)['attempt']['text']
 
 
@@ -331,7 +331,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
         live.verification.verify_start()
     feed(live, items_of(PARTS[0]))
     computed(live)
-    before = [outcome.number for outcome in live.copied().outcomes]
+    before = [stop.number for stop in live.copied().stops]
     assert live.verification.verify_start().startswith('sphere: 0 usable stops of 0; move on')
     assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
     with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
@@ -339,7 +339,7 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     feed(live, items_of(PARTS[1]))
     text = verdict(live)
     assert text.startswith('sphere: PASS, 6 stations; radius ')
-    assert [outcome.number for outcome in live.copied().outcomes] == before
+    assert [stop.number for stop in live.copied().stops] == before
     assert state_of(live)['calibration']['state'] == 'current'
     written = Path(live.folders.folder(live.config)) / 'verification_sphere.yaml'
     assert str(written) in text

@@ -240,7 +240,7 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     current = live.current()
     assert current
     feed(live, [item for item in items if item.stamp >= middle])
-    samples = [(o.number, o.sample) for o in live.copied().outcomes if o.sample]
+    samples = [(o.number, o.sample) for o in live.copied().stops if o.sample]
     before = session_markers(samples, None, CELL.config)
     assert before.markers[0].action == Marker.DELETEALL
     assert {marker.ns for marker in before.markers[1:]} == {'flanges', 'numbers'}

@@ -72,7 +72,7 @@ def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_ov
         stop = session.early()
         if stop:
             early.append((item.stamp - START) / NS)
-            session.put(session.outcome(stop, result_of(stop, CONFIG)), over=False)
+            session.put(session.numbered(stop, result_of(stop, CONFIG)), over=False)
         collect(session)
     session.finish()
     assert len(session.samples) == session.numbers == 2

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.errors import DataError, FeatureError
-from handeye_ros.sampling.session import Outcome, Session
+from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
 import numpy as np
 import pytest
 from streams import (
@@ -24,8 +25,8 @@ from streams import (
 )
 
 
-def removed_last(session: Session) -> Outcome:
-    last = session.outcomes[-1]
+def removed_last(session: Session) -> Stop:
+    last = session.stops[-1]
     session.remove(last)
     return last
 

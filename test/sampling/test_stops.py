@@ -69,8 +69,8 @@ def test_a_fast_sensor_is_thinned_out_evenly() -> None:
     session = played(stops((0, 2)), profiles(0, 2, rate=500.0), finish=True)
     sample, = session.samples
     assert sample.profiles == MOST_PROFILES < 900
-    outcome, = session.outcomes
-    stamps = np.array([p.stamp for p in outcome.stop.load(CONFIG).profiles]) - START
+    stop, = session.stops
+    stamps = np.array([p.stamp for p in stop.load(CONFIG).profiles]) - START
     inside = (stamps >= settle) & (stamps <= 2 * NS - settle)
     assert [sum(stamps < settle), sum(inside), sum(stamps > 2 * NS - settle)] == [8, 73, 8]
     assert np.diff(stamps[inside]).max() <= NS / 40 + NS / 500

@@ -59,7 +59,7 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
 
 def collect(session: Session, config: Config = CONFIG) -> list[Sample | Reject]:
     """Return what the stops give that were completed since the last call, as the node asks."""
-    return [session.put(session.outcome(stop, result_of(stop, config))).result
+    return [session.put(session.numbered(stop, result_of(stop, config))).result
             for stop in session.passed()]
 
 
@@ -73,21 +73,21 @@ def add(session: Session, item: TimedPose | Profile) -> None:
 def taken(session: Session, config: Config = CONFIG) -> Sample:
     """Return the sample of the current stop, put into the session as on request."""
     stop = session.current_stop()
-    outcome = session.outcome(stop, sample_of(stop, config))
-    if isinstance(outcome.result, Reject):
-        raise DataError(outcome.result.reason)
-    session.put(outcome)
-    return outcome.result
+    stop = session.numbered(stop, sample_of(stop, config))
+    if isinstance(stop.result, Reject):
+        raise DataError(stop.result.reason)
+    session.put(stop)
+    return stop.result
 
 
 def results(session: Session) -> list[Sample | Reject]:
     """Return what became of the stops, in the order of their numbers."""
-    return [outcome.result for outcome in session.outcomes]
+    return [stop.result for stop in session.stops]
 
 
-def key(outcomes: Sequence[Sample | Reject]) -> list[tuple[object, ...]]:
-    """Return all that outcomes say, to be compared."""
+def key(results: Sequence[Sample | Reject]) -> list[tuple[object, ...]]:
+    """Return all that results say, to be compared."""
     return [(o.stamp, o.reason) if isinstance(o, Reject) else (
         o.stamp, o.T_base_flange.tobytes(), o.profiles,
         tuple((f.point.tobytes(), f.std) if isinstance(f, EdgePoint) else f.centre.tobytes()
-              for f in o.features)) for o in outcomes]
+              for f in o.features)) for o in results]
