@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
@@ -19,10 +20,10 @@ Points: TypeAlias = NDArray[np.void]
 FORMATS = ('.ply', '.pcd')
 """The endings of the files."""
 DIGITS = 15  # reserved for the number of points
-PLY_TYPES = {'f4': 'float', 'f8': 'double', 'i1': 'char', 'u1': 'uchar', 'i2': 'short',
-             'u2': 'ushort', 'i4': 'int', 'u4': 'uint'}
-PLY_ALIASES = {'float32': 'f4', 'float64': 'f8', 'int8': 'i1', 'uint8': 'u1', 'int16': 'i2',
-               'uint16': 'u2', 'int32': 'i4', 'uint32': 'u4'}
+PLY_TYPES = {'char': 'i1', 'uchar': 'u1', 'short': 'i2', 'ushort': 'u2', 'int': 'i4',
+             'uint': 'u4', 'float': 'f4', 'double': 'f8', 'int8': 'i1', 'uint8': 'u1',
+             'int16': 'i2', 'uint16': 'u2', 'int32': 'i4', 'uint32': 'u4', 'float32': 'f4',
+             'float64': 'f8'}
 LONGEST_HEADER = 1 << 16
 
 
@@ -32,46 +33,39 @@ def require_format(path: Path) -> None:
         raise InputError(f'{path}: the file name must end with {" or ".join(FORMATS)}')
 
 
-def _header(suffix: str, count: int, dtype: np.dtype[Any], comment: str) -> bytes:
-    """Return the header for a number of points, of the same length for every number."""
-    fields = [(name, dtype[name].str[1:]) for name in dtype.names or ()]
-    if suffix == '.ply':
-        lines = ['ply', 'format binary_little_endian 1.0', f'comment {comment}',
-                 f'comment {"." * (DIGITS - len(str(count)))}', f'element vertex {count}',
-                 *(f'property {PLY_TYPES[kind]} {name}' for name, kind in fields), 'end_header']
-    else:
-        lines = ['# .PCD v0.7 - Point Cloud Data file format',
-                 f'# {comment} {"." * 2 * (DIGITS - len(str(count)))}', 'VERSION 0.7',
-                 f'FIELDS {" ".join(name for name, _ in fields)}',
-                 f'SIZE {" ".join(kind[1] for _, kind in fields)}',
-                 f'TYPE {" ".join(kind[0].upper() for _, kind in fields)}',
-                 f'COUNT {" ".join("1" for _ in fields)}', f'WIDTH {count}', 'HEIGHT 1',
-                 'VIEWPOINT 0 0 0 1 0 0 0', f'POINTS {count}', 'DATA binary']
-    return ('\n'.join(lines) + '\n').encode('ascii')
-
-
 class CloudWriter:
-    """Writes pieces of a cloud, all of the type of the first; count: the points so far."""
+    """Writes pieces of a cloud, all with the fields of the last; count: the points so far."""
 
     def __init__(self, stream: BinaryIO, suffix: str, comment: str) -> None:
         """Start with no points."""
         self.count = 0
         self._stream, self._suffix, self._comment = stream, suffix, comment
-        self._dtype: np.dtype[Any] | None = None
+        self._names: tuple[str, ...] = ()
 
     def write(self, points: Points) -> None:
-        """Append points, a structured array of little-endian fields."""
-        if self._dtype is None:
-            self._dtype = points.dtype
+        """Append points, a structured array of float32."""
+        self._names = points.dtype.names or ()
+        if not self.count:
             self.write_header()
         self._stream.write(points.tobytes())
         self.count += len(points)
 
     def write_header(self) -> None:
-        """Write the header with the number of points so far, if any were written."""
-        if self._dtype is not None:
-            self._stream.seek(0)
-            self._stream.write(_header(self._suffix, self.count, self._dtype, self._comment))
+        """Write the header, of the same length for every number of points."""
+        padding, names = '.' * (DIGITS - len(str(self.count))), self._names
+        if self._suffix == '.ply':
+            lines = ['ply', 'format binary_little_endian 1.0', f'comment {self._comment}',
+                     f'comment {padding}', f'element vertex {self.count}',
+                     *(f'property float {name}' for name in names), 'end_header']
+        else:
+            lines = ['# .PCD v0.7 - Point Cloud Data file format',
+                     f'# {self._comment} {2 * padding}', 'VERSION 0.7',
+                     f'FIELDS {" ".join(names)}', f'SIZE{" 4" * len(names)}',
+                     f'TYPE{" F" * len(names)}', f'COUNT{" 1" * len(names)}',
+                     f'WIDTH {self.count}', 'HEIGHT 1', 'VIEWPOINT 0 0 0 1 0 0 0',
+                     f'POINTS {self.count}', 'DATA binary']
+        self._stream.seek(0)
+        self._stream.write('\n'.join([*lines, '']).encode('ascii'))
 
 
 @contextmanager
@@ -95,34 +89,25 @@ def read_cloud(path: Path) -> Array:
     Raises InputError.
     """
     require_format(path)
-    try:
-        with path.open('rb') as stream:
-            start, lines = _header_lines(stream.read(LONGEST_HEADER))
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
     layout = _ply_layout if path.suffix.lower() == '.ply' else _pcd_layout
     try:
-        form, dtype, count = layout(lines)
-    except (KeyError, ValueError, IndexError, TypeError) as error:
-        raise InputError(f'{path}: its header is not that of a cloud in ASCII or binary '
-                         '(little-endian, not compressed) form') from error
-    names = list(dtype.names or ())
-    if not {'x', 'y', 'z'} <= set(names):
-        raise InputError(f'{path}: its points have no fields x, y and z')
-    if form == 'ascii':
         with path.open('rb') as stream:
-            stream.seek(start)
-            try:
-                points = np.loadtxt(stream, usecols=[names.index(a) for a in 'xyz'],
-                                    max_rows=count, ndmin=2).reshape(-1, 3)
-            except ValueError as error:
-                raise InputError(f'{path}: is damaged: {error}') from error
-    else:
-        available = (path.stat().st_size - start) // dtype.itemsize
-        if available < count:
-            raise InputError(f'{path}: is cut off: {available} of {count} points')
-        rows = np.memmap(path, dtype, 'r', start, (count,)) if count else np.empty(0, dtype)
-        points = np.column_stack([rows[axis] for axis in 'xyz']).astype(np.float64)
+            length, lines = _header_lines(stream.read(LONGEST_HEADER))
+            form, dtype, count = layout(lines)
+            columns = [(dtype.names or ()).index(axis) for axis in 'xyz']
+            stream.seek(length)
+            if form == 'ascii':
+                points = np.loadtxt(stream, usecols=columns, max_rows=count, ndmin=2)
+            else:
+                rows = np.fromfile(stream, dtype)[:count]
+                points = np.column_stack([rows[axis] for axis in 'xyz']).astype(float)
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f'{path}: is damaged, or no cloud with x, y and z in ASCII or binary '
+                         '(little-endian, not compressed) form') from error
+    if len(points) < count:
+        raise InputError(f'{path}: is cut off: {len(points)} of {count} points')
     return points[np.isfinite(points).all(axis=1)]
 
 
@@ -141,29 +126,24 @@ def _header_lines(start: bytes) -> tuple[int, list[list[str]]]:
 
 def _ply_layout(lines: list[list[str]]) -> tuple[str, np.dtype[Any], int]:
     """Return form (ascii or binary), fields and number of the points of a PLY header."""
-    form = [words[1] for words in lines if words[0] == 'format'][0]
+    form, = (words[1] for words in lines if words[0] == 'format')
     first = [words[0] for words in lines].index('element')
     if lines[0] != ['ply'] or lines[first][1] != 'vertex' or form == 'binary_big_endian':
         raise ValueError
-    codes = {name: code for code, name in PLY_TYPES.items()} | PLY_ALIASES
-    fields = []
-    for words in lines[first + 1:]:
-        if words[0] != 'property':
-            break
-        fields.append((words[2], f'<{codes[words[1]]}'))
+    properties = takewhile(lambda words: words[0] == 'property', lines[first + 1:])
+    fields = [(name, f'<{PLY_TYPES[kind]}') for _, kind, name in properties]
     return form.split('_')[0], np.dtype(fields), int(lines[first][2])
 
 
 def _pcd_layout(lines: list[list[str]]) -> tuple[str, np.dtype[Any], int]:
     """Return form (ascii or binary), fields and number of the points of a PCD header."""
     values = {words[0]: words[1:] for words in lines}
-    fields: list[Any] = []
-    for name, kind, size, count in zip(values['FIELDS'], values['TYPE'], values['SIZE'],
-                                       values.get('COUNT', ['1'] * len(values['FIELDS'])),
-                                       strict=True):
-        # PCL pads with fields that are all called "_"
-        unique = name if name not in [field[0] for field in fields] else f'{name}{len(fields)}'
-        fields.append((unique, f'<{kind.lower()}{size}', *([(int(count),)] * (count != '1'))))
+    names = values['FIELDS']
+    counts = values.get('COUNT', ['1'] * len(names))
+    # PCL pads with fields that are all called "_"
+    fields = [(f'_{k}' if name == '_' else name, f'<{kind.lower()}{size}', (int(count),))
+              for k, (name, kind, size, count) in enumerate(zip(
+                  names, values['TYPE'], values['SIZE'], counts, strict=True))]
     if values['DATA'][0] not in ('ascii', 'binary'):
         raise ValueError
     return values['DATA'][0], np.dtype(fields), int(values['POINTS'][0])

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import compress, islice
 
 from handeye_ros import units
 from handeye_ros.config import Config, NoiseConfig
@@ -102,13 +102,13 @@ class Scanner:
         flange = track.at(stamps, self.lag)
         if self._intensity is None and profiles:
             self._intensity = profiles[0].intensity is not None
-        used = [p for p, inside in zip(profiles, flange.inside, strict=True) if inside]
+        used = list(compress(profiles, flange.inside))
         self.count.profiles += len(profiles)
         self.count.without_pose += len(profiles) - len(used)
         T = in_mount(flange.T_base_flange[flange.inside], self.config
                      ) @ self.calibration.T_flange_sensor
-        pose_stds = (track.std(stamps[flange.inside]) if self.options.std and used else
-                     np.zeros((len(used), 2)))
+        pose_stds = (track.std(stamps[flange.inside]) if self.options.std
+                     else np.zeros((len(used), 2)))
         pieces = [self._of_profile(*item) for item in zip(used, T, pose_stds, strict=True)]
         cloud = np.concatenate([np.empty(0, self.dtype), *pieces])
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
@@ -142,8 +142,8 @@ class Scanner:
     @property
     def dtype(self) -> np.dtype[np.void]:
         """Return the fields of a point."""
-        names = ['x', 'y', 'z', *(['intensity'] if self._intensity else []),
-                 *(['std'] if self.options.std else [])]
+        optional = {'intensity': self._intensity, 'std': self.options.std}
+        names = [*'xyz', *(name for name, given in optional.items() if given)]
         return np.dtype([(name, '<f4') for name in names])
 
     def _of_profile(self, profile: Profile, T_base_sensor: Array, pose_std: Array) -> Points:
@@ -164,26 +164,20 @@ class Scanner:
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
         """Return which points are returns within the limits."""
-        x, z = points.T
-        is_return = np.isfinite(x) & np.isfinite(z)
-        options = self.options
-        keep = is_return & (z >= options.nearest) & (z <= options.farthest)
-        if options.incidence < np.pi / 2:
-            rows = np.flatnonzero(keep)
-            keep[rows] = _incidence(x[rows], z[rows]) <= options.incidence
+        is_return, z = np.isfinite(points).all(axis=1), points[:, 1]
+        keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
+        keep[keep] = _incidence(points[keep]) <= self.options.incidence
         self.count.returns += int(is_return.sum())
         self.count.out_of_limits += int(is_return.sum()) - int(keep.sum())
         return np.asarray(keep)
 
 
-def _incidence(x: Array, z: Array) -> Array:
-    """Return the angle (n,) between surface and laser line, from neighbours (rad)."""
-    if len(x) < 2:
-        return np.zeros(len(x))
-    index = np.arange(len(x))
-    first, last = np.maximum(index - SLOPE_REACH, 0), np.minimum(index + SLOPE_REACH,
-                                                                 len(x) - 1)
-    return np.asarray(np.arctan2(np.abs(z[last] - z[first]), np.abs(x[last] - x[first])))
+def _incidence(points: Array) -> Array:
+    """Return the angle (n,) between surface and laser line at points (n, 2), rad."""
+    neighbours = np.arange(len(points)) + [[-SLOPE_REACH], [SLOPE_REACH]]
+    first, last = points[np.clip(neighbours, 0, len(points) - 1)]
+    along, across = np.abs(last - first).T
+    return np.asarray(np.arctan2(across, along))
 
 
 def point_std(calibration: Calibration, noise: NoiseConfig, points: Array, pose_std: Array
