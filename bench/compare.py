@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+import csv
 from dataclasses import dataclass
 from functools import partial
 import math
@@ -27,8 +28,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.published import cn105021139a, wu2017
 from handeye_ros.published.compare import compare
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
-from handeye_ros.simulate.measured import RADIUS, SENSOR, simulate_tracker
-from handeye_ros.simulate.robot import perturbed
+from handeye_ros.simulate.measured import laser_tracker
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
 from handeye_ros.tabulated.sweeps import Piece, sweep_from
@@ -102,7 +102,7 @@ class Poses:
             X, Z = Z, X
         T = Z @ se3.inverse(views) @ se3.inverse(X)
         T = se3.inverse(T) if self.on_base else T
-        T, views = (perturbed(of, rng.normal(size=(self.count, 6)) * np.repeat(sigma, 3))
+        T, views = (se3.perturb(of, rng.normal(size=(self.count, 6)) * np.repeat(sigma, 3))
                     for of, sigma in ((T, self.robot), (views, self.camera)))
         side = (-0.05, 0.0, 0.05)
         field = np.stack(np.meshgrid(side, side, (0.2, 0.25, 0.3)), axis=-1).reshape(-1, 3)
@@ -133,15 +133,16 @@ class Poses:
 
 def by_tracker(seed: int) -> dict[str, np.ndarray]:
     """Return the errors of arm, ball and block; tracker 0.02 mm, sensor 0.037 mm."""
-    cell = simulate_tracker(np.random.default_rng(1000 + seed))
-    config = with_values(Config(), {'noise.sensor': SENSOR.noise, 'target.radius': RADIUS,
-                                    'tracker.first_reading': cell.q3_first,
-                                    'tracker.h0': cell.h0, 'tracker.h1': cell.h1}, 'cell')
+    cell = laser_tracker(np.random.default_rng(1000 + seed))
+    config = with_values(Config(), cell.settings, 'cell')
     swept, q30 = sweep_from(cell.profiles, cell.poses, config)
-    pieces = [Piece(0, kind, points, np.zeros(len(points)))
-              for kind, points in cell.reflector.items() if kind != 'ball']
-    found = TrackerSession(config, [*pieces, *swept], cell.reflector['ball'].mean(axis=0), q30
-                           ).chain().T_flange_sensor
+    reflector: dict[str, list[list[float]]] = {}
+    for kind, *point in csv.reader(cell.tables['tracker.csv'].splitlines()[1:]):
+        reflector.setdefault(kind, []).append([1e-3 * float(v) for v in point])
+    ball = np.mean(reflector.pop('ball'), axis=0)
+    pieces = [Piece(0, kind, np.array(points), np.zeros(len(points)))
+              for kind, points in reflector.items()]
+    found = TrackerSession(config, [*pieces, *swept], ball, q30).chain().T_flange_sensor
     x, z = np.meshgrid((-0.02, 0.0, 0.02), (0.16, 0.175, 0.19))
     field = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
     return {'Jing 2020': trials.errors(found, cell.T_flange_sensor, field)}

@@ -218,8 +218,8 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
         T = cell.T_base_flange @ cell.T_mount_sensor @ se3.inverse(X)
         cell = replace(cell, arm=other.arm, T_mount_sensor=X, T_base_flange=T)
     T = cell.T_base_flange
-    T = robot.perturbed(T, robot.pose_error(scenario.robot, T, rng))
-    T = robot.perturbed(T, robot.reported_error(T, cell.arm))
+    T = se3.perturb(T, robot.pose_error(scenario.robot, T, rng))
+    T = se3.perturb(T, robot.reported_error(T, cell.arm))
     features = scene.features(scenario, stops, rng)
     config = with_values(Config(), settings(scenario), 'the scenario')
     samples = [Sample(k, pose, found, 30)

@@ -38,7 +38,7 @@ from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Quality, S
 from handeye_ros.sampling.trajectory import track_of
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate.measuring import draw_pose, Gauge, Recording, rendered, scan_gauge
-from handeye_ros.simulate.robot import perturbed, pose_error
+from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
     PlateTarget,
     RobotModel,
@@ -98,7 +98,7 @@ def reported_poses(scenario: Scenario, T_flange_sensor: Array, T_base_target: Ar
                    rng: np.random.Generator) -> Array:
     """Return the reported poses (n, 4, 4) of the flange at stops."""
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
-    return perturbed(T, pose_error(scenario.robot, T, rng))
+    return se3.perturb(T, pose_error(scenario.robot, T, rng))
 
 
 def sampled(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,

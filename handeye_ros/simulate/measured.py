@@ -8,20 +8,22 @@ the target: the ball's centre, axes along the block's edges; its ridge runs alon
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.output import csv_text
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.recording import timed_poses, timed_profiles
-from handeye_ros.simulate.robot import perturbed
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import Ball, box
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+DIGITS = 9  # after the point in the tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +44,6 @@ class Measured:
     poses: tuple[TimedPose, ...] = ()
 
 
-def csv_text(header: Iterable[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a table of words and numbers as CSV."""
-    written = [[value if isinstance(value, str) else f'{value:.9f}' for value in row]
-               for row in rows]
-    return '\n'.join(map(', '.join, [list(header), *written])) + '\n'
-
-
 def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Measured:
     """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
     R = Rotation.random(random_state=rng).as_matrix()
@@ -57,7 +52,7 @@ def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Me
     base = rng.uniform(-0.15, 0.15, (count, 3)) + middle
     camera = se3.apply(se3.inverse(X), base) + noise * rng.normal(size=base.shape)
     header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
-    text = csv_text(header, 1e3 * np.hstack([camera, base]))
+    text = csv_text(header, (1e3 * np.hstack([camera, base])).round(DIGITS))
     return Measured({'points.csv': text}, X, {'point': noise},
                     {'target.type': 'points', 'calibration_type': 'eye_on_base'})
 
@@ -82,12 +77,12 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
     columns = []
     for T, sigma in ((poses, robot), (views, target)):
         error = np.hstack(list(rng.normal(size=(2, count, 3)) * np.array(sigma)[:, None, None]))
-        T = perturbed(T, error)
+        T = se3.perturb(T, error)
         columns += [1e3 * T[:, :3, 3], se3.quaternion(T)]
     header = [f'{name}_{column}' for name in ('flange', 'target')
               for column in ('x [mm]', 'y [mm]', 'z [mm]', 'qx', 'qy', 'qz', 'qw')]
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
-    return Measured({'poses.csv': csv_text(header, np.hstack(columns))}, X,
+    return Measured({'poses.csv': csv_text(header, np.hstack(columns).round(DIGITS))}, X,
                     dict(zip(names, (*robot, *target), strict=True)),
                     {'target.type': 'hand_eye', 'calibration_type': (
                         'eye_on_base' if eye_on_base else 'eye_in_hand')})
@@ -104,34 +99,19 @@ TRACKER_NOISE = 2e-5
 REPORTED = 1e-6  # 1 sigma of the readings of P3 (m)
 
 
-@dataclass(frozen=True, eq=False)
-class TrackerCell:
-    """
-    Measurements of the instruments, and the true values.
-
-    reflector: points (n, 3) in the tracker by kind; h0, h1: heights of the reflector; q3_first,
-    q30: readings of P3 at the first pose and where the flange is taken. Metres.
-    """
-
-    reflector: dict[str, Array]
-    h0: float
-    h1: float
-    profiles: tuple[Profile, ...]
-    poses: tuple[TimedPose, ...]
-    q3_first: float
-    q30: float
-    T_flange_sensor: Array
-
-
 def arm(turn: float, q3: float) -> Array:
     """Return frame 3 (4, 4) in frame 1 of the arm."""
     R = (Rotation.from_euler('z', turn) * Rotation.from_euler('x', np.pi / 2)).as_matrix()
     return se3.transform(R, R[:, 2] * q3)
 
 
-def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
-                     noise: float = TRACKER_NOISE, reported: float = REPORTED) -> TrackerCell:
-    """Return a session; noise, reported: of the tracker and P3, 1 sigma per axis (m)."""
+def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
+                  noise: float = TRACKER_NOISE, reported: float = REPORTED) -> Measured:
+    """
+    Return a bag of the sweep over ball and block, and the reflector's positions by kind.
+
+    noise, reported: of the tracker and P3, 1 sigma per axis (m).
+    """
     turn = Rotation.from_euler('xyz', [90, 0, 0] + rng.uniform(-1.5, 1.5, 3), degrees=True)
     X = se3.transform(turn.as_matrix(), rng.uniform([0.04, -0.13, 0.03], [0.07, -0.09, 0.06]))
     # at q3 = 0: 45 degrees to both faces, with some tilt
@@ -146,10 +126,16 @@ def simulate_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
     profiles = timed_profiles(times, sensors.plane_points(
         sensor, sensors.measure(sensor, *exact, rng)))
     positions = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
-    poses = timed_poses(times, positions, se3.quaternion(T))
-    reflector = {kind: points + noise * rng.normal(size=points.shape)
-                 for kind, points in _reflector(T_base_target, rng).items()}
-    return TrackerCell(reflector, H0, H1, profiles, poses, float(q3[0]), 0.003, X)
+    reflector = [[kind, *point] for kind, points in _reflector(T_base_target, rng).items()
+                 for point in (1e3 * (points + noise * rng.normal(size=points.shape))
+                               ).round(DIGITS)]
+    return Measured(
+        {'tracker.csv': csv_text(['kind', 'x [mm]', 'y [mm]', 'z [mm]'], reflector)}, X,
+        {'tracker': noise, 'sensor': sensor.noise, 'readings': reported},
+        {'target.type': 'tracker', 'target.radius': RADIUS, 'tracker.h0': H0, 'tracker.h1': H1,
+         'tracker.first_reading': float(q3[0]), 'tracker.noise': max(noise, 1e-9),
+         'noise.sensor': max(sensor.noise, 1e-9)},
+        profiles, timed_poses(times, positions, se3.quaternion(T)))
 
 
 def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Array]:
@@ -167,20 +153,6 @@ def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Arra
     in_base = {'arc': np.array(arc), 'line': np.array(line),
                **{kind: se3.apply(T_base_target, points) for kind, points in target.items()}}
     return {kind: se3.apply(T_tracker_base, points) for kind, points in in_base.items()}
-
-
-def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
-                  noise: float = TRACKER_NOISE, reported: float = REPORTED) -> Measured:
-    """Return a bag of the sweep over ball and block, and the reflector's positions."""
-    cell = simulate_tracker(rng, sensor, noise, reported)
-    text = csv_text(['kind', 'x [mm]', 'y [mm]', 'z [mm]'], [
-        [kind, *point] for kind, points in cell.reflector.items() for point in 1e3 * points])
-    settings = {'target.type': 'tracker', 'target.radius': RADIUS, 'tracker.h0': cell.h0,
-                'tracker.h1': cell.h1, 'tracker.first_reading': cell.q3_first,
-                'tracker.noise': max(noise, 1e-9), 'noise.sensor': max(sensor.noise, 1e-9)}
-    return Measured({'tracker.csv': text}, cell.T_flange_sensor,
-                    {'tracker': noise, 'sensor': sensor.noise, 'readings': reported}, settings,
-                    cell.profiles, cell.poses)
 
 
 FILE_SCENES: dict[str, Callable[[np.random.Generator], Measured]] = {

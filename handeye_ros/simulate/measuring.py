@@ -16,7 +16,7 @@ from handeye_ros import se3
 from handeye_ros.data import Array, Profile, TimedPose
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.recording import simulate, timed_poses, timed_profiles
-from handeye_ros.simulate.robot import perturbed, pose_error
+from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
     changed,
     RobotModel,
@@ -42,10 +42,10 @@ class Recording:
     poses: tuple[TimedPose, ...]
 
 
-def draw_pose(rng: np.random.Generator) -> Array:
-    """Draw the pose of an artefact in the base (4, 4)."""
-    turn = Rotation.from_euler('xyz', rng.uniform([-0.2, -0.2, -3], [0.2, 0.2, 3]))
-    return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, 0.0], [0.9, 0.3, 0.4]))
+def draw_pose(rng: np.random.Generator, tilt: float = 0.2, low: float = 0.0) -> Array:
+    """Draw the pose of an artefact in the base (4, 4); tilt: largest (rad); low: least z (m)."""
+    turn = Rotation.from_euler('xyz', rng.uniform([-tilt, -tilt, -3], [tilt, tilt, 3]))
+    return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
 def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
@@ -53,7 +53,7 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
     """Return the messages at stops from start (s) on, without those between the stops."""
     sensor, robot = scenario.sensor, scenario.robot
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
-    T = perturbed(T, pose_error(robot, T, rng))
+    T = se3.perturb(T, pose_error(robot, T, rng))
     z, angle = sensors.render(sensor, SCENES[scenario.scene].solids(scenario),
                               stops.T_target_sensor)
     profiles: list[Profile] = []
@@ -71,7 +71,7 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
 def _jittering(robot: RobotModel, T: Array, times: Array, rng: np.random.Generator
                ) -> tuple[TimedPose, ...]:
     """Return the poses T (4, 4) or (n, 4, 4) as they are streamed at times (n,)."""
-    T = perturbed(np.broadcast_to(T, (len(times), 4, 4)),
+    T = se3.perturb(np.broadcast_to(T, (len(times), 4, 4)),
                   rng.normal(size=(len(times), 6)) * robot.jitter)
     return timed_poses(times, T[:, :3, 3], se3.quaternion(T))
 
@@ -129,7 +129,7 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
         z, angle = sensors.render(sensor, gauge.solids(), T_gauge_sensor)
         points = sensors.plane_points(sensor, sensors.measure(sensor, z, angle, rng))
         T = T_base_gauge @ T_gauge_sensor @ se3.inverse(T_flange_sensor)
-        T = perturbed(T, np.repeat(pose_error(robot, T[:1], rng), len(T), axis=0))
+        T = se3.perturb(T, np.repeat(pose_error(robot, T[:1], rng), len(T), axis=0))
         passes.append(Recording(timed_profiles(times + k * 100.0, points),
                                 _jittering(robot, T, times + k * 100.0, rng)))
     return tuple(passes)
@@ -140,22 +140,16 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
 
 MEASURING_CELL = 'measuring_cell'  # its name for `handeye simulate`
 BALL = SphereTarget(0.02, table=None, clutter=False)
-BAR = 0.2
+BAR = 0.2  # m between two balls
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuringCell:
-    """Recordings by name, T_flange_sensor (4, 4), and the true sizes of the artefacts (m)."""
+def measuring_cell(rng: np.random.Generator, columns: int = 1280
+                   ) -> tuple[dict[str, Recording], Array]:
+    """
+    Return recordings by name and T_flange_sensor (4, 4); the artefacts are BALL, BAR and Gauge().
 
-    recordings: dict[str, Recording]
-    T_flange_sensor: Array
-    ball_radius: float = BALL.radius
-    bar: float = BAR
-    gauge: Gauge = Gauge()
-
-
-def measuring_cell(rng: np.random.Generator, columns: int = 1280) -> MeasuringCell:
-    """Return a cell with sensor noise of 0.03 mm and the robot of the plate scenario."""
+    The sensor has noise of 0.03 mm, the robot is that of the plate scenario.
+    """
     plate = SCENARIOS['plate']
     sensor, robot = replace(plate.sensor, columns=columns), plate.robot
     simulated = simulate(replace(plate, sensor=sensor), rng)
@@ -171,7 +165,7 @@ def measuring_cell(rng: np.random.Generator, columns: int = 1280) -> MeasuringCe
                                                1000.0 * (k + 1))
     passes = scan_gauge(Gauge(), X, draw_pose(rng), sensor, robot, rng)
     recordings |= {f'pass_{k + 1}': one for k, one in enumerate(passes)}
-    return MeasuringCell(recordings, X)
+    return recordings, X
 
 
 # -- a preform with a seam
@@ -243,8 +237,6 @@ def preform_cloud(preform: Preform, rng: np.random.Generator) -> PreformCloud:
     if preform.kind == 'lap':
         points = points + preform.thickness * sheets[:, None] * normals
         centre = centre + 0.5 * preform.thickness * upwards
-    T = se3.transform(
-        Rotation.from_euler('xyz', rng.uniform([-0.5, -0.5, -3], [0.5, 0.5, 3])).as_matrix(),
-        rng.uniform([0.5, -0.3, 0.1], [0.9, 0.3, 0.4]))
+    T = draw_pose(rng, 0.5, 0.1)
     points = points[keep] + preform.noise * rng.normal(size=(int(keep.sum()), 3))
     return PreformCloud(se3.apply(T, points), se3.apply(T, centre), upwards @ T[:3, :3].T)

@@ -8,6 +8,7 @@ stops directly.
 """
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,6 @@ from handeye_ros import se3
 from handeye_ros.data import Array, Profile, Sample, TimedPose
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate import sensor as sensors
-from handeye_ros.simulate.robot import perturbed
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
 from handeye_ros.simulate.scenes import anywhere, SCENES, Stops
 from handeye_ros.simulate.sensor import FRAMES
@@ -153,11 +153,11 @@ def cell_of(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
     X, Z = ((standing, mounted) if scenario.calibration_type == 'eye_on_base' else
             (mounted, standing))
     T = flange_poses(scenario, stops.T_target_sensor, X, Z)
-    reported = perturbed(T, robots.pose_error(scenario.robot, T, rng))
+    reported = se3.perturb(T, robots.pose_error(scenario.robot, T, rng))
     best, errors = X, None
     if scenario.robot.geometry:
         errors = robots.draw_arm(scenario.robot.geometry, rng)
-        reported = perturbed(reported, robots.reported_error(T, errors))
+        reported = se3.perturb(reported, robots.reported_error(T, errors))
         many = flange_poses(scenario, anywhere(scenario).T_target_sensor, X, Z)
         best = _best_mount(many, robots.reported_error(many, errors), X, scenario)
     reported[:, :3, 3] *= 1 + scenario.robot.scale
@@ -228,9 +228,10 @@ def timed_poses(times: Array, position: Array, quaternion: Array) -> tuple[Timed
         stamps(times), position, quaternion, strict=True))
 
 
-def timed_profiles(times: Array, points: Array) -> tuple[Profile, ...]:
-    """Return the streamed profiles of points (n, columns, 2)."""
-    return tuple(Profile(int(stamp), 'laser', p)
+def timed_profiles(times: Array, points: Iterable[Array], axes: tuple[str, str] = ('x', 'z')
+                   ) -> tuple[Profile, ...]:
+    """Return the streamed profiles of points, (columns, 2) for each of the times (n,)."""
+    return tuple(Profile(int(stamp), 'laser', p, axes)
                  for stamp, p in zip(stamps(times), points, strict=True))
 
 
@@ -266,7 +267,7 @@ def _stopping(cell: Cell, rng: np.random.Generator) -> Simulated:
 
     times = np.arange(0, duration, 1 / robot.rate)
     T = _between(cell.T_base_flange_reported, *progress(times))
-    T = perturbed(T, rng.normal(size=(len(T), 6)) * robot.jitter)
+    T = se3.perturb(T, rng.normal(size=(len(T), 6)) * robot.jitter)
     translation, quaternion = T[:, :3, 3], se3.quaternion(T)
     for name in cell.scenario.convention_errors:
         translation, quaternion = robots.CONVENTION_ERRORS[name](translation, quaternion)
@@ -314,10 +315,10 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
     error = robots.pose_error(scenario.robot, T, rng)
     turns = np.arange(0.0, times[-1] + 2 * sweep.drift_time, sweep.drift_time)
     drift = rng.normal(size=(len(turns), 6)) * np.repeat(sweep.drift, 3) / np.sqrt(3)
-    T = perturbed(T, error + CubicSpline(turns, drift)(times))
+    T = se3.perturb(T, error + CubicSpline(turns, drift)(times))
     stamped = np.maximum.accumulate(times + rng.normal(size=len(times)) * sweep.pose_jitter)
     if cell.arm:
-        T = perturbed(T, robots.reported_error(T, cell.arm))
+        T = se3.perturb(T, robots.reported_error(T, cell.arm))
     step = sweep.resolution
     poses = timed_poses(stamped, np.round(T[:, :3, 3] / step) * step if step else T[:, :3, 3],
                         se3.quaternion(T))
@@ -346,8 +347,8 @@ def _profiles(cell: Cell, z: Array, angle: Array, times: Array, rng: np.random.G
     points = frame.published(sensors.plane_points(sensor, ranges, cell.distortion))
     missing = np.asarray(np.isnan(points).any(axis=2))
     points[missing] = np.inf if mark == 'inf' else np.nan
-    return tuple(Profile(int(stamp), 'laser', p[~gone] if mark == 'omit' else p, frame.axes)
-                 for stamp, p, gone in zip(stamps(times), points, missing, strict=True))
+    return timed_profiles(times, (p[~gone] if mark == 'omit' else p for p, gone in zip(
+        points, missing, strict=True)), frame.axes)
 
 
 def simulate_samples(scenario: Scenario, rng: np.random.Generator

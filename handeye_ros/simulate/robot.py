@@ -81,9 +81,7 @@ def inverse(T: Array) -> Array:
 def reported_error(T: Array, errors: ArmErrors) -> Array:
     """Return the errors (n, 6) of the reported poses relative to the true ones (n, 4, 4)."""
     joints = inverse(T)
-    nominal, real = forward(joints), forward(joints, errors)
-    turn = se3.log_rotation(nominal[:, :3, :3] @ np.swapaxes(real[:, :3, :3], 1, 2))
-    return np.hstack([nominal[:, :3, 3] - real[:, :3, 3], turn])
+    return se3.difference(forward(joints), forward(joints, errors))
 
 
 def urdf() -> str:
@@ -104,12 +102,6 @@ def urdf() -> str:
             '  <joint name="end" type="fixed">\n'
             f'    <origin xyz="0 0 {LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
             '    <child link="flange"/>\n  </joint>\n</robot>\n')
-
-
-def perturbed(T: Array, error: Array) -> Array:
-    """Return T (n, 4, 4) perturbed by error (n, 6)."""
-    R = se3.exp_rotation(error[:, 3:]) @ T[:, :3, :3]
-    return se3.transform(R, T[:, :3, 3] + error[:, :3])
 
 
 def pose_error(robot: RobotModel, T: Array, rng: np.random.Generator) -> Array:
@@ -134,7 +126,7 @@ def bumped(T: Array, count: int, rng: np.random.Generator) -> Array:
     direction = rng.normal(size=(count, 2, 3))
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     error[rng.permutation(len(T))[:count]] = size * direction.reshape(-1, 6)
-    return perturbed(T, error)
+    return se3.perturb(T, error)
 
 
 PoseMap = Callable[[Array, Array], tuple[Array, Array]]

@@ -200,7 +200,7 @@ class Scenario:
 
     name: str = 'plate'
     scene: str = 'plate'
-    target: PlateTarget | SphereTarget | WedgeTarget = PlateTarget()
+    target: Any = PlateTarget()  # the one of the scene
     sensor: SensorModel = field(default_factory=SensorModel)
     robot: RobotModel = field(default_factory=RobotModel)
     layout: Layout = field(default_factory=Layout)

@@ -151,7 +151,6 @@ def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise:
 
 
 FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # of the sensor; line along the edge's y
-INWARD = {'p': (1, 1), 'q': (0, 1), 'p2': (1, -1), 'q2': (0, -1)}  # axis and sign, in the target
 END = 0.03  # m from the ends of an edge
 
 
@@ -174,8 +173,8 @@ def edge_lengths(target: PlateTarget) -> dict[str, float]:
 
 def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     """Draw stops whose laser line crosses an edge inside the field of view."""
-    target, counts = scenario.target, scenario.stations
-    assert isinstance(target, PlateTarget)
+    target: PlateTarget = scenario.target
+    counts = scenario.stations
     labels = ['p'] * counts[0] + ['q'] * counts[1]
     for k in rng.permutation(len(labels))[:scenario.wrong_edges]:
         labels[k] += '2'
@@ -198,31 +197,28 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
 def plate_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
-    assert isinstance(scenario.target, PlateTarget)
     T, along = stops.T_target_sensor, _along(stops.T_target_sensor, 2)
-    axis, sign = np.array([INWARD[label] for label in stops.labels]).T
-    in_target = (T[:, :3, :3] @ lift(along)[:, :, None])[np.arange(len(T)), axis, 0]
-    inwards = along * (np.sign(in_target) * sign)[:, None]
+    in_target = (T[:, :3, :3] @ lift(along)[:, :, None])[:, :, 0]
+    frames = edge_frames(scenario.target)
+    into_face = np.array([frames[label][:3, 1] for label in stops.labels])
+    sense = np.sign((in_target * into_face).sum(axis=1))[:, None]
+    inwards, rise = sense * along, sense * in_target[:, :2]
     start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
-    rise = (T[:, :3, :3] @ lift(inwards)[:, :, None])[:, :2, 0]
     in_face = _room(np.hstack([rise, -rise]),
                     np.hstack([np.array(scenario.target.size) - start, start]))
     length = np.minimum(_in_view(scenario, stops.points, inwards), in_face)
     noise = rng.normal(size=(3, len(T)))
     faces, columns = _lines(scenario, stops.points, inwards, length, noise[:2])
-    found: list[tuple[Feature, ...]] = []
-    for face, half, std, e in zip(faces, length / 2, length / columns / np.sqrt(12), noise[2],
-                                  strict=True):
-        edge = EdgePoint(face.centre - (half + e * std) * face.direction, -face.direction,
-                         float(std), float(face.std * np.sqrt(1 + (half / face.spread)**2)))
-        found.append((face, edge))
-    return found
+    return [
+        (face, EdgePoint(face.centre - (half + e * std) * face.direction, -face.direction,
+                         float(std), float(face.std * np.sqrt(1 + (half / face.spread)**2))))
+        for face, half, std, e in zip(faces, length / 2, length / columns / np.sqrt(12),
+                                      noise[2], strict=True)]
 
 
 def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return table, plate and, with clutter, a block at each of the edges p and q."""
-    target = scenario.target
-    assert isinstance(target, PlateTarget)
+    target: PlateTarget = scenario.target
     if scenario.empty:
         return table(target.table)
     solids = (*table(target.table), *slab(target))
@@ -240,8 +236,8 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
 
 def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     """Draw stops with the sensor aimed at the middle third of the plate."""
-    target, n = scenario.target, sum(scenario.stations)
-    assert isinstance(target, PlateTarget)
+    target: PlateTarget = scenario.target
+    n = sum(scenario.stations)
     third = (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
@@ -276,8 +272,8 @@ def facing(target: WedgeTarget) -> Array:
 
 def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
-    target, n = scenario.target, sum(scenario.stations)
-    assert isinstance(target, WedgeTarget)
+    target: WedgeTarget = scenario.target
+    n = sum(scenario.stations)
     along, points = np.split(_places(
         scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
@@ -288,8 +284,8 @@ def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
 def wedge_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
-    target, T = scenario.target, stops.T_target_sensor
-    assert isinstance(target, WedgeTarget)
+    target: WedgeTarget = scenario.target
+    T = stops.T_target_sensor
     noise = rng.normal(size=(len(T), 2, 2))
     faces = []
     # the axes of a face's normal and of the way into it, and the sense of that way
@@ -304,8 +300,7 @@ def wedge_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
 
 def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return the block whose edge is the x axis, or the two legs of an angle."""
-    target = scenario.target
-    assert isinstance(target, WedgeTarget)
+    target: WedgeTarget = scenario.target
     if scenario.empty:
         return ()
     length, width = target.length, target.width
@@ -323,8 +318,8 @@ ARC_POINTS = 12  # mean points that represent an arc
 
 def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
-    target, n = scenario.target, sum(scenario.stations)
-    assert isinstance(target, SphereTarget)
+    target: SphereTarget = scenario.target
+    n = sum(scenario.stations)
     radius, (near, far) = target.radius, scenario.sensor.range
     margin = 0.45 * scenario.sensor.half_width * near
     low = np.array([-margin, -0.6 * radius, near + 0.12 * (far - near)])
@@ -338,7 +333,6 @@ def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
 def sphere_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
                     ) -> list[tuple[Feature, ...]]:
     """Return the Arc of each stop: points between the rims and within the field of view."""
-    assert isinstance(scenario.target, SphereTarget)
     y = (stops.T_target_sensor[:, :3, 1] * stops.T_target_sensor[:, :3, 3]).sum(axis=1)
     radii = np.sqrt(scenario.target.radius**2 - y**2)
     return [(_arc(scenario, centre, float(radius), rng),)
@@ -369,8 +363,7 @@ def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Ar
 
 def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return ball, stem, table and, with clutter, a block beside the ball."""
-    target = scenario.target
-    assert isinstance(target, SphereTarget)
+    target: SphereTarget = scenario.target
     if scenario.empty:
         return table(target.table)
     half, bottom = target.stem / 2, -(target.table or 0.2)

@@ -11,8 +11,10 @@ from handeye_ros.data import Array
 from handeye_ros.simulate.scenario import SensorModel
 from handeye_ros.simulate.solids import cast, hidden, Relief, Solid
 import numpy as np
+from numpy.polynomial.legendre import legval2d
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 CHUNK = 32  # profiles cast at once, so that the arrays stay in the cache
 EDGE_COLUMNS = 3
@@ -62,7 +64,7 @@ def _render(sensor: SensorModel, solids: Sequence[Solid], T: Array, relief: Reli
     raised: Array | float = 0.0
     if relief:  # lower the ray instead of raising the solids, for each ray separately
         at_face = -o[2] / np.where(np.abs(d[2]) > 1e-6, d[2], 1e-6)
-        raised = relief.heights(o[0] + at_face * d[0], o[1] + at_face * d[1])
+        raised = relief(o[0] + at_face * d[0], o[1] + at_face * d[1])
     o[2] -= raised
     z, cosine = cast(solids, o, d)
     angle = np.arccos(np.clip(cosine, 0, 1))
@@ -196,8 +198,9 @@ class Distortion:
         near, far = self.sensor.range
         x = np.linspace(-1, 1, z.shape[1])
         depth = (z - (near + far) / 2) / ((far - near) / 2)
-        terms = [a * b for a in _legendre(x) for b in _legendre(depth)]
-        return np.asarray(sum(w * term for w, term in zip(self.weights, terms, strict=True)))
+        unit = np.sqrt(2 * np.arange(4) + 1)  # makes each polynomial of RMS 1 over -1 to 1
+        weights = self.weights.reshape(4, 4) * np.outer(unit, unit)
+        return np.asarray(legval2d(np.broadcast_to(x, z.shape), depth, weights))
 
     def points(self, points: Array) -> Array:
         """Return (..., 2) of the standard sensor plane stretched and sheared."""
@@ -210,17 +213,16 @@ class Distortion:
     @property
     def T_true_reported(self) -> Array:
         """Return the motion (4, 4) that best maps reported points of the field to true ones."""
-        z = np.linspace(*self.sensor.range, GRID)[:, None]
-        across = np.linspace(-1, 1, GRID) * self.sensor.half_width
-        true = np.stack([across * z, np.broadcast_to(z, (GRID, GRID))], axis=-1)
-        distorted = z + self.ranges(np.broadcast_to(z, (GRID, GRID)))
-        x = true[..., 0] if self.sensor.sampling != 'fan' else across * distorted
-        error = (self.points(np.stack([x, distorted], axis=-1)) - true).reshape(-1, 2)
-        x, z = true.reshape(-1, 2).T
-        ones, zeros = np.ones(len(x)), np.zeros(len(x))
-        A = np.concatenate([np.column_stack([ones, zeros, z]), np.column_stack([zeros, ones, -x])])
-        shift_x, shift_z, turn = np.linalg.lstsq(A, -error.T.ravel(), rcond=None)[0]
-        return se3.perturb(np.eye(4), np.array([shift_x, 0, shift_z, 0, turn, 0]))
+        z, across = np.meshgrid(
+            np.linspace(*self.sensor.range, GRID),
+            np.linspace(-1, 1, GRID) * self.sensor.half_width, indexing='ij')
+        distorted = z + self.ranges(z)
+        x = across * (distorted if self.sensor.sampling == 'fan' else z)
+        true = lift(np.stack([across * z, z], axis=-1)).reshape(-1, 3)
+        reported = lift(self.points(np.stack([x, distorted], axis=-1))).reshape(-1, 3)
+        R = Rotation.align_vectors(true - true.mean(axis=0), reported - reported.mean(axis=0)
+                                   )[0].as_matrix()
+        return se3.transform(R, true.mean(axis=0) - R @ reported.mean(axis=0))
 
 
 def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:
@@ -232,12 +234,6 @@ def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion
         weights = rng.normal(size=16)
         weights *= sensor.distortion / np.linalg.norm(weights)
     return Distortion(sensor, weights)
-
-
-def _legendre(x: Array) -> tuple[Array, ...]:
-    """Return the polynomials up to the third order, each of RMS 1 over -1 to 1."""
-    return tuple(np.sqrt(2 * k + 1) * np.polynomial.legendre.Legendre.basis(k)(x)
-                 for k in range(4))
 
 
 @dataclass(frozen=True, eq=False)

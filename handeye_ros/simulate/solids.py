@@ -3,7 +3,7 @@
 """Solids for ray casting: polyhedra, balls, rods, and plates with their defects."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 from typing import TypeAlias
@@ -145,38 +145,28 @@ WAVES = 12  # of a wavy face
 WAVELENGTH = (0.015, 0.060)  # m
 
 
-@dataclass(frozen=True, eq=False)
-class Relief:
-    """
-    The height of a face over its nominal plane: a bow, and waves.
-
-    vectors (k, 2): of the waves (rad/m); phases: (k,); amplitude: of each wave (m).
-    """
-
-    target: PlateTarget
-    vectors: Array
-    phases: Array
-    amplitude: float
-
-    def heights(self, x: Array, y: Array) -> Array:
-        """Return the height at positions on the face, at its border for those outside."""
-        length, width = self.target.size
-        x, y = np.clip(x, 0.0, length), np.clip(y, 0.0, width)
-        u, v = 2 * x / length - 1, 2 * y / width - 1
-        height = self.target.bow * (1 - (u * u + v * v) / 2)
-        for (a, b), phase in zip(self.vectors, self.phases, strict=True):
-            height = height + self.amplitude * np.sin(a * x + b * y + phase)
-        return np.asarray(height)
+Relief: TypeAlias = Callable[[Array, Array], Array]
+"""The height of a face over its nominal plane at positions; at its border for those outside."""
 
 
 def relief(target: object, rng: np.random.Generator) -> Relief | None:
-    """Return the relief of a plate, None for a flat one and for other targets."""
+    """Return the bow and the waves of a plate, None for a flat one and for other targets."""
     if not isinstance(target, PlateTarget) or not (target.bow or target.waves):
         return None
     count = WAVES if target.waves else 0
     shortest, longest = np.log(WAVELENGTH)
-    length = np.exp(rng.uniform(shortest, longest, count))
+    wavelength = np.exp(rng.uniform(shortest, longest, count))
     turn = rng.uniform(0, np.pi, count)
-    vectors = 2 * np.pi / length[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-    amplitude = target.waves * math.sqrt(2 / count) if count else 0.0
-    return Relief(target, vectors, rng.uniform(0, 2 * np.pi, count), amplitude)
+    vectors = 2 * np.pi / wavelength[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    phases = rng.uniform(0, 2 * np.pi, count)
+    amplitude = target.waves * math.sqrt(2 / max(count, 1))
+
+    def height(x: Array, y: Array) -> Array:
+        length, width = target.size
+        x, y = np.clip(x, 0.0, length), np.clip(y, 0.0, width)
+        u, v = 2 * x / length - 1, 2 * y / width - 1
+        result = target.bow * (1 - (u * u + v * v) / 2)
+        for (a, b), phase in zip(vectors, phases, strict=True):
+            result = result + amplitude * np.sin(a * x + b * y + phase)
+        return np.asarray(result)
+    return height

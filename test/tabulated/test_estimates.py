@@ -10,7 +10,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.published import jing2020
-from handeye_ros.simulate.measured import RADIUS, simulate_tracker, TrackerCell
+from handeye_ros.simulate.measured import laser_tracker, Measured, RADIUS
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
 from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
@@ -139,13 +139,12 @@ def test_the_tracker_is_as_sure_as_it_says() -> None:
     assert 0.3 < np.mean(squares) < 2.0
 
 
-def of_cell(cell: TrackerCell) -> Config:
-    return with_values(CELL, {'tracker.h0': cell.h0, 'tracker.h1': cell.h1,
-                              'tracker.first_reading': cell.q3_first}, 'test')
+def of_cell(cell: Measured) -> Config:
+    return with_values(CELL, cell.settings, 'test')
 
 
 def test_the_rim_of_the_ball_is_no_block() -> None:
-    cell = simulate_tracker(np.random.default_rng(1003))
+    cell = laser_tracker(np.random.default_rng(1003))
     pieces, q30 = sweep_from(cell.profiles, cell.poses, of_cell(cell))
     ball, *faces = (np.concatenate([piece.points for piece in pieces if piece.part == part])
                     for part in SWEPT)
@@ -179,7 +178,7 @@ def test_what_of_the_tracker_cannot_carry_an_answer_is_refused() -> None:
 
 
 def test_a_sweep_that_is_none_is_refused() -> None:
-    cell = simulate_tracker(np.random.default_rng(5))
+    cell = laser_tracker(np.random.default_rng(5))
     turned = [replace(pose, quaternion=np.roll(pose.quaternion, i // 80))
               for i, pose in enumerate(cell.poses)]
     aside = [replace(pose, translation=pose.translation[[1, 0, 2]]) for pose in cell.poses]
