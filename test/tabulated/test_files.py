@@ -134,7 +134,7 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     file = tmp_path / 'cell' / 'tracker.csv'
     lines = file.read_text().splitlines()
     row = next(i for i, line in enumerate(lines) if line.startswith('face_d'))
-    kind, x, y, z = lines[row].split(', ')
+    kind, x, y, z = lines[row].split(',')
     lines[row] = f'{kind}, {float(x) + 3}, {y}, {float(z) - 3}'
     file.write_text('\n'.join(lines))
     read = read_configured('small_tracker', tmp_path / 'cell')
