@@ -16,15 +16,13 @@ from functools import partial
 
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_errors, orientations_scatter
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
 from handeye_ros.checks.measures import require_not_only_scale
 from handeye_ros.checks.moved import moved_between
 from handeye_ros.checks.refusals import (
-    Misfit,
-    MISFITTING,
+    contradiction,
     missing_motion,
     require_certain,
-    require_fit,
     UnexplainedError,
 )
 from handeye_ros.checks.settings import require_settings
@@ -34,12 +32,10 @@ from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_at_poses
-import numpy as np
 
 SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
+MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
 
 
 def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Solution) -> None:
@@ -49,39 +45,34 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     samples: in the order of the stations of the problem. Too little rotation of the poses is
     reported before a move, since it can look like one.
     """
-    misfit, stated = Misfit.of(solution), Explanation.of_all(solution)
-    if misfit.variance_factor > SIGN_TRIED or misfit.hopeless or solution.unused_share:
-        require_stated(stated, _other_sign(samples, problem, stated))
-    if misfit.hopeless or misfit.variance_factor >= MISFITTING:
+    stated, refusal = Explanation.of_all(solution), contradiction(solution)
+    if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
+        require_stated(stated, [_other_sign(samples, problem.config, stated)])
+    if refusal or solution.variance_factor >= MISFITTING:
         require_stated(stated, convention_errors(problem, stated))
-    if misfit.hopeless and orientations_scatter(problem.poses):
-        raise DataError(f'samples and poses contradict each other by {mm(misfit.rms)} RMS, and '
-                        'the orientations of the poses are scattered in all directions, as when '
-                        'angles in degrees are read as radians: convert the angles of the poses',
-                        reason='convention')
-    if misfit.hopeless:
+    if refusal and orientations_scatter(problem.poses):
+        raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
+                        'RMS, and the orientations of the poses are scattered in all directions, '
+                        'as when angles in degrees are read as radians: convert the angles of the '
+                        'poses', reason='convention')
+    if refusal:
         require_certain(solution.reported, problem.config,
                         missing_motion(solution, problem.config))
         require_stated(stated, moved_between(problem))
     require_not_only_scale(solution)
-    require_fit(solution)
+    if refusal:
+        raise refusal
 
 
-def _other_sign(samples: Sequence[Sample], problem: Problem, stated: Explanation
-                ) -> list[Hypothesis]:
-    """Return the hypothesis of the opposite profile.range_sign, none with too few samples."""
-    config, target = flipped_range(problem.config), problem.target
-    others = with_common_shape([replace(s, features=s.flipped) for s in samples if s.flipped])
-    if len(others) < target.minimum:
-        return []
-    number = {sample.stamp: k for k, sample in enumerate(samples)}
-    stops = np.array([number[sample.stamp] for sample in others])
-    flipped = problem_at_poses(others, config)
-    change = f'profile.range_sign {config.profile.range_sign}'
+def _other_sign(samples: Sequence[Sample], config: Config, stated: Explanation) -> Hypothesis:
+    """Return the hypothesis of the opposite profile.range_sign."""
+    flipped = flipped_range(config)
+    others = [replace(s, features=s.flipped) if s.flipped else None for s in samples]
 
     def refusal(fit: Explanation) -> DataError:
+        change = f'profile.range_sign {flipped.profile.range_sign}'
         return DataError(f'{fit.compared(stated, change)}: set it', reason='settings')
-    return [Hypothesis(partial(Explanation.of, flipped, stops, stated.total), refusal)]
+    return Hypothesis(partial(fit_of, others, flipped), refusal)
 
 
 def explained(refusal: DataError, session: Session, config: Config) -> DataError:

@@ -13,8 +13,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, require_stated
-from handeye_ros.checks.settings import FEWEST_CONDITIONS, fit_of
+from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
+from handeye_ros.checks.settings import FEWEST_CONDITIONS
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
@@ -35,18 +35,15 @@ class _Still:
     """
     The longest time of a stop in which the profiles do not change.
 
-    pose: (4, 4) T_base_flange of the stop; start, end: of its poses (ns); first, last: of this
-    time (ns); opened, closed: whether the profiles change before and after it in the stop.
+    sample: of these profiles, None without one; pose: (4, 4) T_base_flange of the stop; stop: (2,)
+    first and last stamp of its poses (s); rest: (2,) of this time (s), NaN where the profiles do
+    not change before or after it in the stop.
     """
 
     sample: Sample | None
     pose: Array
-    start: int
-    end: int
-    first: int
-    last: int
-    opened: bool
-    closed: bool
+    stop: Array
+    rest: Array
 
 
 def require_same_clock(session: Session, config: Config) -> None:
@@ -56,9 +53,8 @@ def require_same_clock(session: Session, config: Config) -> None:
     seen = [part for _, part in found]
     if len(seen) < targets.target_for(config).minimum:
         return
-    changes = np.concatenate([[], *(_differences(profiles) for profiles, *_ in seen)])
-    rest = float(np.quantile(changes, STILL_SHARE)) if len(changes) else 0.0
-    limit = max(MOVING * rest, SMALLEST_CHANGE)
+    changes = np.concatenate([_differences(profiles) for profiles, *_ in seen])
+    limit = max(MOVING * float(np.quantile(changes, STILL_SHARE)), SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
     # compared are the stops in which the profiles come to rest, whatever they show as it is set
     stated = fit_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
@@ -67,8 +63,8 @@ def require_same_clock(session: Session, config: Config) -> None:
                             if abs(_offset(stills, behind)) > SMALLEST])
 
 
-def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, int, int] | None:
-    """Return some profiles of a stop, its pose (4, 4), start and end (ns); None: too few."""
+def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
+    """Return some profiles of a stop, its pose (4, 4), start and end (2,) in s; None: too few."""
     seen, found = stop.load(config), list[Profile]()
     for profile in seen.profiles:
         if not found or profile.stamp - found[-1].stamp >= LAG:
@@ -77,7 +73,7 @@ def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, int, in
     if len(found) < 2:
         return None
     pose = se3.mean_pose(interpolate(seen.poses, [pose.stamp for pose in seen.poses]))
-    return found, pose, seen.poses[0].stamp, seen.poses[-1].stamp
+    return found, pose, np.array([seen.poses[0].stamp, seen.poses[-1].stamp]) / NS
 
 
 def _differences(profiles: Sequence[Profile]) -> Array:
@@ -96,25 +92,21 @@ def _change(a: Array, b: Array) -> float:
     return float(np.quantile(np.abs(za - zb), 0.8))  # an edge that passes changes a part only
 
 
-def _still(profiles: list[Profile], pose: Array, start: int, end: int, limit: float,
-           config: Config) -> _Still:
+def _still(profiles: list[Profile], pose: Array, stop: Array, limit: float, config: Config
+           ) -> _Still:
     """Return the profiles of the longest time of a stop without a change."""
     moving = np.flatnonzero(np.append(_differences(profiles) > limit, True))
     before = np.append(-1, moving[:-1])
     k = int(np.argmax(moving - before))
     first, last = int(before[k]) + 1, int(moving[k])
     opened, closed = first > 0, last < len(profiles) - 1
-    used = profiles[first + opened:last + 1 - closed]
-    return _Still(_sample(used, pose, config), pose, start, end, profiles[first].stamp,
-                  profiles[last].stamp, opened, closed)
-
-
-def _sample(profiles: list[Profile], pose: Array, config: Config) -> Sample | None:
-    with suppress(FeatureError):
-        if len(profiles) > 2:
-            used, features = of_profiles(profiles, config)
-            return Sample(used[0].stamp, pose, features, len(used))
-    return None
+    used, sample = profiles[first + opened:last + 1 - closed], None
+    if len(used) > 2:
+        with suppress(FeatureError):
+            used, features = of_profiles(used, config)
+            sample = Sample(used[0].stamp, pose, features, len(used))
+    rest = np.array([profiles[first].stamp, profiles[last].stamp]) / NS
+    return _Still(sample, pose, stop, np.where([opened, closed], rest, np.nan))
 
 
 def _offset(stills: Sequence[_Still], behind: int) -> float:
@@ -123,27 +115,19 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
 
     Where the clocks differ, most stops show it; a few stops without rest prove nothing.
     """
-    found, about = [], []
-    for still, stop in _pairs(stills, behind):
-        found += [still.first - stop.start] if still.opened else []
-        found += [still.last - stop.end] if still.closed else []
-        about.append(still.start - stop.start)
-    return float(np.median(found if 2 * len(found) > len(about) else about or [0])) / NS
-
-
-def _pairs(stills: Sequence[_Still], behind: int) -> list[tuple[_Still, _Still]]:
-    """Return the profiles of each stop with the stop whose pose may belong to them."""
-    return [(still, stills[k - behind]) for k, still in enumerate(stills)
-            if 0 <= k - behind < len(stills)]
+    pairs = list(zip(stills[max(behind, 0):], stills[max(-behind, 0):], strict=False))
+    found = np.array([still.rest - other.stop for still, other in pairs])
+    found = found[np.isfinite(found)]
+    about = [still.stop[0] - other.stop[0] for still, other in pairs]
+    return float(np.median(found if 2 * len(found) > len(about) else about))
 
 
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
     def refit() -> Explanation | None:
-        poses = {id(still): stop.pose for still, stop in _pairs(stills, behind)}
-        fit = fit_of([replace(still.sample, T_base_flange=poses[id(still)])
-                      if id(still) in poses else None for still in stills if still.sample],
-                     config)
+        fit = fit_of([replace(still.sample, T_base_flange=stills[k - behind].pose)
+                      if 0 <= k - behind < len(stills) else None
+                      for k, still in enumerate(stills) if still.sample], config)
         return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
     def refusal(fit: Explanation) -> DataError:

@@ -76,34 +76,16 @@ def orientations_scatter(poses: Array) -> bool:
     return float(np.linalg.norm(poses[:, :3, :3].mean(axis=0), 2)) < 0.6
 
 
-def _inverse(T: Array) -> list[Array]:
-    return [se3.inverse(T)]
-
-
 def _wxyz(T: Array) -> list[Array]:
     """Undo quaternions x y z w read as w x y z."""
     w, x, y, z = np.moveaxis(Rotation.from_matrix(T[:, :3, :3]).as_quat(), -1, 0)
     return [se3.from_quaternion(T[:, :3, 3], np.column_stack([x, y, z, w]))]
 
 
-def _scaled(factor: float, T: Array) -> list[Array]:
-    return [se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)]
-
-
-def _composed(read_as: str, meant: str, T: Array) -> list[Array]:
-    """Undo angles about the axes `meant` that were composed as `read_as`."""
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(read_as)
+def _composed(read_as: str, meant: str, T: Array, factor: float = 1.0) -> list[Array]:
+    """Undo angles about the axes `meant` that were composed as `read_as`, over a factor."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(read_as) * factor
     return [se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])]
-
-
-def _radians_as_degrees(T: Array) -> list[Array]:
-    """Undo roll, pitch, yaw in radians read as degrees."""
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
-    return [se3.transform(Rotation.from_euler('xyz', np.degrees(angles)).as_matrix(), T[:, :3, 3])]
-
-
-def _transposed(T: Array) -> list[Array]:
-    return [se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])]
 
 
 def _in_order(order: list[int], T: Array) -> list[Array]:
@@ -160,20 +142,23 @@ def _two_ways(T: Array, R: Array, valid: NDArray[np.bool_] | None = None) -> lis
 
 # Name, function that undoes it, and what to do.
 CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
-    (INVERSE, _inverse,
+    (INVERSE, lambda T: [se3.inverse(T)],
      'publish the pose of the flange in the base (p_base = T p_flange), not its inverse'),
     ('quaternions read as w x y z', _wxyz,
      'fill x, y, z, w of the message by name, not in the order w x y z'),
-    ('positions in millimetres', partial(_scaled, 1e-3), 'publish positions in metres'),
-    ('positions a thousand times larger', partial(_scaled, 1e3),
+    ('positions in millimetres', lambda T: [se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e-3)],
+     'publish positions in metres'),
+    ('positions a thousand times larger',
+     lambda T: [se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e3)],
      'publish positions in metres: these were divided by 1000 once too often'),
     ('extrinsic Euler angles', partial(_composed, 'XYZ', 'xyz'),
      'the angles were composed as intrinsic x-y-z; compose them as extrinsic x-y-z (Rz Ry Rx)'),
     ('intrinsic Euler angles', partial(_composed, 'xyz', 'XYZ'),
      'the angles were composed as extrinsic x-y-z; compose them as intrinsic x-y-z (Rx Ry Rz)'),
-    ('angles in radians', _radians_as_degrees,
+    ('angles in radians', partial(_composed, 'xyz', 'xyz', factor=np.degrees(1)),
      'the angles are radians but were converted as degrees; convert them once only'),
-    ('transposed rotations', _transposed,
+    ('transposed rotations',
+     lambda T: [se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])],
      'publish the rotation of the flange in the base, not its transpose'),
     ('roll and yaw exchanged', partial(_in_order, [2, 1, 0]),
      'the angles came in the order yaw, pitch, roll, as the A, B, C of KUKA do (about z, y, x), '

@@ -19,16 +19,20 @@ uncertain, and therefore fits. So the same must also hold in metres, in one unit
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 
 from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
-from handeye_ros.data import Array
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING, first_guesses, robust_solution
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.sampling.sweep import problem_at_poses
+from handeye_ros.targets import target_for
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,25 +62,18 @@ class Explanation:
         return cls((consensus,), (np.arange(n),), n)
 
     @classmethod
-    def of(cls, problem: Problem, stops: NDArray[np.intp] | None = None, total: int = 0,
-           all_starts: bool = False) -> Explanation | None:
+    def of(cls, problem: Problem, all_starts: bool = False) -> Explanation | None:
         """
-        Return the fit of a problem, None without one.
+        Return the fit of a problem whose stations are all the stops, None without one.
 
-        stops, total: see Explanation, by default the stations of the problem; all_starts: not only
-        the first two.
+        all_starts: not only the first two.
         """
-        consensus: Solution | None
-        if all_starts:
-            try:
-                consensus = robust_solution(problem, np.random.default_rng(0), subsets=True)
-            except DataError:
-                consensus = None
-        else:
-            consensus = first_guesses(problem)
-        if consensus is None:
+        try:
+            found = (robust_solution(problem, np.random.default_rng(0), subsets=True)
+                     if all_starts else first_guesses(problem))
+        except DataError:
             return None
-        return cls.of_all(consensus) if stops is None else cls((consensus,), (stops,), total)
+        return cls.of_all(found) if found else None
 
     @property
     def solution(self) -> Solution:
@@ -132,8 +129,7 @@ class Explanation:
         """Return twice the log of the odds for this fit against the stated one (None: no fit)."""
         if stated is None:
             nothing = np.full(self.total, np.inf)
-            return (deviance(nothing, self.conditions)
-                    - deviance(self.squares, self.conditions))
+            return deviance(nothing, self.conditions) - deviance(self.squares, self.conditions)
         if self.explained < 0.9 * stated.explained:  # the stops that stay may fit by chance
             return -math.inf
         m = min(self.conditions, stated.conditions)
@@ -150,6 +146,22 @@ class Explanation:
     def _words(self) -> str:
         rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
         return f'{self.explained} of {self.total} stops fit ({mm(rms)} RMS)'
+
+
+def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False
+           ) -> Explanation | None:
+    """
+    Return the fit of what stops gave, None if the samples are too few or do not fit.
+
+    results: of each of the stops that are compared; all_starts: see Explanation.of.
+    """
+    number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
+    ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
+    if len(ordered) < target_for(config).minimum:
+        return None
+    fit = Explanation.of(problem_at_poses(ordered, config), all_starts)
+    stops = np.array([number[sample.stamp] for sample in ordered])
+    return fit and replace(fit, stops=(stops,), total=len(results))
 
 
 def deviance(q: Array, conditions: int) -> float:

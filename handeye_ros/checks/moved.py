@@ -13,7 +13,8 @@ moves in any order.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import DECISIVE, Explanation, Hypothesis, RARE
@@ -33,7 +34,7 @@ MOST_CHANGES = 40  # possible moments of a small move
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
 STRONG = 5.0  # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
-LARGE = 3.0  # smallest move over the robot's smooth error: a smaller one may be part of it
+LARGE = 3.0  # smallest move over the robot's smooth error
 RARELY, HARDLY_EVER = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
@@ -81,9 +82,10 @@ def moved_slightly(agreed: Solution) -> str:
 
     Raises DataError (moved) where the evidence is decisive.
     """
-    move = change_point(agreed)
-    if move is None:
+    found = likeliest_move(agreed)
+    if found is None:
         return ''
+    move, p_value = found
     config = agreed.whole.config
     what, frame = (('sensor', mount_frame(config)) if move.sensor else
                    ('target', target_frame(config)))
@@ -93,43 +95,32 @@ def moved_slightly(agreed: Solution) -> str:
         f'{mm(float(np.linalg.norm(move.step[:3])))} and '
         f'{degrees(float(np.linalg.norm(move.step[3:])))}, or the tool or base of the robot was '
         'switched: check that it is fixed firmly, and take all samples again')
-    if move.evidence > DECISIVE and move.p_value < HARDLY_EVER:
+    if move.evidence > DECISIVE and p_value < HARDLY_EVER:
         raise DataError(sentence, reason='moved')
     return sentence
 
 
-@dataclass(frozen=True, eq=False)
-class ChangePoint:
+class Move(NamedTuple):
     """
     A move of sensor or target between two stations.
 
-    station: the first one after the move; sensor: True: the sensor moved, False: the target; step:
+    sensor: True: the sensor moved, False: the target; station: the first one after the move; step:
     (6,) translation (m) and rotation vector (rad) in the mount or the base; evidence: twice the
-    log Bayes factor against no move; smooth: 1 sigma of the robot's smooth error (m); p_value:
-    share of random orders of the stations with at least as clear a move.
+    log Bayes factor against no move.
     """
 
-    station: int
     sensor: bool
+    station: int
     step: Array
     evidence: float
-    smooth: float = 0.0
-    p_value: float = 0.0
-
-    @property
-    def where(self) -> tuple[bool, int]:
-        """Return whether the sensor moved, and the first station after the move."""
-        return self.sensor, self.station
-
-    @property
-    def clear(self) -> bool:
-        """Return whether the robot's smooth error is an unlikely explanation of the move."""
-        size = np.hypot(np.linalg.norm(self.step[:3]), TURN_LENGTH * np.linalg.norm(self.step[3:]))
-        return bool(self.evidence > DECISIVE or size > LARGE * self.smooth)
 
 
-def change_point(solution: Solution) -> ChangePoint | None:
-    """Return the most likely move at a solution, None if nothing indicates one."""
+def likeliest_move(solution: Solution) -> tuple[Move, float] | None:
+    """
+    Return the most likely move at a solution, None if nothing indicates one.
+
+    And the p-value: the share of random orders of the stations with at least as clear a move.
+    """
     n, reported = len(solution.problem.poses), solution.conservative or solution
     few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
@@ -138,29 +129,32 @@ def change_point(solution: Solution) -> ChangePoint | None:
     steps = _Steps.of(reported, changes)
     if next(steps.peaks()).evidence < -STRONG:  # evidence against a move
         return None
-    unmoved, tried = reestimated(reported).deviance, set[tuple[bool, int]]()
-    best = ChangePoint(0, False, np.zeros(6), -np.inf)
+    unmoved, tried, smooth = reestimated(reported).deviance, set[tuple[bool, int]](), 0.0
+    best = Move(False, 0, np.zeros(6), -np.inf)
     # each try estimates noise and scales again: 3 tries, 10 once one has positive evidence
     while len(tried) < (10 if best.evidence > 0 else 3):
-        peaks = (peak for peak in steps.peaks() if peak.where not in tried)
-        if not (one := next(peaks, None)):
+        one = next((peak for peak in steps.peaks() if peak[:2] not in tried), None)
+        if one is None:
             break
-        tried.add(one.where)
+        tried.add(one[:2])
         moved = reestimated(reported, _blocks(reported, one))
         evidence = unmoved - moved.deviance
         if evidence > best.evidence:
             step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
             smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-            best = replace(one, step=step, evidence=evidence, smooth=smooth)
+            best = one._replace(step=step, evidence=evidence)
             # noise and scales estimated with the move do not absorb it: its time is clearer
             steps = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise), changes)
-    if best.evidence < STRONG or not best.clear:
+    size = np.hypot(np.linalg.norm(best.step[:3]), TURN_LENGTH * np.linalg.norm(best.step[3:]))
+    # a smaller one may be part of the robot's smooth error
+    clear = best.evidence > DECISIVE or size > LARGE * smooth
+    if best.evidence < STRONG or not clear:
         return None
-    best = replace(best, p_value=steps.p_value)
-    return best if best.p_value < RARELY else None
+    p_value = steps.p_value
+    return (best, p_value) if p_value < RARELY else None
 
 
-def _blocks(solution: Solution, move: ChangePoint) -> tuple[ParameterBlock, ...]:
+def _blocks(solution: Solution, move: Move) -> tuple[ParameterBlock, ...]:
     """Return two blocks of nuisance parameters: translation and rotation of a move."""
     columns = _by_steps(solution)[:, :6] if move.sensor else _by_steps(solution)[:, 6:]
     columns[solution.problem.observations.station < move.station] = 0.0
@@ -225,14 +219,14 @@ class _Steps:
             gains = np.maximum(gains, gain)
         return gains - 2 * np.log(len(SIZES)), steps
 
-    def peaks(self) -> Iterator[ChangePoint]:
+    def peaks(self) -> Iterator[Move]:
         """Yield moves that are local maxima of likelihood over time, the most likely first."""
         gains, steps = self.gains(np.arange(len(self.own)))
         around = np.pad(gains, ((0, 0), (1, 1)), constant_values=-np.inf)
         peak = (gains >= around[:, :-2]) & (gains >= around[:, 2:])
         for gain, kind, k in sorted(zip(gains[peak], *np.nonzero(peak), strict=True),
                                     reverse=True):
-            yield ChangePoint(int(self.changes[k]), kind == 0, steps[kind, k], float(gain))
+            yield Move(bool(kind == 0), int(self.changes[k]), steps[kind, k], float(gain))
 
     @property
     def p_value(self) -> float:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
@@ -28,7 +27,6 @@ FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each droppe
 CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
 SURE = 0.99  # the same if several stations were dropped and similar surfaces may be confused
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
-MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
 
 
 class UnexplainedError(DataError):
@@ -94,57 +92,31 @@ def turning(poses: Array) -> tuple[Array, Array]:
     return turns, axes
 
 
-@dataclass(frozen=True)
-class Misfit:
-    """Residuals of a solution: RMS and expected RMS (m), share of the stations dropped."""
-
-    rms: float
-    expected: float
-    share: float
-    variance_factor: float
-    wild: bool
-    hopeless: bool
-
-    @classmethod
-    def of(cls, solution: Solution) -> Misfit:
-        """
-        Return the misfit of a solution.
-
-        wild: the residuals exceed any plausible noise or robot error; hopeless: no answer is
-        possible.
-        """
-        limits, rms, expected = (
-            solution.whole.config.limits, solution.residual_rms, solution.expected_rms)
-        share, factor = len(solution.dropped) / len(solution.whole.poses), solution.variance_factor
-        wild = rms > limits.scatter * expected or (factor > 40.0 and rms > 4.0 * expected)
-        hopeless = share > LARGEST_DROPPED_SHARE or rms > limits.residual or wild
-        return cls(rms, expected, share, factor, wild, hopeless)
-
-
-def require_fit(solution: Solution) -> None:
-    """Raise UnexplainedError for a solution that its samples contradict."""
-    misfit, limits = Misfit.of(solution), solution.whole.config.limits
-    dropped, total = len(solution.dropped), len(solution.whole.poses)
-    if misfit.rms > limits.residual:
-        raise UnexplainedError(
-            f'samples and poses contradict each other by {mm(misfit.rms)} RMS (limits.residual '
-            f'is {mm(limits.residual)}), and no known convention error explains it: check the '
-            'poses (frames, convention, units), whether the clocks of sensor and robot agree, '
-            'whether every sample shows the target itself and no clamp or second plate, '
-            'target.type, profile.unit, profile.axes and profile.range_sign', reason='misfit')
-    if misfit.share > LARGEST_DROPPED_SHARE:
-        raise UnexplainedError(
-            f'{dropped} of {total} stations contradict the others, so no answer can be trusted: '
-            'check that target and sensor are fixed and that the laser crosses only the target',
-            reason='misfit')
-    if misfit.wild:
-        times = misfit.rms / misfit.expected
-        beyond = (f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else '')
-        raise UnexplainedError(
-            f'the residuals of {mm(misfit.rms)} RMS are {times:.1f} times what the configured '
-            f'noise explains{beyond}: there is another cause than noise; check '
-            'profile.range_sign, profile.axes and target.type, or raise noise.* if the robot or '
-            'the sensor really is that inaccurate', reason='misfit')
+def contradiction(solution: Solution) -> UnexplainedError | None:
+    """Return the refusal of a solution that its samples contradict, None where they agree."""
+    limits, rms, dropped = solution.whole.config.limits, solution.residual_rms, solution.dropped
+    if rms > limits.residual:
+        return UnexplainedError(
+            f'samples and poses contradict each other by {mm(rms)} RMS (limits.residual is '
+            f'{mm(limits.residual)}), and no known convention error explains it: check the poses '
+            '(frames, convention, units), whether the clocks of sensor and robot agree, whether '
+            'every sample shows the target itself and no clamp or second plate, target.type, '
+            'profile.unit, profile.axes and profile.range_sign', reason='misfit')
+    total = len(solution.whole.poses)
+    if len(dropped) > LARGEST_DROPPED_SHARE * total:
+        return UnexplainedError(
+            f'{len(dropped)} of {total} stations contradict the others, so no answer can be '
+            'trusted: check that target and sensor are fixed and that the laser crosses only the '
+            'target', reason='misfit')
+    times = rms / solution.expected_rms
+    if times > limits.scatter or (solution.variance_factor > 40.0 and times > 4.0):
+        beyond = f' (limits.scatter is {limits.scatter:g})' if times > limits.scatter else ''
+        return UnexplainedError(
+            f'the residuals of {mm(rms)} RMS are {times:.1f} times what the configured noise '
+            f'explains{beyond}: there is another cause than noise; check profile.range_sign, '
+            'profile.axes and target.type, or raise noise.* if the robot or the sensor really is '
+            'that inaccurate', reason='misfit')
+    return None
 
 
 def require_tested(solution: Solution) -> None:

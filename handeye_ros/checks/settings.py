@@ -8,20 +8,19 @@ the same stops again.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
 from handeye_ros.config import Config, with_assignments
-from handeye_ros.data import EdgePoint, Reject, Sample
+from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop
-from handeye_ros.sampling.sweep import problem_at_poses
 import numpy as np
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
@@ -41,8 +40,7 @@ def require_settings(session: Session, config: Config) -> None:
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
     stated = fit_of(results, config, all_starts=True)  # as a solve starts
 
-    def hypothesis(values: dict[str, str], all_starts: bool = False,
-                   simpler: Hypothesis | None = None) -> Hypothesis:
+    def hypothesis(values: dict[str, str], all_starts: bool = False) -> Hypothesis:
         """Return the hypothesis that settings have other values."""
         def refit() -> Explanation | None:
             as_changed = changed(config, values)
@@ -59,15 +57,12 @@ def require_settings(session: Session, config: Config) -> None:
             named = ' and '.join(f'{key} {value}' for key, value in values.items())
             return DataError(f'{fit.compared(stated, named)}: set {_advice(values, fit)}',
                              reason='settings')
+        # the sign of the range is often free, and then no part of the cause
+        simpler = hypothesis({key: value for key, value in values.items() if key != SIGN},
+                             all_starts=True) if len(values) > 1 else None
         return Hypothesis(refit, refusal, len(values), simpler)
 
-    def with_sign(values: dict[str, str]) -> Hypothesis:
-        # the sign of the range is often free, and then no part of the cause
-        without = {key: value for key, value in values.items() if key != SIGN}
-        return hypothesis(values, simpler=hypothesis(without, all_starts=True))
-
-    require_stated(stated, [hypothesis(values) if len(values) == 1 else with_sign(values)
-                            for values in _changes(config)])
+    require_stated(stated, [hypothesis(values) for values in _changes(config)])
 
 
 def _advice(values: dict[str, str], fit: Explanation) -> str:
@@ -101,22 +96,6 @@ def changed(config: Config, values: dict[str, str]) -> Config:
     if 'target.type' in values:
         config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))
     return with_assignments(config, [f'{key}={value}' for key, value in values.items()])
-
-
-def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False
-           ) -> Explanation | None:
-    """
-    Return the fit of what stops gave, None if the samples are too few or do not fit.
-
-    results: of each of the stops that are compared; all_starts: see Explanation.of.
-    """
-    target = targets.target_for(config)
-    number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
-    ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
-    if len(ordered) < target.minimum:
-        return None
-    stops = np.array([number[sample.stamp] for sample in ordered])
-    return Explanation.of(problem_at_poses(ordered, config), stops, len(results), all_starts)
 
 
 def thinned(stop: Stop, config: Config) -> Stop:

@@ -9,7 +9,8 @@ They are named only where the other stops agree on the target as it is set.
 """
 from __future__ import annotations
 
-from handeye_ros.checks.settings import changed, fit_of, thinned
+from handeye_ros.checks.hypotheses import fit_of
+from handeye_ros.checks.settings import changed, thinned
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Sample
 from handeye_ros.errors import DataError

@@ -9,7 +9,8 @@ import re
 
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.settings import fit_of, require_settings
+from handeye_ros.checks.hypotheses import fit_of
+from handeye_ros.checks.settings import require_settings
 from handeye_ros.config import Config, with_values
 from handeye_ros.errors import DataError
 from handeye_ros.simulate import (
