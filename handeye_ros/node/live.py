@@ -5,16 +5,17 @@ A running session without ROS: from messages to stored samples.
 
 The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
 into the session. A stop that is over, or long enough, waits in `waiting` or `early` for the
-worker, which has it evaluated in another process, stores it on the disk, puts it into the
-session and calls `changed`: this publishes ~/samples (outputs.py). What is used is stored, and
-what is stored is used. What follows from the samples is in answer.py and verification.py.
+worker, which has it evaluated in another process, stores it on the disk and puts it into the
+session. After each such piece of work the worker (pool.py) calls `changed`, which publishes
+~/samples (outputs.py). What is used is stored, and what is stored is used. What follows from the
+samples is in answer.py and verification.py.
 
-Threads: the drain thread, which calls add_*; the worker (one, here), which changes all else; the
-threads of ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are
-evaluated, and reviews, solves and verifications computed, in two processes (pool.py); the worker
-waits for the stops alone. Locks: `lock` for what messages change, held for at most one message;
-one in outputs.py, so that nothing is published after the end; one in node.py, so that settings
-change one by one.
+Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
+ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
+reviews, solves and verifications computed, in two processes (pool.py); the worker waits for the
+stops alone. Locks: `lock` for what messages change, held for at most one message; one in
+outputs.py, so that nothing is published after the end; one in node.py, so that settings change
+one by one.
 """
 from __future__ import annotations
 
@@ -219,6 +220,8 @@ class LiveSession:
         self._woken = False
         if self._evaluate_one():
             self.wake()
+        self.files.sync()
+        trim_memory()
 
     def update(self) -> None:
         """Evaluate all that is due; for a session without a worker."""
@@ -305,8 +308,6 @@ class LiveSession:
             self.early = self.early if over else None
         if stop:
             self._evaluate(stop, over)
-            self.files.sync()
-            trim_memory()
         elif self._stale:
             self._evaluate_again(self._stale.popleft())
         else:

@@ -151,7 +151,7 @@ class Streams:
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='streams', daemon=True)
+        self._thread = threading.Thread(target=self._drain_all, name='drain', daemon=True)
 
     def start(self) -> None:
         """Start reading messages."""
@@ -193,7 +193,7 @@ class Streams:
 
     # the thread
 
-    def _run(self) -> None:
+    def _drain_all(self) -> None:
         """Read all topics repeatedly until the end."""
         looked = 0.0
         # a node that ends destroys what is read
