@@ -21,6 +21,7 @@ from xml.etree import ElementTree
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest
+from handeye_ros.estimation.covariance import ARM
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import (
@@ -222,8 +223,7 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
     twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
     by_arm = whitening(solution.linear, solution.noise)(solution.linear.by_twists(twists))
     G = solution.covariance[:6] @ solution.columns.T @ by_arm
-    before = np.zeros((6, 6)) if solution.contamination is None else solution.contamination
-    return replace(solution, contamination=before + G @ arm.covariance @ G.T)
+    return replace(solution, added={**solution.added, ARM: G @ arm.covariance @ G.T})
 
 
 def read_arm(path: Path) -> Arm:

@@ -23,6 +23,7 @@ from handeye_ros.estimation.solve import evaluated, Solution
 import numpy as np
 
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
+ONE_WRONG, ARM = 'one station wrong', 'corrected arm'  # names of added parts in a budget
 WRONG = 0.05  # prior odds of a station being wrong against all being right
 SURE = 100.0  # posterior odds of one station being wrong, from which it is dropped
 EXPLAINED = 0.2  # p-value of the other squares below which more than one is wrong
@@ -132,7 +133,8 @@ def budget(solution: Solution) -> Budget:
 
     White noise of sensor and poses, and each block by its name, are the exact parts of C in (5) at
     the conservative scales: with the gain C A', noise of covariance V gives (C A')V(C A')', and a
-    block's parameters, of unit covariance, give C_xn C_nx. Then what (8) adds to it.
+    block's parameters, of unit covariance, give C_xn C_nx. Then what (8), (10) and a corrected arm
+    add to it.
     """
     wide = solution.conservative or solution
     parts = _of_noise(wide)
@@ -140,11 +142,9 @@ def budget(solution: Solution) -> Budget:
         gain = wide.covariance[:6, own]
         parts[block.name] = gain @ gain.T
     away, inside = solution.moved_by_report, wide.covariance[:6, :6]
-    contamination = np.zeros((6, 6)) if solution.contamination is None else solution.contamination
-    moved = np.outer(away, away)
-    parts['scales of the estimate'] = moved
-    parts['best fit'] = solution.reported[:6, :6] - contamination - moved - inside
-    parts['one station wrong'] = contamination
+    parts |= {'scales of the estimate': np.outer(away, away), **solution.added}
+    parts['best fit'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
+                         - sum(solution.added.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
                   _term(solution, 'all', solution.reported[:6, :6]), len(solution.used))

@@ -260,11 +260,11 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
     """
     Return the fit of the blocks that agree, these blocks, and the squares of those dropped.
 
-    This is the only place in which a block is dropped that the others do not predict. used: the
-    blocks to begin with, of `total`; minimum: fewest that remain; fitted(the fit before or None,
-    used): the fit of some blocks; judged(fit): of each block the mean squared left-out residual,
-    (12), and its degrees of freedom; wrong(fit): a block that is wrong though none of these is too
-    large, None without one.
+    One that the others do not predict is dropped here; what is off by much more was left out of
+    `used` before. used: the blocks to begin with, of `total`; minimum: fewest that remain;
+    fitted(the fit before or None, used): the fit of some blocks; judged(fit): of each block the
+    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): a block that is
+    wrong though none of these is too large, None without one.
     """
     fit, dropped = fitted(None, used), dict[int, float]()
     while True:

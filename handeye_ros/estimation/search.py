@@ -19,7 +19,7 @@ from itertools import chain, islice
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.covariance import contamination
+from handeye_ros.estimation.covariance import contamination, ONE_WRONG
 from handeye_ros.estimation.least_squares import (
     agreeing,
     believed,
@@ -118,7 +118,7 @@ def with_blocks(solution: Solution) -> Solution:
         solution = map_solution(part, start, noise)
         doubt = contamination(solution, len(whole.poses) - len(used))
         return solution if doubt is None else replace(
-            solution, contamination=doubt.covariance, contaminated=doubt.of_any,
+            solution, added={ONE_WRONG: doubt.covariance}, contaminated=doubt.of_any,
             wrong=doubt.worst)
 
     solution, used, dropped = agreeing(

@@ -57,9 +57,9 @@ class Solution:
 
     whole: the problem with all stations and observations; used: (n,) indices of those used;
     dropped: squared residual of the others; contaminated: probability that one of few used
-    stations is wrong, contamination: (6, 6) of (10), wrong: the station that almost surely is;
-    conservative: the solution at conservative scales: its estimate moves too far, its covariance
-    is realistic.
+    stations is wrong, wrong: the station that almost surely is; added: (6, 6) by cause, added to
+    the reported covariance of the transform, as by (10); conservative: the solution at
+    conservative scales: its estimate moves too far, its covariance is realistic.
     """
 
     linear: Linear
@@ -73,7 +73,7 @@ class Solution:
     used: NDArray[np.intp]
     dropped: Mapping[int, float] = field(default_factory=dict)
     contaminated: float = 0.0
-    contamination: Array | None = None
+    added: Mapping[str, Array] = field(default_factory=dict)
     wrong: int | None = None
     conservative: Solution | None = None
 
@@ -243,8 +243,7 @@ class Solution:
             return self.covariance[:self.unknowns, :self.unknowns]
         reported, away = wide.reported.copy(), self.moved_by_report
         reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away), self._best_fit)
-        if self.contamination is not None:
-            reported[:6, :6] += self.contamination
+        reported[:6, :6] += sum(self.added.values())
         return reported
 
     @property

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.covariance import budget
+from handeye_ros.estimation.covariance import ARM, budget
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction
@@ -63,6 +63,7 @@ CAUSES = {  # by the name of a block, without the number of its degree
     'flatness': Cause('noise.flatness', "the flatness of the target's faces as configured",
                       'target'),
     'setback': SETBACK, 'incidence': SETBACK, 'shape': SETBACK,
+    ARM: Cause('kinematics', 'the uncertainty of the corrected arm', 'correction of the arm'),
 }
 
 

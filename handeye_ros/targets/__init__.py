@@ -14,7 +14,7 @@ from handeye_ros.targets.wedge import WEDGE
 
 TARGETS: dict[str, Target] = {
     'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE, 'wedge': WEDGE}
-FROM_FILES = ('points', 'hand_eye', 'tracker')  # see files
+FROM_FILES = ('points', 'hand_eye', 'tracker')  # see tabulated/
 
 
 def target_for(config: Config) -> Target:

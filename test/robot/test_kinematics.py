@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import importlib.util
 from pathlib import Path
+import re
 import sys
 
 from command import handeye
@@ -207,8 +208,10 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     assert found.quality.holdout_rms < 6e-5
     assert (found.parent_frame, arm.kinds) == ('flange', GEOMETRY)
     again = handeye('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
-                    'out/kinematics.yaml', '--out', 'again', cwd=tmp_path)
+                    'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
     assert again.returncode == 0, again.stderr
+    shares = re.search(r'corrected arm .* ([\d.]+) %', again.stdout)
+    assert shares and float(shares[1]) > 50, 'the arm is told apart from a station that is wrong'
     after = read_calibration(tmp_path / 'again/calibration.yaml')
     np.testing.assert_allclose(after.T_flange_sensor, found.T_flange_sensor, atol=2e-5)
 
