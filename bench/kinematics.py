@@ -25,7 +25,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
-from handeye_ros.robot.estimate import adjusted, fitted
+from handeye_ros.robot.estimate import adjusted, ArmFit
 from handeye_ros.robot.outcome import ArmOutcome, solve
 from handeye_ros.robot.points import PointRows, start_of
 from handeye_ros.robot.sources import Source
@@ -180,8 +180,8 @@ def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     state = State(cell.X, (cell.ball,), cell.arm, np.zeros(0))
     seen, others = (Stops.of(each.q, (Points(each.points, each.in_hand),))
                     for each in (rows, held))
-    best = fitted(seen, state, np.full(3, NOISE), np.full(3, scale ** 2),
-                  np.ones(len(rows), dtype=bool))
+    best = ArmFit(seen, state, np.full(3, NOISE), np.full(3, scale ** 2),
+                  np.ones(len(rows), dtype=bool)).solved()
     J = others.linearised(best.state)[1]
     variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)
     return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3

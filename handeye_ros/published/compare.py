@@ -110,12 +110,13 @@ def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLDS,
     start = time.perf_counter()
     answer = solve(values, given.otherwise)
     try:
-        answer.require_trusted()
+        answer.require_trusted(values)
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start
-    return _compared(answer.agreed, answer.X, refusal, seconds, len(values) - len(answer.agreed),
-                     T_true, folds, progress)
+    agreed = values.subset(np.flatnonzero(answer.used))
+    return _compared(agreed, answer.X, refusal, seconds, len(values) - len(agreed), T_true, folds,
+                     progress)
 
 
 def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float, rejected: int,

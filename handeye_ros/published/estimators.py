@@ -161,7 +161,7 @@ def _zheng(stations: Stations) -> Array:
 
 def _from_files(values: Values) -> Array:
     answer = solve(values)
-    answer.require_trusted()
+    answer.require_trusted(values)
     return answer.X
 
 

@@ -26,7 +26,7 @@ from handeye_ros.data import Calibration
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.robot.outcome import ArmOutcome
+from handeye_ros.robot.outcome import ArmOutcome, UNCHANGED
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
@@ -137,7 +137,8 @@ def table(answer: ArmAnswer) -> RenderableType:
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     for model in answer.outcome.models:
         sizes = (model.fit.residual_rms, model.left_out_rms, model.left_out_median)
-        models.add_row(model.words, *(f'{size * 1e3:.3f} mm' for size in sizes),
+        models.add_row(', '.join(model.kinds) or UNCHANGED,
+                       *(f'{size * 1e3:.3f} mm' for size in sizes),
                        'the answer' if model is chosen else '')
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints, models,

@@ -37,10 +37,10 @@ LARGEST = 1e3  # largest prior scale
 @dataclass(frozen=True, eq=False)
 class ArmFit:
     """
-    The least-squares estimate of the used stops (n,) with its weights.
+    An estimate with the weights of stops (n,), and which of these are used.
 
     noise: (axes,) sigma of each axis of the residuals; variances: (g,) of each kind of error of
-    the robot, relative to its prior. residuals: (m,) of all stops in sigmas, jacobian: (m, u).
+    the robot, relative to its prior.
     """
 
     stops: Stops
@@ -48,8 +48,6 @@ class ArmFit:
     noise: Array
     variances: Array
     used: NDArray[np.bool_]
-    residuals: Array
-    jacobian: Array
 
     @property
     def stds(self) -> Array:
@@ -57,15 +55,26 @@ class ArmFit:
         return self.state.stds * np.sqrt(self.variances[self.state.kinds])
 
     @property
-    def rows(self) -> NDArray[np.bool_]:
-        """Return which residuals (m,) belong to used stops."""
-        return self.used[self.stops.station]
+    def rows(self) -> NDArray[np.intp]:
+        """Return the numbers (m,) of the residuals of used stops, among all."""
+        return np.flatnonzero(self.used[self.stops.station])
+
+    @cached_property
+    def linear(self) -> tuple[Array, Array]:
+        """Return the residuals (m,) of used stops in sigmas, and their derivatives (m, u)."""
+        r, J = (values[self.rows] for values in self.stops.linearised(self.state))
+        sigma = self.noise[self.rows % self.stops.axes]
+        return r / sigma, J / sigma[:, None]
+
+    @property
+    def by_priors(self) -> Array:
+        """Return the derivatives (p, u) of the errors in sigmas."""
+        return np.hstack([np.zeros((len(self.stds), self.stops.unknowns)), np.diag(1 / self.stds)])
 
     @cached_property
     def covariance(self) -> Array:
         """Return the covariance (u, u) of all unknowns."""
-        return covariance_of(np.vstack([self.jacobian[self.rows],
-                                        _by_priors(self.stops, self.stds)]))
+        return covariance_of(np.vstack([self.linear[1], self.by_priors]))
 
     @property
     def residual_rms(self) -> float:
@@ -78,27 +87,16 @@ class ArmFit:
         shift = self.stops.root @ self.state.smooth.reshape(-1, 3)
         return float(np.sqrt((shift[self.used] ** 2).mean()))
 
+    def solved(self) -> ArmFit:
+        """Return the least-squares estimate with these weights, near this one."""
+        stds, by_priors = self.stds, self.by_priors
 
-def _by_priors(stops: Stops, stds: Array) -> Array:
-    """Return the derivatives (p, u) of the errors, in sigmas."""
-    return np.hstack([np.zeros((len(stds), stops.unknowns)), np.diag(1 / stds)])
-
-
-def fitted(stops: Stops, state: State, noise: Array, variances: Array, used: NDArray[np.bool_]
-           ) -> ArmFit:
-    """Return the least-squares estimate with priors near a state."""
-    stds = state.stds * np.sqrt(variances[state.kinds])
-    sigma = noise[np.arange(len(stops.station)) % stops.axes]
-
-    def rows(at: State) -> Rows:
-        r, J = stops.linearised(at)
-        return Rows(np.append(r / sigma, at.errors / stds),
-                    lambda: np.vstack([J / sigma[:, None], _by_priors(stops, stds)]))
-    block = np.append(stops.station, np.full(len(stds), len(stops)))
-    state = System(rows, stops.moved, block).least_squares(
-        state, np.append(used.astype(float), 1.0), 20, 1e-4)
-    r, J = stops.linearised(state)
-    return ArmFit(stops, state, noise, variances, used, r / sigma, J / sigma[:, None])
+        def rows(state: State) -> Rows:
+            r, J = replace(self, state=state).linear
+            return Rows(np.append(r, state.errors / stds), lambda: np.vstack([J, by_priors]))
+        block = np.append(self.stops.station[self.rows], np.full(len(stds), len(self.stops)))
+        return replace(self, state=System(rows, self.stops.moved, block).least_squares(
+            self.state, iterations=20, converged=1e-4))
 
 
 def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
@@ -111,10 +109,9 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
         variances = prior_scales(
             covariance / np.outer(sigma, sigma), fit.state.errors[order] / sigma, first,
             variances, np.full(len(variances), LARGEST))[int(conservative)]
-    J, axis = fit.jacobian[fit.rows], (np.arange(len(fit.rows)) % fit.stops.axes)[fit.rows]
-    residuals = fit.residuals[fit.rows] * fit.noise[axis]
+    (r, J), axis = fit.linear, fit.rows % fit.stops.axes
     free, squares = (np.bincount(axis, values) for values in (
-        1 - np.einsum('mi,mi->m', J @ fit.covariance, J), residuals ** 2))
+        1 - np.einsum('mi,mi->m', J @ fit.covariance, J), (r * fit.noise[axis]) ** 2))
     pooled = squares.sum() / max(free.sum(), 1.0)
     noise = np.sqrt((squares + POOLED * pooled) / (np.maximum(free, 0.0) + POOLED))
     return np.maximum(noise, LEAST_NOISE), variances
@@ -124,9 +121,9 @@ def adjusted(fit: ArmFit, conservative: bool = False, rounds: int = ROUNDS) -> A
     """Return a fit with estimated weights; see estimated_weights."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
-        weights = estimated_weights(fit, conservative)
-        fit = fitted(fit.stops, fit.state, *weights, fit.used)
-        if np.abs(np.log(np.concatenate(weights) / before)).max() < CONVERGED:
+        noise, variances = estimated_weights(fit, conservative)
+        fit = replace(fit, noise=noise, variances=variances).solved()
+        if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED:
             break
     return fit
 
@@ -140,21 +137,21 @@ def without_outliers(fit: ArmFit) -> ArmFit:
 
     def judged(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
         _, block = np.unique(found.stops.station[found.rows], return_inverse=True)
-        r, freedom = found.residuals[found.rows], np.bincount(block)
-        left_out = leave_one_out(r, found.jacobian[found.rows], found.covariance, block)
+        (r, J), freedom = found.linear, np.bincount(block)
+        left_out = leave_one_out(r, J, found.covariance, block)
         return np.bincount(block, r * left_out) / freedom, freedom
     return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 
 def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float = 1.0) -> ArmFit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
-    return adjusted(fitted(stops, state, np.full(stops.axes, noise), np.zeros(0), used))
+    return adjusted(ArmFit(stops, state, np.full(stops.axes, noise), np.zeros(0), used).solved())
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     """Return the fit with the errors of an arm, at their configured sigmas."""
     state = replace(fit.state, arm=arm)
-    return fitted(fit.stops, state, fit.noise, np.ones(len(set(state.kinds))), fit.used)
+    return replace(fit, state=state, variances=np.ones(len(set(state.kinds)))).solved()
 
 
 def reported_covariance(fit: ArmFit, chosen: State) -> tuple[ArmFit, Array]:
@@ -168,9 +165,10 @@ def reported_covariance(fit: ArmFit, chosen: State) -> tuple[ArmFit, Array]:
     wide = adjusted(fit, conservative=True)
     of_arm, noise = wide.variances, wide.noise
     stops = replace(wide.stops, root=process_root(wide.state.arm.forward(wide.stops.q)))
-    state = replace(wide.state, smooth=np.zeros(3 * stops.root.shape[1]))
+    wide = replace(wide, stops=stops, state=replace(
+        wide.state, smooth=np.zeros(3 * stops.root.shape[1])), variances=np.append(of_arm, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
-        wide = fitted(stops, state, noise, np.append(of_arm, 1.0), fit.used)
+        wide = replace(wide, noise=noise).solved()
         noise, variances = estimated_weights(wide, conservative=True)
     wide = replace(wide, variances=np.append(of_arm, variances[-1]))
     free = chosen.arm.free[wide.state.arm.free]

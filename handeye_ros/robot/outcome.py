@@ -10,6 +10,7 @@ in joint values or settings that explains it is named.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
 
@@ -29,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
+UNCHANGED = 'the URDF as it is'
 REGIONS, FEWEST_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
 MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
@@ -36,7 +38,6 @@ MOST_SHARE = 0.8  # largest ratio of parameters to conditions
 AGREEING = 0.5  # smallest share of the stops that agree
 HOPELESS = 20.0  # times the limit of the residual: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
-LARGEST_TURN, LARGEST_SHIFT = 0.02, 0.01  # 1 sigma of the sensor's pose (rad, m)
 STEPS = 15  # configurations on the line from one to another
 # Per kind of joint, rad and m: tolerance of the limits, which are often stated roughly, and the
 # smallest range of values that determines the error of a joint.
@@ -49,14 +50,13 @@ BETTER = 0.2  # a change that reduces the residual to less than this fraction is
 class Model:
     """A fit with some kinds of errors; left_out: (n,) cross-validation errors (m)."""
 
-    kinds: tuple[str, ...]
     fit: ArmFit
     left_out: Array
 
     @property
-    def words(self) -> str:
-        """Return the kinds in words."""
-        return ', '.join(self.kinds) or 'URDF as it is'
+    def kinds(self) -> tuple[str, ...]:
+        """Return the kinds of errors."""
+        return self.fit.state.arm.kinds
 
     @property
     def left_out_rms(self) -> float:
@@ -136,12 +136,11 @@ def solve(start: Start) -> ArmOutcome:
     richest = without_outliers(with_arm(fit, start.arm.freed(GEOMETRY)))
     if richest.residual_rms > start.limit or richest.used.mean() < AGREEING:
         raise _contradiction(start)
-    _require_mount(richest)
     offsets = without_outliers(with_arm(fit, start.arm.freed([OFFSET])))
     alone = adjusted(replace(fit, used=richest.used))
     fold = _regions(fit.stops.q)
-    models = tuple(Model(each.state.arm.kinds, replace(each, used=richest.used),
-                         _left_out(each, fold)) for each in (alone, offsets, richest))
+    models = tuple(Model(replace(each, used=richest.used), _left_out(each, fold))
+                   for each in (alone, offsets, richest))
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
@@ -151,26 +150,22 @@ def solve(start: Start) -> ArmOutcome:
                    wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
-def _regions(q: Array) -> NDArray[np.intp]:
+def _regions(q: Array, most: int = REGIONS) -> NDArray[np.intp]:
     """Return the region (n,) of stops (n, joints): halves of halves, across the longest axis."""
-    groups = [np.arange(len(q))]
-    while len(groups) < REGIONS and min(map(len, groups)) >= 2 * FEWEST_OF_REGION:
-        halves = []
-        for group in groups:
-            centred = q[group] - q[group].mean(axis=0)
-            along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-            halves += np.split(group[np.argsort(along, kind='stable')], [len(group) // 2])
-        groups = halves
-    region = np.empty(len(q), dtype=np.intp)
-    for number, group in enumerate(groups):
-        region[group] = number
+    region = np.zeros(len(q), dtype=np.intp)
+    if most > 1 and len(q) >= 2 * FEWEST_OF_REGION:
+        centred = q - q.mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        low, high = np.split(np.argsort(along, kind='stable'), [len(q) // 2])
+        region[low] = _regions(q[low], most // 2)
+        region[high] = most // 2 + _regions(q[high], most // 2)
     return region
 
 
 def _left_out(fit: ArmFit, fold: NDArray[np.intp]) -> Array:
     """Return the errors (n,) of stops, each predicted without its region."""
     errors = np.empty(len(fit.stops))
-    for number in range(int(fold.max()) + 1):
+    for number in np.unique(fold):
         without = adjusted(replace(fit, used=fit.used & (fold != number)), rounds=FOLD_ROUNDS)
         errors[fold == number] = fit.stops.distances(without.state)[fold == number]
     return errors
@@ -190,7 +185,7 @@ def _misfit(model: Model) -> float:
     With h parameters per condition, the predicted variance is (1 + h) / (1 - h) times that of the
     residuals. A larger one shows errors of the arm that the model does not include.
     """
-    fit, J = model.fit, model.fit.jacobian[model.fit.rows]
+    fit, (_, J) = model.fit, model.fit.linear
     conditions = np.minimum(np.bincount(fit.stops.station[fit.rows]), MOST_FREEDOM).sum()
     h = min(float(np.einsum('mi,mi->', J @ fit.covariance, J)) / conditions, MOST_SHARE)
     return max(1.0, float((model.left_out_rms / fit.residual_rms) ** 2 * (1 - h) / (1 + h)))
@@ -200,16 +195,6 @@ def _known(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
     stated, u = replace(fit, variances=np.ones_like(fit.variances)), fit.stops.unknowns
     return np.sqrt(np.diag(stated.covariance)[u:]) / stated.stds
-
-
-def _require_mount(fit: ArmFit) -> None:
-    std = np.sqrt(np.diag(fit.covariance)[:6])
-    for quantity, size, limit in (('orientation', std[3:].max(), LARGEST_TURN),
-                                  ('position', std[:3].max(), LARGEST_SHIFT)):
-        if size > limit:
-            raise DataError(
-                f'these configurations do not determine the {quantity} of the sensor: move all '
-                'joints, and bring the target to different points of the field of view')
 
 
 def _require_same_robot(arm: Arm) -> None:
@@ -226,10 +211,10 @@ def _require_same_robot(arm: Arm) -> None:
 def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
     last = models[-1]
     if dropped := int((~last.fit.used).sum()):
-        yield (f'{dropped} of {len(last.fit.used)} points contradict the others and are left out')
+        yield f'{dropped} of {len(last.fit.used)} points contradict the others and are left out'
     if chosen is not last:
         yield (f'the model with {" and ".join(last.kinds)} predicts left-out points no better '
-               f'than {" and ".join(chosen.kinds) or "the URDF as it is"}: the simpler one is '
+               f'than {" and ".join(chosen.kinds) or UNCHANGED}: the simpler one is '
                'the answer')
     if one_configuration(chosen.fit.state.arm, last.fit.stops.q):
         yield ('all poses have one configuration of elbow and wrist: other configurations '
@@ -257,14 +242,13 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     """
     sentences = []
     for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        for end in (low, high):
-            if not joint.lower - BEYOND[joint.kind] <= end <= joint.upper + BEYOND[joint.kind]:
-                hint = ('; they seem to be degrees stated as radians'
-                        if abs(end) > 2 * math.pi else '')
-                raise DataError(
-                    f'{joint.name} reaches {end:.4g}, and the URDF limits it to '
-                    f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres){hint}: check the '
-                    'unit of the joint values, or the limits in the URDF')
+        beyond = BEYOND[joint.kind]
+        if low < joint.lower - beyond or high > joint.upper + beyond:
+            raise DataError(
+                f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
+                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check the unit of '
+                'the joint values (are they degrees stated as radians?), or the limits in the '
+                'URDF')
         if high - low < STILL[joint.kind]:
             size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
             sentences.append(f'{joint.name} moves by {size} only: these configurations do not '
@@ -278,12 +262,10 @@ def _contradiction(start: Start) -> DataError:
     cause, best = ('check that the URDF is of this robot, the unit and the sign of each joint, '
                    'calibration_type, and that the target did not move'), BETTER * stated
     for words, joints, other_side in _changes(start):
-        try:
+        with suppress(DataError, np.linalg.LinAlgError):
             missed = start.missed(joints, other_side)
-        except (DataError, np.linalg.LinAlgError):
-            continue
-        if missed < best:
-            best, cause = missed, words
+            if missed < best:
+                best, cause = missed, words
     return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
                      f'beyond the {mm(start.limit)} of a robot that is only inaccurate: {cause}',
                      reason=UNSOLVED)
@@ -293,20 +275,16 @@ def _changes(start: Start) -> Iterator[tuple[str, Array, bool]]:
     """Yield possible errors in words, and what undoes them; see Start.missed."""
     joints, identity = start.arm.joints, np.eye(len(start.arm.joints))
     revolute = np.array([joint.kind == REVOLUTE for joint in joints])
-    largest = float(np.median(np.abs(start.q).max(axis=0)))
-    if largest > 2 * math.pi:
-        yield ('the joint values seem to be degrees stated as radians',
-               np.diag(np.where(revolute, math.radians(1), 1.0)), False)
-    if largest < math.radians(10):
-        yield ('the joint values seem to be radians stated as degrees',
-               np.diag(np.where(revolute, math.degrees(1), 1.0)), False)
+    words, unit = (('degrees stated as radians', math.radians(1))
+                   if np.median(np.abs(start.q).max(axis=0)) > 2 * math.pi else
+                   ('radians stated as degrees', math.degrees(1)))
+    yield f'the joint values seem to be {words}', np.diag(np.where(revolute, unit, 1.0)), False
     for joint, column in zip(joints, identity, strict=True):
         yield (f'{joint.name} seems to turn the other way than in the URDF',
                np.diag(1 - 2 * column), False)
     if len(joints) >= 3:
-        coupled = identity.copy()
-        coupled[2, 1] = 1.0
         yield (f'{joints[2].name} seems to be counted from the horizontal, as some controllers '
-               f'do: add {joints[1].name} to it', coupled, False)
+               f'do: add {joints[1].name} to it', identity + np.outer(identity[2], identity[1]),
+               False)
     other = 'eye_on_base' if start.in_hand else 'eye_in_hand'
     yield f'set calibration_type to {other}', identity, True

@@ -7,18 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handeye_ros import __version__, se3
+from handeye_ros import se3
 from handeye_ros.arm import Arm, PRISMATIC
-from handeye_ros.config import Config, flatten
-from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.checks.refusals import require_certain
+from handeye_ros.config import Config
+from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import graduated, Rows, System
-from handeye_ros.frames import mount_frame, name_direction
 from handeye_ros.published import fixed_point
 from handeye_ros.robot.answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
-from handeye_ros.robot.outcome import ArmOutcome, joint_notes, require_enough, solve, Start
+from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start
 from handeye_ros.robot.stops import Points, State, Stops
 from handeye_ros.tables import ANGLE, LENGTH, Table
+from handeye_ros.tabulated.values import TableAnswer
+from handeye_ros.targets.target import xyz
 import numpy as np
 from numpy.typing import NDArray
 
@@ -113,30 +115,17 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     """
     rows, notes = read_table(path, arm, config.calibration_type == 'eye_in_hand')
     outcome = solve(start_of(rows, arm, config.limits.residual))
-    return ArmAnswer(outcome, _calibration(outcome, rows, config, inputs),
-                     (*notes, *outcome.notes))
-
-
-def _calibration(outcome: ArmOutcome, rows: PointRows, config: Config,
-                 inputs: Sequence[dict[str, str]]) -> Calibration:
-    """Return the hand-eye transform found from points, as a Calibration."""
-    fit = outcome.chosen.fit
-    config = replace(config, robot_base_frame=outcome.arm.base,
-                     robot_effector_frame=outcome.arm.flange)
-    covariance, parent = outcome.covariance[:6, :6], mount_frame(config)
-    std, direction = se3.worst_translation(covariance)
-    used = int(fit.used.sum())
-    quality = Quality(used, len(rows) - used, fit.residual_rms, outcome.chosen.left_out_rms,
-                      f'position along {name_direction(direction, parent)} (m)', std)
-    samples = [SampleReport(int(number), bool(good), rows.names[target], float(distance),
-                            '' if good else 'contradicts the others')
-               for number, good, target, distance in zip(
-                   rows.number, fit.used, rows.target, fit.stops.distances(fit.state),
-                   strict=True)]
-    target = {f'point_{name}': dict(zip('xyz', map(float, centre), strict=True))
-              for name, centre in zip(rows.names, fit.state.targets, strict=True)}
-    return Calibration(
-        config.name or 'kinematics', 'kinematics', parent, config.sensor_frame, fit.state.X,
-        covariance, {**target, 'robot_position_error': outcome.smooth}, quality,
-        tuple(sorted(samples, key=lambda sample: sample.stamp)),
-        {'version': __version__, 'config': flatten(config), 'inputs': list(inputs)})
+    fit, covariance = outcome.chosen.fit, outcome.covariance[:6, :6]
+    config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
+    require_certain(covariance, config, 'move all joints, and bring the target to different '
+                    'points of the field of view')
+    by_number = np.argsort(rows.number)
+    samples = [(int(rows.number[k]), rows.names[rows.target[k]]) for k in by_number]
+    target = {f'point_{name}': xyz(place)
+              for name, place in zip(rows.names, fit.state.targets, strict=True)}
+    found = TableAnswer(
+        fit.state.X, covariance, fit.used[by_number], fit.stops.distances(fit.state)[by_number],
+        fit.residual_rms, outcome.chosen.left_out_rms,
+        target={**target, 'robot_position_error': outcome.smooth})
+    return ArmAnswer(outcome, found.calibration('kinematics', samples, config.sensor_frame, config,
+                                                inputs), (*notes, *outcome.notes))

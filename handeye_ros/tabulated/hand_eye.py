@@ -84,7 +84,7 @@ class Views(Lists):
         target = {'pose': transform_values(Z), 'residual_angle': angle,
                   'left_out_angle': holdout_angle}
         return TableAnswer(X, fit.covariance[:6, :6], np.isin(np.arange(len(off)), used),
-                           off[:, 0], rms, holdout, self.subset(used), angle, target)
+                           off[:, 0], rms, holdout, angle, target)
 
     def adjusted(self, state: State, variances: Array) -> tuple[Adjusted[State], Array]:
         """Return the fit for variances (3,) of the causes, and what whitens the views."""

@@ -59,7 +59,7 @@ class Pairs(Lists):
         off, left_out = (SIGMA * np.linalg.norm(values, axis=1)
                          for values in (fit.residuals, fit.left_out))
         return TableAnswer(fit.state, fit.covariance, np.isin(every, fit.used), off,
-                           rms(off[fit.used]), rms(left_out), self.subset(fit.used),
+                           rms(off[fit.used]), rms(left_out),
                            target={'point_noise': SIGMA * max(fit.variance_factor, 1.0) ** 0.5})
 
     def rigid(self) -> Array:

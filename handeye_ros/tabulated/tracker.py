@@ -144,7 +144,7 @@ class TrackerSession(Values):
         left_out = off[good] / (1 - np.minimum(share / 2, 0.5))
         return TableAnswer(
             X, agreed.covariance(X, excess[good]), good, off,
-            rms(off[good]), rms(left_out), agreed,
+            rms(off[good]), rms(left_out),
             target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
 
     def covariance(self, X: Array, excess: Array) -> Array:

@@ -146,8 +146,8 @@ class TableAnswer:
 
     covariance: (6, 6), x y z rx ry rz in the mount; used: (n,) whether each sample is used; off:
     (n,) residuals of all (m); residual_rms, holdout_rms: of the used ones (m), the latter with
-    each predicted without itself; agreed: the values that are used; angle_rms: RMS residual of
-    measured rotations (rad); target: other estimates, as plain values.
+    each predicted without itself; angle_rms: RMS residual of measured rotations (rad); target:
+    other estimates, as plain values.
     """
 
     X: Array
@@ -156,7 +156,6 @@ class TableAnswer:
     off: Array
     residual_rms: float
     holdout_rms: float
-    agreed: Values
     angle_rms: float = 0.0
     target: Mapping[str, Any] = field(default_factory=dict)
 
@@ -172,11 +171,26 @@ class TableAnswer:
         off = float(np.quantile(self.off, 1 - LARGEST_DROPPED_SHARE))
         return off if self.angle_rms <= LARGEST_ANGLE else math.inf
 
-    def require_trusted(self) -> None:
-        """Raise DataError for an answer beyond the limits."""
-        config = self.agreed.config
-        require_certain(self.covariance, config, self.agreed.advice)
-        require_left_out(self.holdout_rms, self.residual_rms, config.limits.residual)
+    def require_trusted(self, values: Values) -> None:
+        """Raise DataError for an answer beyond the limits of the values that it is of."""
+        require_certain(self.covariance, values.config, values.advice)
+        require_left_out(self.holdout_rms, self.residual_rms, values.config.limits.residual)
+
+    def calibration(self, method: str, samples: Sequence[tuple[int, str]], sensor_frame: str,
+                    config: Config, inputs: Sequence[dict[str, str]]) -> Calibration:
+        """Return it as a calibration; samples: row number or stamp of each, and its kind."""
+        std, direction = se3.worst_translation(self.covariance)
+        frame, used = mount_frame(config), int(self.used.sum())
+        quality = Quality(used, len(samples) - used, self.residual_rms, self.holdout_rms,
+                          f'position along {name_direction(direction, frame)} (m)', std)
+        reports = tuple(
+            SampleReport(number, bool(good), kind, float(off),
+                         '' if good else 'contradicts the others')
+            for (number, kind), good, off in zip(samples, self.used, self.off, strict=True))
+        return Calibration(
+            config.name or method, method, frame, sensor_frame, self.X, self.covariance,
+            self.target, quality, reports,
+            {'version': __version__, 'inputs': list(inputs), 'config': flatten(config)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,20 +214,11 @@ def calibrate(given: Input) -> Calibration:
     """Return the calibration; raises DataError when the files do not determine an answer."""
     values, config = given.values, given.values.config
     answer = solve(values, given.otherwise)
-    answer.require_trusted()
-    std, direction = se3.worst_translation(answer.covariance)
-    frame, used = mount_frame(config), int(answer.used.sum())
-    quality = Quality(used, len(values) - used, answer.residual_rms, answer.holdout_rms,
-                      f'position along {name_direction(direction, frame)} (m)', std)
-    reports = tuple(
-        SampleReport(stamp, bool(good), kind, float(off), '' if good else 'contradicts the others')
-        for (stamp, kind), good, off in zip(values.samples, answer.used, answer.off, strict=True))
-    provenance = {'version': __version__, 'inputs': list(given.inputs), 'config': flatten(config)}
-    if given.warnings:
-        provenance['warnings'] = list(given.warnings)
-    return Calibration(config.name or values.name, values.name, frame, given.frame,
-                       answer.X @ se3.inverse(values.axes), answer.covariance, answer.target,
-                       quality, reports, provenance)
+    answer.require_trusted(values)
+    of_sensor = replace(answer, X=answer.X @ se3.inverse(values.axes))
+    found = of_sensor.calibration(values.name, values.samples, given.frame, config, given.inputs)
+    return found if not given.warnings else replace(
+        found, provenance={**found.provenance, 'warnings': list(given.warnings)})
 
 
 def solve(values: Values, otherwise: Sequence[Misreading] = ()) -> TableAnswer:
@@ -229,7 +234,7 @@ def solve(values: Values, otherwise: Sequence[Misreading] = ()) -> TableAnswer:
                 f'{np.sum(~answer.used)} of {len(values)} samples contradict the others, which '
                 f'agree to {mm(answer.residual_rms)}{turned} RMS: {values.check}',
                 reason='misfit')
-        answer.agreed.require_determined()
+        values.subset(np.flatnonzero(answer.used)).require_determined()
     except TooFewError:
         raise
     except DataError as error:
