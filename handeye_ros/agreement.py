@@ -29,7 +29,7 @@ from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.evidence import Evidence, recording_of, StopSnapshot
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.sweep import Pairing, problem_at_poses, single_samples
+from handeye_ros.sampling.sweep import Pairing, passes_expanded, problem_at_poses
 import numpy as np
 from numpy.typing import NDArray
 
@@ -165,7 +165,7 @@ def agreements(answer: Answer, samples: Sequence[Sample], config: Config
 def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: Solution,
                config: Config) -> Array:
     """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
-    ones = list(single_samples(samples))
+    ones = list(passes_expanded(samples))
     number = np.repeat(np.arange(len(samples)), [len(s.parts) for s in samples])
     if any(one.moving for one in ones):
         at = Pairing.of(ones).at(*offsets)

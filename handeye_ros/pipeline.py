@@ -39,7 +39,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_at_poses, problem_of, single_samples, synchronised
+from handeye_ros.sampling.sweep import passes_expanded, problem_at_poses, problem_of, synchronised
 import numpy as np
 
 SEED = 0  # of the random searches: the same samples give the same answer
@@ -137,7 +137,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     session: the stops they come from, in which the cause of a refusal is searched. A pass of a
     sweep counts as its single profiles.
     """
-    ordered: Sequence[Sample] = sorted(single_samples(samples), key=lambda sample: sample.stamp)
+    ordered: Sequence[Sample] = sorted(passes_expanded(samples), key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, fits = None, None, None, False
     try:

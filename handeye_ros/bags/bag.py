@@ -11,8 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import accumulate
-from operator import attrgetter
+from itertools import compress
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -32,11 +31,11 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.sampling.stream import in_order, LARGEST_STEP, two_frames
+from handeye_ros.sampling.stream import by_stamp, fitting, in_order, LAST, two_frames
 import numpy as np
+from numpy.typing import NDArray
 
 MOST_MALFORMED = 0.5  # largest share of messages of a topic that cannot be used
-LAST = 2 ** 63 - 1  # ns; largest stamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +200,7 @@ class _Topic:
         elif len(stamped) < len(items):
             warnings.append(f'{len(items) - len(stamped)} messages on {self.name} without a stamp '
                             'were left out')
-        return sorted(_fitting(self.name, stamped, warnings), key=attrgetter('stamp'))
+        return sorted(_fitting(self.name, stamped, warnings), key=by_stamp)
 
     def _as_received(self, warnings: list[str]) -> list[Any]:
         """
@@ -210,37 +209,30 @@ class _Topic:
         The order in the file has priority: two consecutive runs of a simulated clock have the same
         times of receipt, and must not be merged into one.
         """
-        stamps = [item.stamp for item in self.items]
-        order = sorted(range(len(stamps)), key=self._log_times.__getitem__)
-        received = [self.items[index] for index in order]
-        if (order == list(range(len(stamps))) or in_order(stamps)
-                or not in_order([item.stamp for item in received])
-                or len(set(stamps)) < len(stamps)):
+        stamps, order = _stamps(self.items), np.argsort(self._log_times, kind='stable')
+        if (in_order(stamps) is not None or in_order(stamps[order]) is None
+                or len(np.unique(stamps)) < len(stamps)):
             return self.items
         warnings.append(f'the messages on {self.name} do not lie in the order in which they were '
                         'received, and were sorted')
-        return received
+        return [self.items[index] for index in order]
 
 
 def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]:
     """Return the items whose stamps fit the order of the others; DataError for two runs."""
-    stamps = [item.stamp for item in items]
-    fits = in_order(stamps)
-    if fits is None:
-        back = [latest - stamp for latest, stamp in zip(accumulate(stamps, max), stamps,
-                                                        strict=True)]
-        index = next(i for i, step in enumerate(back) if step > LARGEST_STEP)
-        raise DataError(
-            f'the stamps on {topic} jump back by {back[index] * 1e-9:.1f} s at message '
-            f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); record one run',
-            reason='two runs')
-    wrong = [index for index, fitting in enumerate(fits) if not fitting]
-    if wrong:
+    stamps = _stamps(items)
+    fits = fitting(stamps, f'on {topic}')
+    wrong = np.flatnonzero(~fits)
+    if len(wrong):
         warnings.append(
             f'{len(wrong)} of {len(stamps)} messages on {topic} were left out: their stamps are '
             f'far from those around them (first message {wrong[0] + 1}, of '
             f'{stamps[wrong[0]] * 1e-9:.3f} s)')
-    return [item for item, fitting in zip(items, fits, strict=True) if fitting]
+    return list(compress(items, fits))
+
+
+def _stamps(items: Sequence[Any]) -> NDArray[np.int64]:
+    return np.array([item.stamp for item in items], np.int64)
 
 
 def require_topic(reader: Reader, key: str, name: str, kind: str) -> None:

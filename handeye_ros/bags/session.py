@@ -13,7 +13,7 @@ of the files, and is written again when the session is continued.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
@@ -39,14 +39,13 @@ from handeye_ros.bags.bag_write import (
     write_metadata,
 )
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
-from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
+from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, Reader, STRING
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced
-from handeye_ros.sampling.session import evaluated, Session
+from handeye_ros.sampling.session import Session, with_result
 from handeye_ros.sampling.stops import Stop
-from mcap.reader import make_reader
 
 LAST = 'last'
 FORMAT, NEWEST = 'handeye_ros/session/', 1
@@ -140,7 +139,7 @@ class Stored:
         session = Session(config)
         frames = (profile.frame_id for stop in self.stops.values()
                   for profile in stop.load(config).profiles)
-        stops = [evaluated(stop, config) for _, stop in sorted(self.stops.items())]
+        stops = [with_result(stop, config) for _, stop in sorted(self.stops.items())]
         session.restore(stops, self.numbers, next(frames, ''))
         return session
 
@@ -351,19 +350,13 @@ def load(file: Path, began: int, config: Config) -> Stop:
     return Stop(began, tuple(poses), tuple(profiles))
 
 
-def _read_file(file: Path, topics: Iterable[str] | None = None) -> list[tuple[str, Raw]]:
+def _read_file(file: Path, topics: Collection[str] | None = None) -> list[tuple[str, Raw]]:
     """Return the messages of some topics, or of all, with their types; raises InputError."""
-    contents_of(file)  # whole files only
-    try:
-        with file.open('rb') as stream:
-            found = make_reader(stream, validate_crcs=True).iter_messages(topics)
-            return [(schema.name if schema else '',
-                     Raw(channel.topic, message.log_time, message.data))
-                    for schema, channel, message in found]
-    except OSError as error:
-        raise InputError(f'{file}: cannot be read: {error.strerror or error}') from error
-    except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise InputError(f'{file}: is damaged: {error}') from error
+    reader = Reader(file, topics)
+    messages = list(reader.messages())
+    if reader.warnings:
+        raise InputError(f'{file}: is damaged: {"; ".join(reader.warnings)}')
+    return [(reader.types[message.topic], message) for message in messages]
 
 
 def _event_of(file: Path) -> Event:

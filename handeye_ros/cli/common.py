@@ -169,11 +169,11 @@ def flowing(bag: Path, settings: 'Config', task: str
             ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
     """Give a recording profile by profile, its poses, and a function that changes the task."""
     from handeye_ros.bags.bag import read
-    from handeye_ros.sampling.trajectory import track_of
+    from handeye_ros.sampling.trajectory import trajectory_of
     with doing(task) as update:
         # what uses the profiles adds the offset itself
         recording = read(bag, replace(settings, time_offset=0.0))
-        yield recording, track_of(recording.poses, settings.sampling.max_pose_gap), update
+        yield recording, trajectory_of(recording.poses, settings.sampling.max_pose_gap), update
     warn(*recording.warnings)
 
 

@@ -146,7 +146,7 @@ class LiveSession:
                 self.messages['pose'].add(pose.stamp)
                 self._poses.append(pose)
                 self.session.add_pose(pose)
-            self.early = self.session.early() or self.early
+            self.early = self.session.current_if_ready() or self.early
             self._queue_stops()
             if self.verification.session:
                 self.verification.session.add_poses(poses)

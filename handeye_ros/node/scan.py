@@ -30,7 +30,7 @@ from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, THROTTLE
 from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
-from handeye_ros.sampling.trajectory import track_of
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -91,7 +91,7 @@ class ScanNode(Node):
             span = latest - ready[0].stamp - self._offset + AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
         try:
-            track = track_of(poses, self.config.sampling.max_pose_gap)
+            track = trajectory_of(poses, self.config.sampling.max_pose_gap)
         except DataError as error:  # the clock was set back
             self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
             self._poses.clear()

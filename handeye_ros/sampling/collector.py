@@ -89,7 +89,7 @@ class StopCollector(Copied):
             return self._before_setting_back()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
-        self._profiles.add(self._profile_stream.believed(now - LARGEST_STEP, now + LARGEST_STEP))
+        self._profiles.add(self._profile_stream.released(now - LARGEST_STEP, now + LARGEST_STEP))
         over = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in over]
         stops = self._completed(over)
@@ -117,8 +117,8 @@ class StopCollector(Copied):
         Raises InputError when messages of two frames came on one topic.
         """
         self._require_one_frame()
-        self._take_poses(self._pose_stream.believed(0, FOREVER))
-        self._profiles.add(self._profile_stream.believed(0, FOREVER))
+        self._take_poses(self._pose_stream.released(0, FOREVER))
+        self._profiles.add(self._profile_stream.released(0, FOREVER))
         return self._remaining()
 
     def _remaining(self) -> list[Stop]:
@@ -175,7 +175,7 @@ class StopCollector(Copied):
                 how = f'{motion.sentence}: stop it, wait'
             raise DataError(f'the robot has not stood still for {needed:g} s, {how}, and take the '
                             'sample again', reason='moving')
-        self._profiles.add(self._profile_stream.believed(stop.start, stop.end))
+        self._profiles.add(self._profile_stream.released(stop.start, stop.end))
         return self._with_profiles(stop)
 
     def _require_poses_now(self) -> None:

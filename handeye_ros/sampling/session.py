@@ -17,14 +17,14 @@ from handeye_ros.data import Reject, Sample
 from handeye_ros.sampling.collector import StopCollector
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import MOST_PROFILES, NS, Stop
-from handeye_ros.sampling.sweep import single_samples
+from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
 PATIENCE = 2 * NS  # of a stop without any profile, before it is said that it gives no sample
 CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
 
 
-def evaluated(stop: Stop, config: Config) -> Stop:
+def with_result(stop: Stop, config: Config) -> Stop:
     """Return the stop with what it gives with a configuration."""
     return replace(stop, result=Reject(stop.load(config).start, stop.refused) if stop.refused
                    else result_of(stop, config))
@@ -60,7 +60,7 @@ class Session(StopCollector):
         super().clear()
         self._stops: dict[int, Stop] = {}  # by their beginnings
         self.numbers = 0
-        self._early: tuple[int, float] = -1, 0.0  # stop checked by early(), time of the next check
+        self._next_check: tuple[int, float] = -1, 0.0  # beginning of a stop, time in it
 
     @property
     def stops(self) -> tuple[Stop, ...]:
@@ -70,7 +70,7 @@ class Session(StopCollector):
     @property
     def samples(self) -> tuple[Sample, ...]:
         """Return the samples, without those of samples.exclude."""
-        return single_samples([o.sample for o in self.stops
+        return passes_expanded([o.sample for o in self.stops
                                if o.sample and not self.excludes(o)])
 
     @property
@@ -98,7 +98,7 @@ class Session(StopCollector):
         return [self.put(self.numbered(stop, result_of(stop, self._config))).result
                 for stop in self.rest()]
 
-    def early(self) -> Stop | None:
+    def current_if_ready(self) -> Stop | None:
         """
         Return the current stop as soon as it has enough profiles for a sample.
 
@@ -107,12 +107,12 @@ class Session(StopCollector):
         """
         sampling, stood = self._config.sampling, self._finder.stood
         first = (sampling.still_time + 2 * sampling.settle_time) * NS
-        began, next_check = self._early
+        began, next_check = self._next_check
         if began != self._finder.began:
-            began, next_check = self._early = self._finder.began, first
+            began, next_check = self._next_check = self._finder.began, first
         if sampling.moving or stood < next_check:
             return None
-        self._early = began, CHECK_LATER * next_check
+        self._next_check = began, CHECK_LATER * next_check
         stop, known = self.standing(), self._stops.get(began)
         if stop is None or (known and known.sample):
             return None

@@ -19,7 +19,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import around, Copied
+from handeye_ros.sampling.stream import around, by_stamp, Copied
 import numpy as np
 
 NS = 1_000_000_000
@@ -86,15 +86,15 @@ class Stop:
 
     def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
-        begin = bisect_left(candidates, self.start, key=_stamp)
-        end = bisect_right(candidates, self.end, key=_stamp)
+        begin = bisect_left(candidates, self.start, key=by_stamp)
+        end = bisect_right(candidates, self.end, key=by_stamp)
         while begin < end and not self._has(candidates[begin]):
             begin += 1
         while begin < end and not self._has(candidates[end - 1]):
             end -= 1
         inside, (first, last) = candidates[begin:end], self._steady_span(config)
-        begin = bisect_left(inside, first, key=_stamp)
-        end = max(begin, bisect_right(inside, last, key=_stamp))
+        begin = bisect_left(inside, first, key=by_stamp)
+        end = max(begin, bisect_right(inside, last, key=by_stamp))
         # few from times with vibration
         return replace(self, profiles=(*_thinned(inside[:begin], 8),
                                        *_thinned(inside[begin:end], 64),
@@ -123,10 +123,6 @@ class Stop:
         """Return the first and last stamp of the time without vibration."""
         settle = round(config.sampling.settle_time * NS)
         return self.start + settle, self.end - settle
-
-
-def _stamp(message: AnyProfile) -> int:
-    return message.stamp
 
 
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
@@ -292,9 +288,9 @@ class ProfileBuffer(Copied):
 
     def keep(self, first: int, last: int, now: int) -> None:
         """Forget all profiles outside two stamps but those after a third one."""
-        self._forget(slice(bisect_right(self.items, last, key=_stamp),
-                           bisect_right(self.items, now, key=_stamp)))
-        self._forget(slice(0, bisect_left(self.items, first, key=_stamp)))
+        self._forget(slice(bisect_right(self.items, last, key=by_stamp),
+                           bisect_right(self.items, now, key=by_stamp)))
+        self._forget(slice(0, bisect_left(self.items, first, key=by_stamp)))
 
     def _forget(self, part: slice) -> None:
         self._bytes -= sum(map(_held, self.items[part]))

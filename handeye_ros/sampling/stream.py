@@ -14,15 +14,17 @@ from bisect import bisect_left, bisect_right
 from collections import Counter, deque
 from collections.abc import Sequence
 from copy import copy
-from itertools import accumulate
+from operator import attrgetter
 from typing import Generic, Self, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 import numpy as np
+from numpy.typing import NDArray
 
 LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
+LAST = 2 ** 63 - 1  # ns; largest stamp
 
 MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
 OTHER_FRAME = 'some other frame'
@@ -30,6 +32,7 @@ FEW = 3  # messages with wrong stamps that a recording may hold: this number,
 FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
 UNMIXED = 3_000_000_000  # ns of messages of one frame, after which strays are of the past
 
+by_stamp = attrgetter('stamp')
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
 
@@ -155,7 +158,7 @@ class Stream(Copied, Generic[Stamped]):
         self._held, self.latest, self.late = None, -1, False
         self.set_back, self._late_since = 0, -1
 
-    def believed(self, first: int, last: int) -> list[Stamped]:
+    def released(self, first: int, last: int) -> list[Stamped]:
         """Return the message held back if its stamp lies between two given ones."""
         held = self._held
         if held is None or not first <= held.stamp <= last:
@@ -192,36 +195,36 @@ def two_frames(kind: str, first: str, second: str) -> InputError:
                       reason='two_frames')
 
 
-def in_order(stamps: Sequence[int]) -> list[bool] | None:
+def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
     """
     Return which messages fit the order of the majority; None if too many do not.
 
     stamps: in the order of recording (ns); deviations up to LARGEST_STEP from the order fit.
     """
-    if never_falls(stamps):
-        return [True] * len(stamps)
-    rising = _longest_rising(stamps)
-    before = accumulate((s if r else -1 for s, r in zip(stamps, rising, strict=True)), max)
-    backwards = [(s if r else None) for s, r in zip(stamps, rising, strict=True)][::-1]
-    after = list(accumulate(backwards, _smaller))[::-1]
-    fits = [s >= b - LARGEST_STEP and (a is None or s <= a + LARGEST_STEP)
-            for s, b, a in zip(stamps, before, after, strict=True)]
-    wrong = fits.count(False)
-    few = wrong <= max(FEW, FEW_SHARE * len(stamps)) and 2 * wrong < len(stamps)
+    if (stamps[1:] >= stamps[:-1]).all():
+        return np.ones(len(stamps), dtype=bool)
+    rising = _longest_rising(stamps.tolist())
+    before = np.maximum.accumulate(np.where(rising, stamps, -1))
+    after = np.minimum.accumulate(np.where(rising, stamps, LAST)[::-1])[::-1]
+    fits = (stamps >= before - LARGEST_STEP) & (stamps - LARGEST_STEP <= after)
+    wrong = len(fits) - np.count_nonzero(fits)
+    few = wrong <= max(FEW, FEW_SHARE * len(fits)) and 2 * wrong < len(fits)
     return fits if few or not wrong else None
 
 
-def never_falls(stamps: Sequence[int]) -> bool:
-    """Return whether no stamp is earlier than the one before."""
-    times = np.array(stamps, np.int64)
-    return bool((times[1:] >= times[:-1]).all())
+def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
+    """Return which messages fit the order of the others; raises DataError for two runs."""
+    fits = in_order(stamps)
+    if fits is None:
+        back = np.maximum.accumulate(stamps) - stamps
+        index = int(np.argmax(back > LARGEST_STEP))
+        raise DataError(f'the stamps {of} jump back by {back[index] * 1e-9:.1f} s at message '
+                        f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
+                        'record one run', reason='two_runs')
+    return fits
 
 
-def _smaller(a: int | None, b: int | None) -> int | None:
-    return min((v for v in (a, b) if v is not None), default=None)
-
-
-def _longest_rising(stamps: Sequence[int]) -> list[bool]:
+def _longest_rising(stamps: Sequence[int]) -> NDArray[np.bool_]:
     """Return which values make up the longest subsequence that never falls (patience)."""
     ends: list[int] = []  # the smallest last value of a subsequence of each length
     indices: list[int] = []
@@ -229,7 +232,7 @@ def _longest_rising(stamps: Sequence[int]) -> list[bool]:
         place = bisect_right(ends, stamp)
         ends[place:place + 1] = [stamp]
         indices.append(place)
-    chosen, wanted = [False] * len(stamps), len(ends) - 1
+    chosen, wanted = np.zeros(len(stamps), dtype=bool), len(ends) - 1
     for index in reversed(range(len(stamps))):
         if indices[index] == wanted:
             chosen[index], wanted = True, wanted - 1
@@ -241,13 +244,9 @@ def around(poses: Sequence[TimedPose], stamps: Sequence[int]) -> list[TimedPose]
     last = len(poses) - 1
     indices = {0, last}
     for stamp in stamps:
-        indices.add(max(bisect_right(poses, stamp, key=_stamp) - 1, 0))
-        indices.add(min(bisect_left(poses, stamp, key=_stamp), last))
+        indices.add(max(bisect_right(poses, stamp, key=by_stamp) - 1, 0))
+        indices.add(min(bisect_left(poses, stamp, key=by_stamp), last))
     return [poses[place] for place in sorted(indices)]
-
-
-def _stamp(pose: TimedPose) -> int:
-    return pose.stamp
 
 
 def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:

@@ -35,7 +35,7 @@ NO_POSES = 'there are no poses of that time'
 MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a start
 
 
-def single_samples(samples: Sequence[Sample]) -> tuple[Sample, ...]:
+def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
     passes = [sample for sample in samples if sample.per_profile]
     if not passes:

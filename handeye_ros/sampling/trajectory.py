@@ -19,8 +19,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.errors import DataError
-from handeye_ros.sampling.stream import in_order
+from handeye_ros.sampling.stream import fitting
 import numpy as np
 from numpy.typing import NDArray
 
@@ -158,13 +157,7 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
     return Trajectory(stamps, values, max(part.max_gap for part in parts))
 
 
-def trajectory_of(poses: Sequence[TimedPose], max_gap: float) -> Trajectory:
-    """Return the trajectory of poses in the order of their stamps."""
-    values = np.array([[*pose.translation, *pose.quaternion] for pose in poses]).reshape(-1, 7)
-    return Trajectory(np.array([pose.stamp for pose in poses], dtype=np.int64), values, max_gap)
-
-
-def track_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
+def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     """
     Return the trajectory of poses in any order, without those with implausible stamps.
 
@@ -172,14 +165,7 @@ def track_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     """
     rows = np.fromiter(((p.stamp, (*p.translation, *p.quaternion)) for p in poses),
                        np.dtype([('stamp', np.int64), ('pose', np.float64, 7)]))
-    fits = in_order(rows['stamp'].tolist())
-    if fits is None:
-        behind = (np.maximum.accumulate(rows['stamp']) - rows['stamp']) * 1e-9
-        first = int(np.argmax(behind > 1.0))
-        raise DataError(f'the stamps on the poses jump back by {behind[first]:.1f} s at message '
-                        f'{first + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
-                        'record one run', reason='time_backwards')
-    rows = rows[np.array(fits, dtype=bool)]
+    rows = rows[fitting(rows['stamp'], 'of the poses')]
     stamps, first_of = np.unique(rows['stamp'], return_index=True)
     return Trajectory(stamps, rows['pose'][first_of], max_gap)
 

@@ -19,7 +19,7 @@ from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, T
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.trajectory import track_of
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.fit import StationSet
 from handeye_ros.verification.routines import Routine, routine_of, settings_for, TEETH
 from handeye_ros.verification.stations import stations_of, stations_of_pass
@@ -145,6 +145,6 @@ class VerificationSession:
         for profile in part.profiles:
             with suppress(UnusableMessageError):
                 profiles.append(profile.read(config.profile))
-        track = track_of(list(part.poses), config.sampling.max_pose_gap)
+        track = trajectory_of(list(part.poses), config.sampling.max_pose_gap)
         # the stamps have time_offset in them
         return stations_of_pass(profiles, track, replace(config, time_offset=0.0))

@@ -69,7 +69,7 @@ def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_ov
     session, early = Session(CONFIG), []
     for item in sorted([*stops((0, 3), (4, 5)), *profiles(0, 5, 40.0)], key=lambda i: i.stamp):
         add(session, item)
-        stop = session.early()
+        stop = session.current_if_ready()
         if stop:
             early.append((item.stamp - START) / NS)
             session.put(session.numbered(stop, result_of(stop, CONFIG)), over=False)
@@ -86,7 +86,8 @@ def test_a_stop_without_profiles_is_reported_while_the_robot_stands() -> None:
     found = []
     for item in stops((0, 3)):
         add(session, item)
-        found += [((item.stamp - START) / NS, stop) for stop in [session.early()] if stop]
+        if ready := session.current_if_ready():
+            found.append(((item.stamp - START) / NS, ready))
     (seconds, stop), = found
     assert 2.0 <= seconds < 3.0 and isinstance(result_of(stop, CONFIG), Reject)
 
