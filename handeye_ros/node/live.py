@@ -56,7 +56,7 @@ from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 
-MOST_STOPS = 16  # waiting for evaluation: at most 7 MB each with 1280 points a profile
+MOST_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
 KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
 # s without a pose after which the pose is unknown: while profiles arrive, and if both stop
