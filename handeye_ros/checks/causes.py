@@ -80,7 +80,10 @@ def explained(refusal: DataError, session: Session, config: Config) -> DataError
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
 
     A refusal whose cause is certain stays; an uncertain answer may come from clocks that differ.
+    Only stops are asked: a pass has many profiles with their own poses, and estimates its clocks.
     """
+    if config.sampling.moving:
+        return refusal
     try:
         if isinstance(refusal, UnexplainedError):
             require_settings(session, config)

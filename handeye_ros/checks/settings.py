@@ -30,8 +30,6 @@ SIGN = 'profile.range_sign'
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise DataError (settings) where other settings explain the stops of a session better."""
-    if config.sampling.moving:  # a pass: many profiles with their own poses
-        return
     kept = [stop for stop in session.stops if not stop.refused and not session.excludes(stop)]
     stops = [thinned(stop, config) for stop in kept[:MOST_STOPS]]
     results = [result_of(stop, config) for stop in stops]

@@ -27,7 +27,7 @@ FEWEST = 2  # stops on another surface
 
 def require_one_surface(session: Session, config: Config) -> None:
     """Raise DataError (surface) where the faces of some stops lie beside the plane of all."""
-    if config.sampling.moving or config.target.type not in ('plate', 'line'):
+    if config.target.type not in ('plate', 'line'):
         return
     taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
     as_plane = changed(config, {'target.type': 'plane'})
