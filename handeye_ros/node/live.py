@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from threading import Lock
 from typing import Any, TypeVar
@@ -38,7 +38,7 @@ from handeye_ros.bags.session import (
     SessionFiles,
 )
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Array, Feature, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
     DataError,
     FeatureError,
@@ -46,10 +46,12 @@ from handeye_ros.errors import (
     InputError,
     UnusableMessageError,
 )
+from handeye_ros.frames import in_mount
 from handeye_ros.node.answer import LiveAnswer, SAMPLE_KEYS, values_of
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory, Worker
-from handeye_ros.node.state import MessageCount
+from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
+from handeye_ros.results.evidence import StopSnapshot
 from handeye_ros.sampling.collector import silent_poses
 from handeye_ros.sampling.features import features_of, result_of
 from handeye_ros.sampling.session import Session
@@ -64,29 +66,6 @@ POSES_SILENT, BOTH_SILENT = 2.0, 30.0
 PROFILES_COME = 1.0  # s since the last profile
 
 Result = TypeVar('Result')
-
-
-@dataclass(frozen=True, eq=False)
-class Attempt:
-    """An attempt to take a sample; number: of the sample or the stop, 0 where it has none."""
-
-    text: str
-    number: int = 0
-    sample: Sample | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Current:
-    """
-    The current points (n, 2) and features in the sensor plane, at T_base_flange (4, 4).
-
-    reason: why there are no features, empty where there are some.
-    """
-
-    T_base_flange: Array
-    points: Array
-    features: tuple[Feature, ...]
-    reason: str = ''
 
 
 class LiveSession:
@@ -119,7 +98,7 @@ class LiveSession:
         self._left_out = 0  # stops that waited too long
 
         self.worker = Worker(changed)
-        self._woken = False
+        self._woken = True  # nothing is due before start()
         self.running: list[str] = []
         self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
         self._store_trouble = ''
@@ -173,8 +152,8 @@ class LiveSession:
             last = self._poses[-1] if self._poses else None
         return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
 
-    def current(self) -> Current | None:
-        """Return the last usable profile with poses before and after it; None without one."""
+    def current(self) -> StopSnapshot | None:
+        """Return the last profile with poses before and after it; None without a usable one."""
         config = self.config
         with self.lock:
             profiles = list(self._profiles)
@@ -189,10 +168,11 @@ class LiveSession:
         except UnusableMessageError:
             return None
         (T,) = interpolate(poses, [profile.stamp])
+        seen = StopSnapshot(0, profile.stamp, in_mount(T, config), profile.points)
         try:
-            return Current(T, profile.points, features_of(profile, config))
+            return replace(seen, features=features_of(profile, config))
         except FeatureError as error:
-            return Current(T, profile.points, (), str(error))
+            return replace(seen, reason=str(error))
 
     # the worker
 
@@ -200,6 +180,7 @@ class LiveSession:
         """Start the worker and the processes."""
         self.worker.start()
         self.pool.start()
+        self._woken = False
         self.wake()
 
     def ask(self, work: Callable[[], Result]) -> Result:
@@ -211,7 +192,7 @@ class LiveSession:
 
     def wake(self) -> None:
         """Have the worker look for what is due."""
-        if self.worker.runs and not self._woken:
+        if not self._woken:
             self._woken = True
             self.worker.later(self._go_on)
 
@@ -331,10 +312,8 @@ class LiveSession:
         if not over and self.session.is_taken(stop):
             return
         if self.verification.session:
-            if over:
-                self._leave(stop)
             with suppress(DataError):
-                self.verification.add_stop(stop)
+                self.verification.add_stop(stop, over)
             return
         stop = self._evaluated(stop)
         earlier = self._known(stop.number)
@@ -355,7 +334,7 @@ class LiveSession:
             verdict = (f'sample {stop.number} taken' if stop.sample else
                        f'stop {stop.number} gave no sample')
             text = '; '.join(filter(None, (f'{verdict}: {sample_summary(stop.result)}', remark)))
-            self.tried(text, stop.number, stop.result)
+            self.attempt = Attempt(text, stop)
 
     def _evaluate_again(self, number: int) -> None:
         """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
@@ -403,15 +382,6 @@ class LiveSession:
         with self.lock:
             self.session.put(stop, over)
 
-    def _leave(self, stop: Stop) -> None:
-        """Give no further result of a stop."""
-        with self.lock:
-            self.session.leave(stop)
-
-    def tried(self, text: str, number: int = 0, result: Sample | Reject | None = None) -> None:
-        """Note the last attempt to take a sample."""
-        self.attempt = Attempt(text, number, result if isinstance(result, Sample) else None)
-
     # services
 
     def take_sample(self) -> str:
@@ -424,11 +394,10 @@ class LiveSession:
             with self.lock:
                 stop = self.session.current_stop()
             if self.verification.session:
-                self._leave(stop)
-                return self.verification.add_stop(stop)
+                return self.verification.add_stop(stop, over=True)
             return self._take_at(stop)
         except HandeyeError as error:
-            self.tried(str(error))
+            self.attempt = Attempt(str(error))
             raise
 
     def _take_at(self, stop: Stop) -> str:
@@ -443,7 +412,7 @@ class LiveSession:
         note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
         self._put(self._stored(stop))
         text = f'sample {stop.number} taken{note}: {sample_summary(stop.sample)}'
-        self.tried(text, stop.number, stop.sample)
+        self.attempt = Attempt(text, stop)
         return text
 
     def remove_last_sample(self) -> str:

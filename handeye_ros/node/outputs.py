@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 import json
 import threading
@@ -16,11 +16,12 @@ from geometry_msgs.msg import Point, PoseStamped, TransformStamped
 from handeye_ros import se3
 from handeye_ros.agreement import count_of
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration, Sample
+from handeye_ros.data import Calibration
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import in_mount, target_frame
-from handeye_ros.node.live import Attempt, Current, LiveSession
+from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (
+    Attempt,
     CURRENT,
     NONE,
     samples_message,
@@ -33,6 +34,7 @@ from handeye_ros.node.state import (
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.evidence import in_plane, StopSnapshot
 from handeye_ros.results.scene import FLANGE, in_sensor, LASER, scene, SEEN
+from handeye_ros.sampling.stops import Stop
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
@@ -53,16 +55,16 @@ LETTER = 0.012  # m
 class _Latched:
     """A topic that keeps its last message for late subscribers, until it is withdrawn."""
 
-    def __init__(self, node: Node, kind: Any, name: str) -> None:
-        """Advertise the topic."""
-        self._node, self._content = node, None
+    def __init__(self, node: Node, kind: Any, name: str, message: Callable[[Any], Any]) -> None:
+        """Advertise the topic; message: makes one of a content."""
+        self._node, self._message, self._content = node, message, None
         self._advertise = partial(node.create_publisher, kind, name, LATCHED,
                                   event_callbacks=UNWATCHED)
         self._publisher = self._advertise()
 
-    def show(self, content: Any, message: Callable[[Any], Any]) -> bool:
+    def show(self, content: Any) -> bool:
         """
-        Publish the message of a content that is not the last one; return whether it is not.
+        Publish a content that is not the last one; return whether it is not.
 
         None withdraws the last message: a new publisher gives a late subscriber none.
         """
@@ -73,7 +75,7 @@ class _Latched:
             self._node.destroy_publisher(self._publisher)
             self._publisher = self._advertise()
         else:
-            self._publisher.publish(message(content))
+            self._publisher.publish(self._message(content))
         return True
 
 
@@ -86,10 +88,15 @@ class Outputs:
         self._lock, self._closed = threading.Lock(), False
         self._attempt: Attempt | None = None  # the last one in the log
         self._samples, self._status, self._guidance = (
-            _Latched(node, String, f'~/{name}') for name in ('samples', 'status', 'guidance'))
-        self._next_pose = _Latched(node, PoseStamped, '~/next_pose')
-        self._calibration = _Latched(node, TransformStamped, '~/calibration')
-        self._tf_static = TFMessage and _Latched(node, TFMessage, '/tf_static')
+            _Latched(node, String, f'~/{name}', lambda text: String(data=text))
+            for name in ('samples', 'status', 'guidance'))
+        self._next_pose = _Latched(node, PoseStamped, '~/next_pose',
+                                   lambda place: pose_stamped(*place, stamp=self._now()))
+        self._calibration = _Latched(node, TransformStamped, '~/calibration',
+                                     lambda answer: transform_of(answer, self._now()))
+        self._tf_static = TFMessage and _Latched(
+            node, TFMessage, '/tf_static',
+            lambda answer: TFMessage(transforms=[transform_of(answer, self._now())]))
         if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
@@ -117,42 +124,31 @@ class Outputs:
                 return
             live, state, config = self._live, state_of(self._live), self._live.framed
             self._show_attempt(live.attempt)
-            changed = self._samples.show(json.dumps(samples_message(state)), _string)
-            answered = self._show_answer(live.answer.calibration, config)
+            changed = self._samples.show(json.dumps(samples_message(state)))
+            answer = live.answer.calibration
+            answered = self._calibration.show(answer)
+            if self._tf_static:
+                self._tf_static.show(answer)
             if changed or answered:
-                samples = [(o.number, o.sample) for o in live.copied().stops if o.sample]
-                self._markers.publish(session_markers(samples, live.answer.calibration, config))
-            self._status.show(json.dumps(status_message(state)), _string)
+                self._markers.publish(session_markers(live.copied().stops, answer, config))
+            self._status.show(json.dumps(status_message(state)))
             guidance = state['guidance']
-            self._guidance.show(guidance['text'], _string)
-            place = guidance['translation'] and (guidance['translation'], guidance['rotation'])
-            self._next_pose.show(place, lambda place: pose_stamped(
-                place[0], place[1], config.base_frame, self._now()))
+            self._guidance.show(guidance['text'])
+            self._next_pose.show(guidance['translation'] and (
+                guidance['translation'], guidance['rotation'], config.base_frame))
 
     def _show_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
         if attempt is None or attempt is self._attempt:
             return
-        self._attempt, log = attempt, self._node.get_logger()
-        if attempt.sample is None:
+        self._attempt, sample, log = attempt, attempt.stop.sample, self._node.get_logger()
+        if sample is None:
             log.warning(attempt.text)
             return
         log.info(attempt.text)
-        xyz = in_sensor(in_plane(attempt.sample.features), self._live.config)
+        xyz = in_sensor(in_plane(sample.features), self._live.config)
         points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
-        self._features.publish(cloud(points, self._live.session.frame_id, attempt.sample.stamp))
-
-    def _show_answer(self, calibration: Calibration | None, config: Config) -> bool:
-        """Publish a new answer, or withdraw the last one; return whether it has changed."""
-        def transform(answer: Calibration) -> TransformStamped:
-            return transform_of(answer, self._now())
-
-        if self._tf_static:
-            robot = (config.base_frame, config.robot_effector_frame)
-            of_robot = calibration is not None and calibration.child_frame in robot
-            self._tf_static.show(None if of_robot else calibration,
-                                 lambda answer: TFMessage(transforms=[transform(answer)]))
-        return self._calibration.show(calibration, transform)
+        self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
     def show_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
@@ -210,10 +206,6 @@ def _concerns(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
 # messages
 
 
-def _string(text: str) -> String:
-    return String(data=text)
-
-
 def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:
     """Return the answer as the pose of the sensor in its parent frame."""
     T = calibration.T_flange_sensor
@@ -255,11 +247,12 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
         data=array('B', points.tobytes()))
 
 
-def session_markers(samples: Sequence[tuple[int, Sample]], calibration: Calibration | None,
-                    config: Config) -> MarkerArray:
+def session_markers(evaluated: Iterable[Stop], calibration: Calibration | None, config: Config
+                    ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
-    stops = [StopSnapshot(number, sample.stamp, in_mount(sample.T_base_flange, config),
-                          np.empty((0, 2)), sample.features) for number, sample in samples]
+    stops = [StopSnapshot(stop.number, sample.stamp, in_mount(sample.T_base_flange, config),
+                          np.empty((0, 2)), sample.features)
+             for stop in evaluated if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
         {'name': 'numbers', 'color': FLANGE, 'text': str(stop.number),
          'points': [stop.T_mount[:3, 3]]} for stop in stops]
@@ -271,12 +264,12 @@ def session_markers(samples: Sequence[tuple[int, Sample]], calibration: Calibrat
     return _markers(parts, config)
 
 
-def current_markers(current: Current | None, calibration: Calibration | None, config: Config
+def current_markers(current: StopSnapshot | None, calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return the current profile and its features, placed by the answer."""
     if current is None or calibration is None:
         return _markers([], config)
-    T = in_mount(current.T_base_flange, config) @ calibration.T_flange_sensor
+    T = current.T_mount @ calibration.T_flange_sensor
     points = current.points[np.isfinite(current.points).all(axis=1)]
     return _markers([{'name': name, 'color': color, 'width': width,
                       'points': se3.apply(T, in_sensor(plane, config))}

@@ -63,11 +63,6 @@ class Worker:
         self._changed, self.failure = changed, ''
         self._executor: ThreadPoolExecutor | None = None
 
-    @property
-    def runs(self) -> bool:
-        """Return whether there is a thread."""
-        return self._executor is not None
-
     def start(self) -> None:
         """Start the thread."""
         self._executor = ThreadPoolExecutor(1, 'worker')

@@ -9,6 +9,7 @@ agree and use the same sentences. SI units; docs/cell.md documents the fields.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 import time
 from typing import Any, TYPE_CHECKING
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 State = dict[str, Any]
 
+NO_STOP = Stop(0)
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
@@ -33,6 +35,14 @@ BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
 BAD_SHARE = 0.01  # or such a share of all, or of the messages lost in transit
 FRESH = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
 LARGEST_APART = 5.0  # s: difference of the clocks that a slow network or a queue explains
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """An attempt to take a sample: what is told of it, and its stop if that was evaluated."""
+
+    text: str
+    stop: Stop = NO_STOP
 
 
 class MessageCount:
@@ -123,8 +133,8 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                     'notes': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst],
         'review': review.no_agreements,
-        'attempt': attempt and {'accepted': attempt.sample is not None, 'number': attempt.number,
-                                'text': attempt.text},
+        'attempt': attempt and {'accepted': attempt.stop.sample is not None,
+                                'number': attempt.stop.number, 'text': attempt.text},
         'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}
 
 

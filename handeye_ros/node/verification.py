@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from handeye_ros.agreement import sample_summary
 from handeye_ros.data import Calibration, Reject
 from handeye_ros.errors import DataError
 from handeye_ros.node.pool import result_or_ended
+from handeye_ros.node.state import Attempt
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
@@ -63,16 +65,23 @@ class LiveVerification:
         return (f'{session.text}; {advice}: what begins from now on counts, until '
                 '~/verify_result')
 
-    def add_stop(self, stop: Stop) -> str:
-        """Add a stop, in place of an earlier state of it; return the progress, or DataError."""
+    def add_stop(self, stop: Stop, over: bool) -> str:
+        """
+        Add a stop, in place of an earlier part of it; return the progress, or raise DataError.
+
+        over: whether it is complete, and is not looked at again.
+        """
         live, session = self._live, self.session
         assert session
+        if over:
+            with live.lock:
+                live.session.leave(stop)
         if session.scans:
             raise DataError(f'{session.text}: stops do not count, points are taken while the '
                             'robot moves')
         result = session.add(stop, live.config, live.result_of)
         text = f'{session.text}; {sample_summary(result)}'
-        live.tried(f'verification: {text}', result=result)
+        live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))
         if isinstance(result, Reject):
             raise DataError(result.reason)
         return text

@@ -240,14 +240,14 @@ def test_samples_and_the_profile_of_now_lie_on_the_target() -> None:
     current = live.current()
     assert current
     feed(live, [item for item in items if item.stamp >= middle])
-    samples = [(o.number, o.sample) for o in live.copied().stops if o.sample]
-    before = session_markers(samples, None, CELL.config)
+    stops = live.copied().stops
+    before = session_markers(stops, None, CELL.config)
     assert before.markers[0].action == Marker.DELETEALL
     assert {marker.ns for marker in before.markers[1:]} == {'flanges', 'numbers'}
-    assert [m.text for m in before.markers if m.text] == [str(number) for number, _ in samples]
+    assert [m.text for m in before.markers if m.text] == [str(o.number) for o in stops if o.sample]
     assert len(current_markers(current, None, CELL.config).markers) == 1
     computed(live)
-    found = session_markers(samples, live.answer.calibration, CELL.config)
+    found = session_markers(stops, live.answer.calibration, CELL.config)
     now = current_markers(current, live.answer.calibration, CELL.config)
     assert {marker.header.frame_id for marker in [*found.markers, *now.markers]} == {'base'}
     assert len({(m.ns, m.id) for m in found.markers}) == len(found.markers)
