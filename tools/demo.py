@@ -48,7 +48,7 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     T_true, out = true_transform(bag), out.absolute()
     os.environ['ROS_DOMAIN_ID'] = str(20 + os.getpid() % 80)  # undisturbed by other nodes
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    with _scratch(out) as saved, ros([]):
+    with _scratch(out) as saved, ros():
         _through_the_node(bag, rate, out / 'node.log',
                           ['--params-file', str(config), '-p', f'output_dir:={saved}'])
         calibration = _with_bag(

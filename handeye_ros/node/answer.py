@@ -158,7 +158,7 @@ class LiveAnswer:
         live = self._live
         self.asked_with = values_of(live.config, ANSWER_KEYS)
         try:
-            live.evaluate_all(rest=True)
+            live.evaluate_all()
             live.copied().require_stops()
         except HandeyeError as error:
             self._refuse(error)

@@ -86,7 +86,7 @@ class LiveSession:
         pool: where long computations run; changed: called by the worker after every change.
         """
         self.config, self.folders, self.files = config, folders, files
-        self.pool, self._changed = pool, changed
+        self.pool = pool
         self.lock = Lock()
         self.session = Session(config)
         self.waiting: deque[Stop] = deque()  # complete stops, not yet evaluated
@@ -178,7 +178,6 @@ class LiveSession:
 
     def start(self) -> None:
         """Start the worker and the processes."""
-        self.worker.start()
         self.pool.start()
         self._woken = False
         self.wake()
@@ -197,18 +196,14 @@ class LiveSession:
             self.worker.later(self._go_on)
 
     def _go_on(self) -> None:
-        """Evaluate what is due, stop by stop: who has asked meanwhile waits for one stop only."""
+        """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
         self._woken = False
-        if self._evaluate_one():
+        if self.evaluate_next():
             self.wake()
+        else:
+            self.answer.begin_review()
         self.files.sync()
         trim_memory()
-
-    def update(self) -> None:
-        """Evaluate all that is due; for a session without a worker."""
-        while self._evaluate_one():
-            pass
-        self._changed()
 
     def compute(self, what: str, put: Callable[[Future[Any]], Result],
                 function: Callable[..., Any], *args: Any) -> Future[Result]:
@@ -281,8 +276,8 @@ class LiveSession:
 
     # stops
 
-    def _evaluate_one(self) -> bool:
-        """Evaluate one stop, or, if none is due, begin the review of the samples."""
+    def evaluate_next(self) -> bool:
+        """Evaluate the next stop that is due; return whether there was one."""
         with self.lock:
             over = bool(self.waiting)
             stop = self.waiting.popleft() if over else self.early
@@ -292,18 +287,17 @@ class LiveSession:
         elif self._stale:
             self._evaluate_again(self._stale.popleft())
         else:
-            self.answer.begin_review()
             return False
         return True
 
-    def evaluate_all(self, rest: bool) -> None:
-        """Evaluate all stops that wait; rest: the current stop counts as complete."""
-        while self._stale:
-            self._evaluate_again(self._stale.popleft())
+    def evaluate_all(self) -> None:
+        """Evaluate all stops, of which the current one counts as complete; raises InputError."""
         with self.lock:
-            last = self.session.copied().rest() if rest else []  # raises for mixed frames
-            stops, self.early = [*self.waiting, *last], None
-            self.waiting.clear()
+            self.early = None  # it is part of the current stop
+        while self.evaluate_next():
+            pass
+        with self.lock:
+            stops = self.session.copied().rest()  # raises for mixed frames
         for stop in stops:
             self._evaluate(stop, True)
 

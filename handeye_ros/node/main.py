@@ -8,7 +8,7 @@ Slow imports are inside the functions, so that Ctrl-C ends an executable cleanly
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 import os
 import signal
@@ -105,12 +105,11 @@ def exit_code(run: Callable[[], None]) -> int:
 
 
 @contextmanager
-def ros(args: Sequence[str] | None = None) -> Iterator[None]:
+def ros() -> Iterator[None]:
     """
     Start rclpy and shut it down in the end; Ctrl-C and SIGTERM raise KeyboardInterrupt.
 
-    args: those of the command line (None: sys.argv). Raises InputError for arguments and parameter
-    files that ROS cannot read.
+    Raises InputError for arguments and parameter files that ROS cannot read.
     """
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
@@ -120,8 +119,7 @@ def ros(args: Sequence[str] | None = None) -> Iterator[None]:
                          'ROS_LOG_DIR, ROS_HOME and HOME is set; set one of them')
     _on_signals(signal.default_int_handler)
     try:
-        rclpy.init(args=None if args is None else list(args),
-                   signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         raise InputError(f'ROS does not start: it does not understand {error}') from error
     except RCLError as error:

@@ -29,12 +29,7 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name
 from handeye_ros.sampling.session import Session
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -182,27 +177,28 @@ class HandeyeNode(Node):
 
     def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
         try:
-            self._other_topics(changed(self.live.config, changes))
+            self._changed(changes)
         except HandeyeError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _other_topics(self, config: Config) -> bool:
-        """Return whether settings name other topics than now; raises InputError."""
-        others = self._streams.changes(config)
-        if others and any(stop.sample for stop in self.live.copied().stops):
+    def _changed(self, changes: Iterable[RosParameter]) -> tuple[Config, bool]:
+        """Return the changed settings, and whether they name other topics; raises InputError."""
+        config = configuration.with_values(self.live.config, _values(changes), SOURCE)
+        _check_names(config)
+        other_topics = self._streams.changes(config)
+        if other_topics and any(stop.sample for stop in self.live.copied().stops):
             raise InputError('the topics cannot change while there are samples from them: call '
                              '~/clear_samples first, which begins a new session')
-        return others
+        return config, other_topics
 
     def _apply_change(self, changes: list[RosParameter]) -> None:
         if not _values(changes):
             return  # of ROS: a subscription declares its quality of service
         with self._changing:
-            config = changed(self.live.config, changes)
-            others = self._other_topics(config)
+            config, other_topics = self._changed(changes)
             self.live.ask(partial(self.live.configure, config))
-            if others:
+            if other_topics:
                 self._streams.stop()
                 self.live.ask(self.live.clear_samples)
                 self._streams = Streams(self, self.live)
@@ -221,12 +217,12 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
     config, stored = resumed(_values(node._parameter_overrides.values()), folders)
     _check_names(config)
     values, record = configuration.flatten(config), dict(config.record)
-    described = {p.key: (values[p.key], _descriptor(p)) for p in _parameters()}
+    for parameter in _parameters():
+        node.declare_parameter(parameter.key, values[parameter.key], _descriptor(parameter),
+                               ignore_override=True)
     free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
-    described |= {f'{RECORD}{name}': (record.get(name, ''), free)
-                  for name in (*RECORD_NAMES, *record)}
-    for key, (value, descriptor) in described.items():
-        node.declare_parameter(key, value, descriptor, ignore_override=True)
+    for name in dict.fromkeys((*RECORD_NAMES, *record)):
+        node.declare_parameter(f'{RECORD}{name}', record.get(name, ''), free, ignore_override=True)
     return config, stored
 
 
@@ -256,23 +252,11 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
     if parameter.choices:
         texts.append('one of ' + ', '.join(map(str, parameter.choices)))
-    result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
-                                 read_only=parameter.key in FIXED,
-                                 additional_constraints='; '.join(texts))
-    low, high = parameter.minimum, parameter.maximum
-    if low is not None and high is not None:
-        if isinstance(parameter.default, int):
-            result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-        else:
-            result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    return result
-
-
-def changed(config: Config, changes: Iterable[RosParameter]) -> Config:
-    """Return the configuration with changes at run time; raises BadValueError."""
-    changed_config = configuration.with_values(config, _values(changes), SOURCE)
-    _check_names(changed_config)
-    return changed_config
+    if parameter.minimum is not None and parameter.maximum is not None:
+        texts.append(f'from {parameter.minimum:g} to {parameter.maximum:g}')
+    return ParameterDescriptor(description=parameter.description, dynamic_typing=True,
+                               read_only=parameter.key in FIXED,
+                               additional_constraints='; '.join(texts))
 
 
 def _check_names(config: Config) -> None:

@@ -91,7 +91,8 @@ class Outputs:
             _Latched(node, String, f'~/{name}', lambda text: String(data=text))
             for name in ('samples', 'status', 'guidance'))
         self._next_pose = _Latched(node, PoseStamped, '~/next_pose',
-                                   lambda place: pose_stamped(*place, stamp=self._now()))
+                                   lambda place: pose_stamped(
+                                       place[0], place[1], place[2], self._now()))
         self._calibration = _Latched(node, TransformStamped, '~/calibration',
                                      lambda answer: transform_of(answer, self._now()))
         self._tf_static = TFMessage and _Latched(

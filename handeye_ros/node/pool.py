@@ -53,27 +53,19 @@ def result_or_ended(future: Future[Result]) -> Result:
 
 class Worker:
     """
-    One thread that does things one after the other; before start() they are done at once.
+    One thread that does things one after the other.
 
     failure: why the last thing failed, '' if it did not.
     """
 
     def __init__(self, changed: Callable[[], object]) -> None:
-        """Start no thread yet; changed: called after each thing that was done later."""
+        """Do nothing yet; changed: called after each thing that was done later."""
         self._changed, self.failure = changed, ''
-        self._executor: ThreadPoolExecutor | None = None
-
-    def start(self) -> None:
-        """Start the thread."""
         self._executor = ThreadPoolExecutor(1, 'worker')
 
     def later(self, work: Callable[..., object], *args: Any) -> None:
         """Do something, and then call changed."""
-        if self._executor is None:
-            work(*args)
-            self._changed()
-        else:
-            self._executor.submit(self._report, work, *args)
+        self._executor.submit(self._report, work, *args)
 
     def _report(self, work: Callable[..., object], *args: Any) -> None:
         try:
@@ -87,11 +79,9 @@ class Worker:
             if not isinstance(error, HandeyeError):
                 print(traceback.format_exc(), file=sys.stderr, flush=True)
 
-    def ask(self, work: Callable[..., Result], *args: Any) -> Result:
+    def ask(self, work: Callable[[], Result]) -> Result:
         """Return the result of something; raises its exceptions."""
-        if self._executor is None:
-            return work(*args)
-        return self._executor.submit(work, *args).result()
+        return self._executor.submit(work).result()
 
 
 class Pool:

@@ -19,8 +19,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rich.console import Console
-from rich.progress import Progress
 from rosgraph_msgs.msg import Clock
 
 TICK = 0.02  # s between two messages on /clock
@@ -30,8 +28,7 @@ DISCOVERY = 0.5
 LONGEST_END = Duration(seconds=10)
 
 
-def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0,
-           ros_args: Sequence[str] = ()) -> None:
+def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
     """
     Publish a bag at rate times its recorded speed, and return when all messages are sent.
 
@@ -44,7 +41,7 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0,
     received = list(reader.messages())
     for warning in reader.warnings:
         print(warning, file=sys.stderr)
-    with ros(ros_args):
+    with ros():
         node = Node('handeye_replay')
         clock = node.create_publisher(Clock, '/clock', 10)
         publishers = _publishers(node, reader.types)
@@ -86,22 +83,17 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
 def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
                  clock: Publisher, rate: float) -> None:
     """Publish every message at its time; rate: of the bag's time to real time."""
-    first, last = messages[0].log_time, messages[-1].log_time
-    begin = time.monotonic()
+    first, begin = messages[0].log_time, time.monotonic()
 
     def bag_time() -> int:
         return first + round((time.monotonic() - begin) * rate * 1e9)
 
-    console = Console(stderr=True)
-    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
-        task = progress.add_task('replay', total=last - first)
-        for message in messages:
-            while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
-                clock.publish(Clock(clock=time_message(bag_time())))
-                progress.update(task, completed=bag_time() - first)
-                time.sleep(min(ahead, TICK))
-            publishers[message.topic].publish(message.data)
-        clock.publish(Clock(clock=time_message(last)))
+    for message in messages:
+        while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
+            clock.publish(Clock(clock=time_message(bag_time())))
+            time.sleep(min(ahead, TICK))
+        publishers[message.topic].publish(message.data)
+    clock.publish(Clock(clock=time_message(messages[-1].log_time)))
 
 
 def main() -> int:
@@ -112,7 +104,7 @@ def main() -> int:
     parser.add_argument('--timeout', type=float, default=5.0,
                         help='start after so many seconds in any case (default: 5)')
     options = parser.parse_args(own_arguments())
-    return exit_code(lambda: replay(options.bag, options.rate, options.timeout, sys.argv))
+    return exit_code(lambda: replay(options.bag, options.rate, options.timeout))
 
 
 if __name__ == '__main__':

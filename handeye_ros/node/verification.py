@@ -51,7 +51,8 @@ class LiveVerification:
         Raises InputError for the settings, DataError without a calibration.
         """
         live, session = self._live, self.session
-        live.evaluate_all(rest=False)
+        while live.evaluate_next():  # what began before is a sample
+            pass
         if session is None or session.is_full:
             session = VerificationSession(live.config)
             self._calibration()  # may read a file
@@ -97,7 +98,7 @@ class LiveVerification:
         if self.session is None:
             raise DataError('no verification was started: call ~/verify_start, and measure the '
                             'artefact')
-        live.evaluate_all(rest=True)
+        live.evaluate_all()
         calibration = self._calibration()
         with live.lock:
             session = self.session.copied()

@@ -33,7 +33,7 @@ from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.evidence import verdict
-from live_sessions import changed, computed, Inline, new
+from live_sessions import changed, computed, Inline, new, update
 import numpy as np
 import pytest
 from recordings import POINTS
@@ -55,7 +55,7 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
         else:
             live.add_profile(item)
         if live.waiting:
-            live.update()
+            update(live)
         if len(live.copied().stops) >= stops:
             break
     return live
@@ -72,7 +72,7 @@ def again(live: LiveSession, **values: object) -> LiveSession:
     other = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found),
                         pool, lambda: None)
     other.restore(found.session(config), found.config)
-    other.update()
+    update(other)
     return other
 
 

@@ -30,7 +30,7 @@ from handeye_ros.simulate import SCENARIOS, settings, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES, Stops
 from handeye_ros.simulate.sensor import lift
-from live_sessions import changed, computed, fed, feed, Inline, later, new, SPHERE, verdict
+from live_sessions import changed, computed, fed, feed, Inline, later, new, SPHERE, update, verdict
 import numpy as np
 import pytest
 from recordings import halves
@@ -68,7 +68,7 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
     live, solved, answer = fed(), [], pipeline.answer
     monkeypatch.setattr(pipeline, 'answer', lambda *args: solved.append(args) or answer(*args))
     text = computed(live)
-    live.update()
+    update(live)
     assert len(solved) == 1, 'review and advice are of the same answer'
     monkeypatch.undo()
     offline = pipeline.calibrate(SPHERE.profiles, SPHERE.poses, SPHERE.config)
@@ -163,7 +163,7 @@ def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
     assert [s['number'] for s in state['samples']] == list(range(1, last + 1))
     assert state['guidance']['text'].startswith(f'after sample {last}: ')
     assert f'removed sample {last}' in live.remove_last_sample()
-    live.update()
+    update(live)
     state = state_of(live)
     assert (state['calibration']['state'], state['guidance']['sample']) == ('outdated', last - 1)
     assert live.take_sample().startswith(f'sample {last + 1} taken: ')

@@ -61,13 +61,21 @@ def feed(live: LiveSession, items) -> None:
             live.add_poses([item])
         else:
             live.add_profile(item)
-    live.update()
+    update(live)
+
+
+def update(live: LiveSession) -> None:
+    """Let a session that was not started do what is due."""
+    while live.ask(live.evaluate_next):
+        pass
+    live.ask(live.answer.begin_review)
+    live.ask(lambda: None)  # the review has been put
 
 
 def changed(live: LiveSession, **values: object) -> None:
     dotted = {key.replace('__', '.'): value for key, value in values.items()}
     live.configure(with_values(live.config, dotted, 'test'))
-    live.update()
+    update(live)
 
 
 def computed(live: LiveSession) -> str:
