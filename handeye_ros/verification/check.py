@@ -26,10 +26,12 @@ from handeye_ros.data import Array, Calibration, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
+from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import out_of_face
 from handeye_ros.verification.fit import (
     agreeing_groups,
+    largest_displacement,
     Numbers,
     predicted,
     require_stations,
@@ -121,7 +123,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     rows = comparison.residuals()
 
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
-              _Cause('robot', _robot_likelihood(comparison, rows), STILL, 0.0, 0.0))
+              _Cause('robot', _robot_likelihood(comparison, rows)))
     likelihood = np.array([cause.likelihood for cause in causes])
     together = float(np.logaddexp.reduce(likelihood))
     evidence = together - math.log(len(causes)) - rows.likelihood(0.0)
@@ -131,22 +133,22 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     if evidence < math.log(EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shown(target_axes, target_shows)} of the base on, one of the '
-            f'sensor from {_shown(sensor_axes, sensor_shows)} of the flange on')
+            f'have shown from {_shown(target_axes, target_shows, target_frame(config))} on, one '
+            f'of the sensor from {_shown(sensor_axes, sensor_shows, mount_frame(config))} on')
     else:
         verdict, sentence = _changed(sorted(causes, key=lambda cause: -cause.likelihood), odds)
+    left_out = [k + 1 for k in left_out]
     if left_out:
-        stops = [k + 1 for k in left_out]
-        sentence += f'. Left out, as they contradict the others: stops {stops}'
+        sentence += f'. Left out, as they contradict the others: stops {left_out}'
     target, sensor, _ = causes
     return Check(
         samples[0].stamp, verdict, sentence, len(comparison.problem.poses),
         float(np.sqrt((rows.r ** 2).mean())),
         math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
-        sensor.turn, sensor.displacement, sensor.displacement_std,
+        sensor.turn, sensor.displacement, sensor.std,
         np.where(target_shows < UNSEEN, target_shows, np.nan).tolist(), target_axes.tolist(),
         np.where(sensor_shows < UNSEEN, sensor_shows, np.nan).tolist(), sensor_axes.tolist(),
-        [k + 1 for k in left_out])
+        left_out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,13 +210,12 @@ class _Comparison:
             noise[stops.rows[:, :, None], stops.rows[:, None]] = (
                 self.noise_scale ** 2 * covariances(linear, stops).sum(axis=0))
         # the set-backs of the ends of each kind at each edge
-        obs, out = problem.observations, out_of_face(linear)
-        ends = {(int(k), int(e)) for k, e in zip(obs.kind, obs.end, strict=True) if e}
-        setbacks = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in sorted(ends)]
+        obs, out = problem.observations, out_of_face(linear) * problem.config.target.setback_std
+        ends = np.unique(np.column_stack([obs.kind, obs.end])[obs.end > 0], axis=0)
+        setbacks = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in ends]
         lever = obs.in_base(problem.poses, at.X) - self.middle
         return _Residuals(
-            linear.residuals, np.hstack([linear.jacobian @ self.root, np.reshape(
-                setbacks, (-1, len(out))).T * problem.config.target.setback_std]), noise,
+            linear.residuals, np.column_stack([linear.jacobian @ self.root, *setbacks]), noise,
             {'target': np.hstack([linear.by_base, se3.cross(lever, linear.by_base)]),
              'sensor': -linear.jacobian[:, :6], 'robot': linear.by_pose},
             {'target': lever, 'sensor': linear.lever})
@@ -253,29 +254,24 @@ def _prior(scale: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Cause:
-    """Log likelihood, most likely move (6,) and its largest displacement of a point (m)."""
+    """
+    Log likelihood of a cause, and its most likely move: shift (m) and turn (rad).
+
+    displacement: the largest of a point by this move, and its std (m).
+    """
 
     name: str
     likelihood: float
-    move: Array
-    displacement: float
-    displacement_std: float
-
-    @property
-    def shift(self) -> float:
-        """Return the shift of the move (m)."""
-        return float(np.linalg.norm(self.move[:3]))
-
-    @property
-    def turn(self) -> float:
-        """Return the turn of the move (rad)."""
-        return float(np.linalg.norm(self.move[3:]))
+    shift: float = 0.0
+    turn: float = 0.0
+    displacement: float = 0.0
+    std: float = 0.0
 
     @property
     def sentence(self) -> str:
         """Return what has changed, and what follows from it."""
         turn = f'{math.degrees(self.turn):.3f} degrees'
-        off = f'{mm(self.displacement)} ± {mm(2 * self.displacement_std)}'
+        off = f'{mm(self.displacement)} ± {mm(2 * self.std)}'
         return {
             'target': f'the target, or the base of the robot, moved by up to {off} where it was '
                       f'seen, and turned by {turn}; the calibration holds',
@@ -293,19 +289,14 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
         rows = comparison.residuals(name, move)
         D = rows.by[name]
         gain = np.linalg.solve(rows.covariance, D).T
-        C = np.linalg.inv(gain @ D + np.diag(1 / _prior(scale)))
+        C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _prior(scale))))
         linear = rows.r + D @ move
         move = C @ gain @ linear
         likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in SCALES]
         scale = SCALES[int(np.argmax(likelihood))]
-    lever = rows.lever[name]
-    by_move = np.concatenate([np.broadcast_to(np.eye(3), (len(lever), 3, 3)), -se3.skew(lever)],
-                             axis=2)
-    displacements = np.linalg.norm(by_move @ move, axis=1)
-    worst = int(np.argmax(displacements))
-    std = np.sqrt(np.trace(by_move[worst] @ C @ by_move[worst].T))
-    return _Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), move,
-                  float(displacements[worst]), float(std))
+    shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
+    return _Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), shift, turn,
+                  *largest_displacement(rows.lever[name], move, C))
 
 
 def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
@@ -347,20 +338,12 @@ def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[st
     return ' or '.join(cause.name for cause in named), sentence
 
 
-def _shown(axes: Array, shifts: Array) -> str:
+def _shown(axes: Array, shifts: Array, frame: str) -> str:
     """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
-    seen = [f'{mm(size)} along {_axis(axis)}' for size, axis in zip(shifts, axes, strict=True)
-            if size < UNSEEN]
-    unseen = [_axis(axis) for size, axis in zip(shifts, axes, strict=True) if size >= UNSEEN]
-    return ', '.join(seen) + (
-        f' (a slide along {" or ".join(unseen)} cannot be seen)' if unseen else '')
-
-
-def _axis(axis: Array) -> str:
-    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    if np.abs(axis).max() > 0.995:
-        return 'xyz'[int(np.argmax(np.abs(axis)))]
-    return '(' + ' '.join(f'{v:.2f}' for v in axis) + ')'
+    named = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
+    unseen = ' or '.join(name for size, name in named if size >= UNSEEN)
+    return ', '.join(f'{mm(size)} along {name}' for size, name in named if size < UNSEEN) + (
+        f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
 def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:
@@ -368,13 +351,12 @@ def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> 
     previous = calibration.time_offset
     if previous is None:
         return result
-    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
     changed, sentence = compared(offset, previous)
     verdict = result.verdict
     if changed:
         verdict = 'clock' if verdict == 'unchanged' else f'{verdict} and clock'
-    return replace(result, time_offset_changed=change, time_offset_changed_std=std,
-                   verdict=verdict,
+    return replace(result, verdict=verdict, time_offset_changed=offset.value - previous.value,
+                   time_offset_changed_std=math.hypot(offset.std, previous.std),
                    sentence=f'{result.sentence}. {sentence[0].upper()}{sentence[1:]}')
 
 

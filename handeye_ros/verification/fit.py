@@ -31,7 +31,7 @@ from handeye_ros.estimation.least_squares import (
     White,
 )
 from handeye_ros.estimation.problem import Observations
-from handeye_ros.frames import mounted
+from handeye_ros.frames import mount_frame, mounted, name_direction
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -99,11 +99,10 @@ class StationSet:
         """Return the points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
         return self.observations.in_base(self.poses, X)
 
-    def by_calibration(self, X: Array) -> Array:
-        """Return the derivatives (m, 3, 6) of the points by an error of the calibration."""
+    def in_mount(self, vectors: Array) -> Array:
+        """Return vectors (m, 3) of the base in the axes of the sensor's mount."""
         R = self.poses[self.observations.station, :3, :3]
-        lever = self.observations.points @ X[:3, [0, 2]].T
-        return np.concatenate([R, -R @ se3.skew(lever)], axis=2)
+        return np.asarray(np.einsum('mi,mij->mj', vectors, R))
 
     def noise(self, X: Array, by_p: Array, config: Config) -> list[Array]:
         """
@@ -113,13 +112,11 @@ class StationSet:
         error of the position of each pose.
         """
         obs, noise, p = self.observations, config.noise, self.points(X)
-        T = self.poses[obs.station]
-        by_mount = np.einsum('mi,mij->mj', by_p, T[:, :3, :3])
-        by_feature = np.einsum('mi,ij,mjk->mk', by_mount, X[:3, [0, 2]], obs.noise)
+        by_feature = np.einsum('mi,ij,mjk->mk', self.in_mount(by_p), X[:3, [0, 2]], obs.noise)
         # the robot's errors: in the axes of its base, and about the origin of its flange
-        in_hand = config.calibration_type == 'eye_in_hand'
-        by_shift, lever = (by_p, p - T[:, :3, 3]) if in_hand else (
-            by_mount, np.einsum('mi,mij->mj', p, T[:, :3, :3]))
+        by_shift, lever = ((by_p, p - self.poses[obs.station, :3, 3])
+                           if config.calibration_type == 'eye_in_hand' else
+                           (self.in_mount(by_p), self.in_mount(p)))
         by_pose = np.hstack([by_shift, se3.cross(lever, by_shift)]) * np.repeat(
             [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
         covariances = []
@@ -258,22 +255,6 @@ class Scatter:
     p: float
 
 
-@dataclass(frozen=True)
-class Weakest:
-    """
-    What an error of the calibration does in the direction in which it shows least.
-
-    size: root mean square displacement (m) of the points by the smallest detectable one;
-    estimate: that by the estimated error in this direction, and its 1 sigma std; direction: in
-    words.
-    """
-
-    size: float
-    estimate: float
-    std: float
-    direction: str
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
@@ -281,20 +262,27 @@ class Fit:
 
     quantities: those of the shape, as measured. distances (m,): residuals; distance_std (m,): 1
     sigma due to sensor and robot. region: (v - nominal)' cov^-1 (v - nominal) of the `freedom`
-    values v with a nominal, cov the sum of their covariances by measurement and calibration.
-    error (6,): estimated error of the calibration; p_error, p_no_error: p-values of the distances
-    with and without it; implied, implied_std: its largest displacement of a point (m).
-    residuals (m,): whitened, of the shape as expected; taken_up (m, k): U U' is the part of them
-    that shape and calibration take up, whatever its error.
+    values v with a nominal, cov the sum of their covariances by measurement and calibration;
+    claim_p: probability of a larger one if the calibration's covariance is true. smallest_error:
+    the smallest detectable error of the calibration in the direction in which it shows least, as
+    RMS displacement of the points (m); weakest_direction: in words; along, along_std: the
+    estimated error in this direction. error (6,): estimated error of the calibration; p_error,
+    p_no_error: p-values of the distances with and without it; implied, implied_std: its largest
+    displacement of a point (m). residuals (m,): whitened, of the shape as expected; taken_up (m,
+    k): U U' is the part of them that shape and calibration take up, whatever its error.
     """
 
     quantities: tuple[Quantity, ...]
     scatter: Scatter
-    weakest: Weakest
+    smallest_error: float
+    weakest_direction: str
+    along: float
+    along_std: float
     distances: Array
     distance_std: Array
     region: float
     freedom: int
+    claim_p: float
     error: Array
     p_error: float
     p_no_error: float
@@ -312,7 +300,8 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     with the uncertainty of its nominal values and of the aim of the laser at it.
     """
     stations = shape.stations
-    p, by_X = stations.points(X), stations.by_calibration(X)
+    p = stations.points(X)
+    lever = stations.observations.points @ X[:3, [0, 2]].T
 
     def factors_at(q: Array) -> list[Array]:
         covariances = stations.noise(X, shape.by_point(p, q), config)
@@ -321,7 +310,8 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
     factors, distances = factors_at(q), shape.distance(p, q)
     r, J = _white(factors, distances), _white(factors, shape.by_unknowns(p, q))
-    G = _white(factors, np.einsum('mi,mij->mj', shape.by_point(p, q), by_X))
+    by_mount = stations.in_mount(shape.by_point(p, q))
+    G = _white(factors, np.hstack([by_mount, se3.cross(lever, by_mount)]))
     gain = np.asarray(np.linalg.pinv(J), dtype=float)
     A, remainder = G - J @ (gain @ G), r - J @ (gain @ r)  # what the shape does not take up
 
@@ -343,17 +333,14 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     by_error = F @ gain @ G
     covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
     unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > UNSEEN
-    known = np.array([k for k, what in enumerate(shape.quantities)
-                      if what.nominal is not None and not unseen[k]], dtype=int)
+    nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
+    known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     covariance[known, known] += (config.verify.certificate / K) ** 2
-    region = 0.0
-    if len(known):
-        deviation = values[known] - [shape.quantities[k].nominal for k in known]
-        block = np.ix_(known, known)
-        region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
-        factor = np.linalg.cholesky(covariance[block])
-        A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
-        remainder = np.append(remainder, np.linalg.solve(factor, deviation))
+    deviation, block = (values - nominal)[known], np.ix_(known, known)
+    region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+    factor = np.linalg.cholesky(covariance[block])
+    A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
+    remainder = np.append(remainder, np.linalg.solve(factor, deviation))
     covariance[unseen, unseen] = np.inf
     quantities = tuple(
         replace(quantity, value=float(value), std=float(std), claimed=float(claim))
@@ -362,42 +349,55 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
                                         for each in (covariance, claimed)), strict=True))
 
     # the most likely error of the calibration
-    inverse = np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0))
+    inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0)))
     error = np.asarray(inverse @ A.T @ remainder, dtype=float)
     left = float(((remainder - A @ error) ** 2).sum())
     freedom_left = max(freedom + len(known) - 6, 1)
     scale = max(left / freedom_left, 1.0)
-    displacements = np.linalg.norm(by_X @ error, axis=1)
-    worst = int(np.argmax(displacements))
+    columns = np.hstack([J, G])
+    U, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300),
+                            full_matrices=False)
     return Fit(
-        quantities, scatter,
-        _weakest(A.T @ A, np.einsum('mik,mil->kl', by_X, by_X) / len(r), error), distances,
+        quantities, scatter, *_weakest(A.T @ A, lever, error, mount_frame(config)), distances,
         np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]), region, len(known),
-        error, float(chi2_sf(left, freedom_left)),
-        float(chi2_sf((remainder @ remainder - left) / scale, 6)), float(displacements[worst]),
-        float(np.sqrt(scale * np.trace(by_X[worst] @ inverse @ by_X[worst].T))), r,
-        _basis(np.hstack([J, G])))
+        float(chi2_sf(region, len(known))) if len(known) else 1.0, error,
+        float(chi2_sf(left, freedom_left)),
+        float(chi2_sf((remainder @ remainder - left) / scale, 6)),
+        *largest_displacement(lever, error, scale * inverse), r, U[:, s > RANK * s[0]])
 
 
-def _weakest(information: Array, shift: Array, error: Array) -> Weakest:
+def _by_move(lever: Array) -> Array:
+    """Return the derivatives (m, 3, 6) of points at levers (m, 3) by a move of their body."""
+    R = np.broadcast_to(np.eye(3), (len(lever), 3, 3))
+    return np.concatenate([R, -se3.skew(lever)], axis=2)
+
+
+def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
+    """Return the largest displacement (m) by a move (6,) of covariance C, and its 1 sigma."""
+    by_move = _by_move(lever)
+    sizes = np.linalg.norm(by_move @ move, axis=1)
+    worst = by_move[np.argmax(sizes)]
+    return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
+
+
+def _weakest(information: Array, lever: Array, error: Array, mount: str
+             ) -> tuple[float, str, float, float]:
     """
-    Return the weakest direction of the calibration.
+    Return smallest_error, weakest_direction, along and along_std of a Fit.
 
-    information (6, 6): about its error; shift (6, 6): quadratic form that gives the mean square
-    displacement of the points; error (6,): the estimated one.
+    information (6, 6): about the calibration's error in its mount; error (6,): the estimated one.
     """
-    shift = shift + 1e-12 * np.trace(shift) * np.eye(6)
+    by_move = _by_move(lever)
+    shift = np.einsum('mik,mil->kl', by_move, by_move) / len(lever)  # mean square displacement
+    shift += 1e-12 * np.trace(shift) * np.eye(6)
     power, directions = scipy.linalg.eigh(information, shift)
     worst = directions[:, 0]  # displaces the points by 1 m RMS
     by_rotation = np.sqrt(worst[3:] @ shift[3:, 3:] @ worst[3:])
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
-    *others, last = [name for size, name in zip(np.abs(axis), 'xyz', strict=True)
-                     if size > 0.5 * np.abs(axis).max()]
-    axes = f'{", ".join(others)} and {last}' if others else last
     std = float(1 / np.sqrt(max(power[0], 1e-12)))
-    return Weakest(SENSITIVE * std, abs(float(worst @ shift @ error)), std,
-                   f'{motion} {axes} of the flange')
+    return (SENSITIVE * std, f'{motion} {name_direction(axis, mount)}',
+            abs(float(worst @ shift @ error)), std)
 
 
 def refit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
@@ -438,13 +438,6 @@ def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
     S = spread @ spread.T
     freedom = float(np.trace(S) ** 2 / (S ** 2).sum())
     return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
-
-
-def _basis(columns: Array) -> Array:
-    """Return an orthonormal basis (m, r) of what columns (m, k) span."""
-    size = np.linalg.norm(columns, axis=0)
-    U, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return np.asarray(U[:, s > RANK * s[0]])
 
 
 def predicted(r: Array, U: Array, row_groups: Numbers, groups: Numbers) -> tuple[Array, Numbers]:

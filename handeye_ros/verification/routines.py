@@ -3,15 +3,14 @@
 """The verification routines, by name, and the shapes that they fit."""
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 import math
 
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, UnknownNameError
-from handeye_ros.verification.fit import Fit, Numbers, Quantity, Shape, StationSet
+from handeye_ros.verification.fit import Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 
@@ -45,68 +44,47 @@ def point(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
                      'xyz', reference, strict=True)))
 
 
-def free_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
-    """Return independent planes; of two, the angle between them is measured."""
-    count = int(stations.bags.max()) + 1
-    start, distance, placed = _planes(stations, X, np.arange(count))
-    if count != 2:
-        return Shape(stations, start, distance)
+def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
+    """
+    Return a plane for each bag; those of one block are parallel, and their heights are measured.
 
-    def angle(q: Array) -> Array:
-        (a, b), _ = placed(q)
-        return np.array([np.arctan2(np.linalg.norm(np.cross(a, b)), np.abs(a @ b))])
-
-    return Shape(stations, start, distance, angle,
-                 (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),))
-
-
-def parallel_planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
-    """Return blocks of parallel planes: heights over the first of each block."""
-    bags = int(stations.bags.max()) + 1
+    A bag without a nominal length begins a block. Of two blocks of one face the angle is
+    measured. The unknowns are two tilts of each block, and one height of each plane
+    over the middle of its points.
+    """
+    p, bag, bags = stations.points(X), stations.row_bags, int(stations.bags.max()) + 1
     blocks = bags - len(nominal.lengths)
     block, face = np.divmod(np.arange(bags), bags // blocks)
-    start, distance, placed = _planes(stations, X, block)
-
-    def heights(q: Array) -> Array:
-        _, height = placed(q)
-        return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
-
-    return Shape(stations, start, distance, heights, tuple(
-        Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
-                 nominal=length, characteristic='E')
-        for b, f, length in zip(block[face > 0], face[face > 0], nominal.lengths, strict=True)))
-
-
-def _planes(stations: StationSet, X: Array, plane_set: Numbers) -> tuple[
-        Array, Callable[[Array, Array], Array], Callable[[Array], tuple[Array, Array]]]:
-    """
-    Return start and distances of a plane for each bag, and its normals (b, 3) and heights (b,).
-
-    plane_set: (b,) the set of parallel planes of each bag. The unknowns are two tilts of each
-    set, and one height of each plane over the middle of its points.
-    """
-    p, bag, sets = stations.points(X), stations.row_bags, int(plane_set.max()) + 1
-    middles = np.array([p[bag == k].mean(axis=0) for k in range(len(plane_set))])
+    middles = np.array([p[bag == k].mean(axis=0) for k in range(bags)])
     centred = p - middles[bag]
-    frames = np.array([np.linalg.svd(centred[plane_set[bag] == k], full_matrices=False)[2].T
-                       for k in range(sets)])
-    for k in range(sets):  # upwards from the first of a set to the last
-        reach = (middles[plane_set == k] - middles[plane_set == k][0]) @ frames[k][:, 2]
+    frames = np.array([np.linalg.svd(centred[block[bag] == k], full_matrices=False)[2].T
+                       for k in range(blocks)])
+    for k in range(blocks):  # upwards from the first of a block to the last
+        reach = (middles[block == k] - middles[block == k][0]) @ frames[k][:, 2]
         frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or 1.0)
 
     def normals(q: Array) -> Array:
-        tilt = q[:2 * sets].reshape(sets, 2)
+        tilt = q[:2 * blocks].reshape(blocks, 2)
         n = frames[:, :, 2] + np.einsum('kij,kj->ki', frames[:, :, :2], tilt)
-        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[plane_set])
+        return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[block])
 
     def distance(p: Array, q: Array) -> Array:
-        return np.asarray(((p - middles[bag]) * normals(q)[bag]).sum(axis=1) - q[2 * sets + bag])
+        return np.asarray(((p - middles[bag]) * normals(q)[bag]).sum(axis=1) - q[2 * blocks + bag])
 
-    def placed(q: Array) -> tuple[Array, Array]:
+    def values(q: Array) -> Array:
         n = normals(q)
-        return n, (middles * n).sum(axis=1) + q[2 * sets:]
+        if bags == blocks == 2:
+            return np.array([np.arctan2(np.linalg.norm(np.cross(*n)), np.abs(n[0] @ n[1]))])
+        height = (middles * n).sum(axis=1) + q[2 * blocks:]
+        return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
 
-    return np.zeros(2 * sets + len(plane_set)), distance, placed
+    quantities = tuple(
+        Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
+                 nominal=length, characteristic='E')
+        for b, f, length in zip(block[face > 0], face[face > 0], nominal.lengths, strict=True))
+    if bags == blocks == 2:
+        quantities = (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),)
+    return Shape(stations, np.zeros(2 * blocks + bags), distance, values, quantities)
 
 
 def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
@@ -140,28 +118,6 @@ def _sphere_through(p: Array) -> Array:
     return np.append(x[:3] + middle, np.sqrt(max(x[3] + x[:3] @ x[:3], 1e-12)))
 
 
-def _point_scatter(shape: Shape, fit: Fit) -> list[Quantity]:
-    """Return 3 sigma of the points along x, y and z of the base."""
-    along = shape.stations.observations.kind
-    return [_scatter(f'3 sigma of the points along {axis}', 3 * float(part.std(ddof=1)), len(part))
-            for axis, part in zip('xyz', _parts(fit.distances, along), strict=True)]
-
-
-def _form_error(name: str, symbol: str, shape: Shape, fit: Fit) -> list[Quantity]:
-    """Return the form error of each face or ball: highest point less lowest point."""
-    return [_scatter(f'{name} {k}, noise included', float(np.ptp(part)), len(part), symbol)
-            for k, part in enumerate(_parts(fit.distances, shape.stations.row_bags), 1)]
-
-
-def _parts(values: Array, number: Numbers) -> list[Array]:
-    return [values[number == k] for k in range(int(number.max()) + 1)]
-
-
-def _scatter(name: str, value: float, points: int, symbol: str = '') -> Quantity:
-    """Return a scatter with its own 1 sigma, that of normal scatter."""
-    return Quantity(name, value, value / math.sqrt(2 * max(points - 1, 1)), characteristic=symbol)
-
-
 @dataclass(frozen=True)
 class Routine:
     """
@@ -170,7 +126,8 @@ class Routine:
     says: what it measures. target: the target.type whose features the stations give, or TEETH
     where points are taken while the robot moves. bags: for each valid number of verify.lengths
     the possible numbers of bags, ascending. shape: what is fitted to the stations, with the
-    sensor plane at X (4, 4) in the mount. scatter: further quantities.
+    sensor plane at X (4, 4) in the mount. form: the scatter of each part that is reported, in
+    words; symbol: its characteristic.
     """
 
     name: str
@@ -178,7 +135,8 @@ class Routine:
     target: str
     bags: Mapping[int, Sequence[int]]
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
-    scatter: Callable[[Shape, Fit], list[Quantity]] = lambda shape, fit: []
+    form: str = ''
+    symbol: str = ''
 
     def parts(self, lengths: int) -> Sequence[int]:
         """Return the possible numbers of bags, ascending; raises InputError for wrong lengths."""
@@ -187,23 +145,37 @@ class Routine:
                              f'(verify.lengths), and got {lengths}')
         return self.bags[lengths]
 
+    def scatter(self, stations: StationSet, distances: Array) -> Iterator[Quantity]:
+        """
+        Yield the scatter of distances (m,) of each face or ball: highest less lowest point.
 
-FLATNESS = partial(_form_error, 'flatness of face', 'F')
-ROUNDNESS = partial(_form_error, 'form error of ball', 'PF')
+        Of a point: 3 sigma along each axis of the base. Their own std is that of normal scatter.
+        """
+        of_axes = self.shape is point
+        number = stations.observations.kind if of_axes else stations.row_bags
+        for k in range(int(number.max()) + 1 if self.form else 0):
+            part = distances[number == k]
+            size = float(3 * part.std(ddof=1) if of_axes else np.ptp(part))
+            name = f'{self.form} {"xyz"[k]}' if of_axes else f'{self.form} {k + 1}, noise included'
+            yield Quantity(name, size, size / math.sqrt(2 * max(len(part) - 1, 1)),
+                           characteristic=self.symbol)
+
+
 ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
     Routine('line', 'distances of edge points from a straight edge', 'line', {0: [1]}, line),
-    Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, free_planes,
-            FLATNESS),
+    Routine('plane', 'distances of points from a flat face', 'plane', {0: [1]}, planes,
+            'flatness of face', 'F'),
     Routine('point', 'one point seen from everywhere: scatter, and bias of a touched one', 'line',
-            {0: [1]}, point, _point_scatter),
-    Routine('sphere', 'radius of a ball', 'sphere', {0: [1]}, spheres, ROUNDNESS),
-    Routine('ball_bar', 'distance of two balls', 'sphere', {1: [2]}, spheres, ROUNDNESS),
+            {0: [1]}, point, '3 sigma of the points along'),
+    Routine('sphere', 'radius of a ball', 'sphere', {0: [1]}, spheres, 'form error of ball', 'PF'),
+    Routine('ball_bar', 'distance of two balls', 'sphere', {1: [2]}, spheres,
+            'form error of ball', 'PF'),
     Routine('step', 'heights of parallel faces over the first, of one block to three', 'plane',
             # a block has one face more than heights
             {n: [n + blocks for blocks in (1, 2, 3) if n % blocks == 0 and n + blocks <= 12]
-             for n in range(1, 12)}, parallel_planes),
+             for n in range(1, 12)}, planes),
     Routine('square', 'angle between two faces, and their flatness', 'plane', {0: [2]},
-            free_planes, FLATNESS),
+            planes, 'flatness of face', 'F'),
     Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH,
             {2: range(2, 21)}, teeth),
 )}

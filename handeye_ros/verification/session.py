@@ -21,7 +21,7 @@ from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.fit import StationSet
-from handeye_ros.verification.routines import Routine, routine_of, settings_for, TEETH
+from handeye_ros.verification.routines import routine_of, settings_for, TEETH
 from handeye_ros.verification.stations import stations_of, stations_of_pass
 from handeye_ros.verification.verify import Verification, verify
 
@@ -71,14 +71,9 @@ class VerificationSession:
         if not config.verify.routine:
             raise InputError('verify.routine is not set, so there is nothing to measure: set it '
                              'to the artefact under the sensor (docs/measure.md)')
-        self._name = routine_of(config.verify.routine).name
+        self.routine = routine_of(config.verify.routine)
         self._possible = self.routine.parts(len(config.verify.lengths))
         self.parts = [Part()]
-
-    @property
-    def routine(self) -> Routine:
-        """Return the routine, by name: its functions cannot be pickled."""
-        return routine_of(self._name)
 
     def copied(self) -> Self:
         """Return an independent copy."""

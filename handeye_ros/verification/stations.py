@@ -79,17 +79,13 @@ def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Con
     flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
     seen = np.flatnonzero(flange.inside)
     seen = seen[evenly_chosen(len(seen), PROFILES)]
-    points = [np.empty((0, 2))]
-    for index in seen.tolist():
+    rows, noise = ObservationRows(), np.array([[0.0, 0.0], [config.noise.sensor, 0.0]])
+    for k, index in enumerate(seen.tolist()):
         valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
-        points.append(valid[evenly_chosen(len(valid), POINTS)])
-    station = np.repeat(np.arange(len(seen)), [len(part) for part in points[1:]])
-    noise = np.zeros((len(station), 2, 2))
-    noise[:, 1, 0] = config.noise.sensor
-    obs = Observations(station, np.concatenate(points), np.zeros(len(station), dtype=np.intp),
-                       noise, np.arange(len(station)))
+        some = valid[evenly_chosen(len(valid), POINTS)]
+        rows.add_points(k, some, 0, np.repeat(noise[None], len(some), axis=0), k * POINTS)
     stamps = np.array([profiles[index].stamp for index in seen.tolist()], dtype=np.int64)
-    return StationSet(in_mount(flange.T_base_flange[seen], config), obs, stamps,
+    return StationSet(in_mount(flange.T_base_flange[seen], config), rows.observations(), stamps,
                       np.zeros(len(seen), dtype=np.intp), are_passes=True)
 
 
@@ -142,12 +138,11 @@ def _common(points: Array, stop: Numbers, dimension: int) -> Array:
 def _ends(feature: Feature, T: Array) -> Array:
     """Return the first and last point (2, 3) of a feature in the base; T: (4, 4) sensor plane."""
     if isinstance(feature, FaceLine):
-        points = feature.centre + np.outer(
-            [-3 ** 0.5, 3 ** 0.5], feature.spread * feature.direction)
-    elif isinstance(feature, Arc):
-        points = feature.points[[0, -1]]
+        half = 3 ** 0.5 * feature.spread * feature.direction
+        points = np.array([feature.centre - half, feature.centre + half])
     else:
-        points = np.array([feature.point, feature.point])
+        points = (feature.points[[0, -1]] if isinstance(feature, Arc) else
+                  np.array([feature.point, feature.point]))
     return np.asarray(points @ T[:3, [0, 2]].T + T[:3, 3])
 
 
@@ -224,9 +219,11 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
         if step >= ALL:
             inliers = np.abs(r) <= OUTLIER * scatter
         x = x - np.linalg.lstsq(derivatives(distances, x)[inliers], r[inliers], rcond=None)[0]
-    std = _std_of_last(distances(x)[inliers], derivatives(distances, x)[inliers],
-                       stations.stamps[obs.station[inliers]] // CORRELATED)
-    foreign = set(obs.station[np.abs(distances(x)) > FOREIGN * scatter].tolist())
+    r, gain = distances(x), np.linalg.pinv(derivatives(distances, x)[inliers])
+    time = stations.stamps[obs.station[inliers]] // CORRELATED
+    parts = np.bincount(np.unique(time, return_inverse=True)[1], gain[-1] * r[inliers])
+    std = float(np.sqrt((parts ** 2).sum() * len(parts) / max(len(parts) - len(x), 1)))
+    foreign = set(obs.station[np.abs(r) > FOREIGN * scatter].tolist())
     previous = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
     _, sentence = compared(TimeOffset(config.time_offset + float(x[-1]), std), previous)
     if foreign:
@@ -234,15 +231,6 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     at = pairing.at(x[-1]).T_base_flange
     return [replace(sample, T_base_flange=at[k], motion=None) for k, sample in enumerate(samples)
             if k not in foreign], sentence
-
-
-def _std_of_last(r: Array, J: Array, group: Numbers) -> float:
-    """Return 1 sigma of the last unknown for residuals (m,) correlated within groups (m,)."""
-    nuisance, last = J[:, :-1], J[:, -1]
-    reduced = last - nuisance @ np.linalg.lstsq(nuisance, last, rcond=None)[0]
-    scores = np.bincount(np.unique(group, return_inverse=True)[1], reduced * r)
-    freedom = max(len(scores) - J.shape[1], 1)
-    return float(np.sqrt((scores ** 2).sum() * len(scores) / freedom) / (reduced @ reduced))
 
 
 def compared(offset: TimeOffset, previous: TimeOffset) -> tuple[bool, str]:

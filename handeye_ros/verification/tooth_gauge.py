@@ -45,7 +45,8 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         face, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
         if on_gauge.mean() < LEAST_SHARE:
             break
-        shape = _shape(_on_faces(stations, on_gauge, face), frame, pitch, height, tooth[on_gauge],
+        obs = replace(stations.observations, kind=face).select(on_gauge)
+        shape = _shape(replace(stations, observations=obs), frame, pitch, height, tooth[on_gauge],
                        q)
         q = shape.fitted(p[on_gauge], iterations=1)
     top, valley, *flanks = np.bincount(face[on_gauge], minlength=4) / len(p)
@@ -67,11 +68,6 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     noise[:, 1, 0] = np.maximum(obs.noise[:, 1, 0], scatter[good])
     return _shape(replace(found, observations=replace(obs, noise=noise)), frame, pitch, height,
                   tooth[on_gauge][good], q)
-
-
-def _on_faces(stations: StationSet, on_gauge: NDArray[np.bool_], face: Numbers) -> StationSet:
-    obs = replace(stations.observations, kind=face).select(on_gauge)
-    return replace(stations, observations=obs)
 
 
 def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scatter: float

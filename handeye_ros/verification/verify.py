@@ -21,7 +21,7 @@ from handeye_ros import __version__, output
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.least_squares import chi2_sf, FALSE_ALARM
+from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
@@ -149,14 +149,14 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
                 f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
                 'object was under the sensor, that it did not move, and that nothing else was in '
                 'view (verify.near)')
-    quantities = (*found.quantities, *routine.scatter(shape, found))
+    quantities = (*found.quantities, *routine.scatter(shape.stations, found.distances))
     per_station = _station_results(stations, shape.stations, found, p, left_out)
     verdict, reasons = _decide(found, quantities, per_station, config.verify)
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, found.scatter, found.weakest.size, found.weakest.direction, found.region,
-        found.freedom, _claim_p(found), per_station, stations.surface, says=routine.says,
+        quantities, found.scatter, found.smallest_error, found.weakest_direction, found.region,
+        found.freedom, found.claim_p, per_station, stations.surface, says=routine.says,
         recorded=time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
 
@@ -181,22 +181,24 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
     return tuple(results)
 
 
-def _claim_p(fit: Fit) -> float:
-    """Return the p-value of the deviations under the calibration's stated covariance."""
-    return float(chi2_sf(fit.region, fit.freedom)) if fit.freedom else 1.0
-
-
 def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
             limits: VerifyConfig) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
-    weakest = fit.weakest
     other_size = fit.p_error < FOREIGN < fit.scatter.p  # the shape fits, but not in its size
     notes = _notes(fit, other_size, stations, limits)
-    tolerances = {'m': limits.tolerance, 'rad': limits.angle_tolerance}
-    deviations = [(q, abs(q.error), tolerances[q.unit]) for q in quantities if q.error is not None]
-    failed = [f'{q.name} is off by {formatted(q.error, q.unit)} ± {formatted(q.expanded, q.unit)} '
-              f'(k = {K:g})' for q, deviation, tolerance in deviations
-              if deviation - q.expanded > tolerance]
+    failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
+    for q in quantities:
+        if q.error is None:
+            continue
+        tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
+        off = f'{q.name} is off by {formatted(q.error, q.unit)}'
+        U, spare = f'{formatted(q.expanded, q.unit)} (k = {K:g})', tolerance - abs(q.error)
+        if spare < -q.expanded:
+            failed.append(f'{off} ± {U}')
+        elif spare < q.expanded:
+            undecided.append(
+                f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
+                f'{formatted(tolerance, q.unit)}' + _or_measure(used, q.expanded, spare, ':'))
     outside = [s for s in stations if s.used and K * s.std <= limits.tolerance
                and s.distance - K * s.std > limits.tolerance]
     if outside:
@@ -210,35 +212,28 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             f'{mm(K * fit.implied_std)} (k = {K:g}) at the points')
     if failed:
         return 'fail', (*failed, *notes)
-    used = sum(station.used for station in stations)
-    if weakest.size > limits.tolerance:
+    if fit.smallest_error > limits.tolerance:
         return 'insensitive', (
-            f'an error of the calibration would show only from {mm(weakest.size)} on '
-            f'({weakest.direction}), and the tolerance is {mm(limits.tolerance)}: turn the sensor '
-            'more between the stops' + _or_measure(
-                used, weakest.size / limits.tolerance, ', or'), *notes)
-    undecided = [
-        f'{q.name} is off by {formatted(q.error, q.unit)}, its uncertainty is '
-        f'{formatted(q.expanded, q.unit)} (k = {K:g}), and together they exceed the tolerance '
-        f'of {formatted(tolerance, q.unit)}' + _or_measure(
-            used, q.expanded / (tolerance - deviation) if tolerance > deviation else 0.0, ':')
-        for q, deviation, tolerance in deviations if deviation + q.expanded > tolerance]
-    for size, std, is_seen in (
+            f'an error of the calibration would show only from {mm(fit.smallest_error)} on '
+            f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}: turn the '
+            'sensor more between the stops' + _or_measure(
+                used, fit.smallest_error, limits.tolerance, ', or'), *notes)
+    undecided += [
+        f'the points suggest an error of the calibration of {mm(size)} ± {mm(K * std)} '
+        f'(k = {K:g}), which may exceed the tolerance: measure at more stops'
+        for size, std, is_seen in (
             (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANT),
-            (weakest.estimate, weakest.std, weakest.estimate > NORMAL_95 * weakest.std)):
-        if is_seen and size + ONE_SIDED_95 * std > limits.tolerance:
-            undecided.append(
-                f'the points suggest an error of the calibration of {mm(size)} ± {mm(K * std)} '
-                f'(k = {K:g}), which may exceed the tolerance: measure at more stops')
-            break
+            (fit.along, fit.along_std, fit.along > NORMAL_95 * fit.along_std))
+        if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
     return ('undecided', (*undecided, *notes)) if undecided else ('pass', notes)
 
 
-def _or_measure(used: int, too_large: float, conjunction: str) -> str:
-    """Return the advice to measure at more stops for a smaller uncertainty, '' if no help."""
-    if not 0 < too_large < 10:
+def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str:
+    """Return the advice to measure at more stops where what is too large gets small enough."""
+    if size >= 10 * largest:
         return ''
-    return f'{conjunction} measure at about {math.ceil(used * too_large ** 2)} stops like these'
+    return (f'{conjunction} measure at about {math.ceil(used * (size / largest) ** 2)} stops like '
+            'these')
 
 
 def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
@@ -255,9 +250,9 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
     if other_size:
         notes.append('the points fit the shape, and no error of the calibration explains these '
                      'deviations: check the nominal values (verify.radius, verify.lengths)')
-    claim = _claim_p(fit)
-    if claim < SIGNIFICANT:
-        notes.append(f'the deviations are larger than the calibration claims (p = {claim:.1g})')
+    if fit.claim_p < SIGNIFICANT:
+        notes.append('the deviations are larger than the calibration claims '
+                     f'(p = {fit.claim_p:.1g})')
     if limits.tolerance > LARGE:
         notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
                      'in metres unless a unit is given')
