@@ -35,7 +35,7 @@ from typing import Any, TypeAlias
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, NoiseConfig, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Quality, Sample
-from handeye_ros.sampling.trajectory import track_of
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate.measuring import draw_pose, Gauge, Recording, rendered, scan_gauge
 from handeye_ros.simulate.robot import pose_error
@@ -279,7 +279,7 @@ def covariance(rng: np.random.Generator) -> Array:
 
 def scanned(made: Artefact, config: Config) -> list[StationSet]:
     """Return what a scan in passes gives the routine of the gauge."""
-    return [stations_of_pass(part.profiles, track_of(part.poses, 0.5), config)
+    return [stations_of_pass(part.profiles, trajectory_of(part.poses, 0.5), config)
             for part in made.passes]
 
 

@@ -13,7 +13,7 @@ from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.sampling.trajectory import track_of
+from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.cloud import cloud_writer, read_cloud
 from handeye_ros.scanning.scan import point_std, Scanner, ScanOptions
 from moving_scan import calibration, moving, plane_profiles, STEP, T0, true_flange
@@ -27,7 +27,7 @@ GAP = 0.5
 
 
 def scanned(scanner, profiles, poses):
-    return np.concatenate(list(scanner.scan(profiles, track_of(poses, GAP))))
+    return np.concatenate(list(scanner.scan(profiles, trajectory_of(poses, GAP))))
 
 
 def xyz(cloud):
@@ -39,7 +39,7 @@ def test_profiles_without_a_pose_on_both_sides_are_dropped_and_counted():
     poses = [p for p in poses if not 50 * STEP < p.stamp - T0 < 100 * STEP]
     scanner = Scanner(calibration(), Config())
     profiles = plane_profiles(240)
-    cloud = np.concatenate(list(scanner.scan(profiles, track_of(poses, 0.02))))
+    cloud = np.concatenate(list(scanner.scan(profiles, trajectory_of(poses, 0.02))))
     lost = [p for p in profiles if 50 < (p.stamp - T0) / STEP < 100
             or p.stamp > poses[-1].stamp]
     assert scanner.count.without_pose == len(lost)
@@ -124,7 +124,7 @@ def test_the_std_of_a_point_is_that_of_many_trials():
 
 def test_memory_does_not_grow_with_the_length(tmp_path):
     def peak(repeats):
-        profiles, track = plane_profiles(200, 400), track_of(moving(200), GAP)
+        profiles, track = plane_profiles(200, 400), trajectory_of(moving(200), GAP)
         scanner = Scanner(calibration(), Config(), ScanOptions(std=True))
         tracemalloc.start()
         with cloud_writer(tmp_path / 'cloud.ply') as writer:

@@ -12,7 +12,7 @@ from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Arc, FaceLine
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.verification_file import protocol
-from handeye_ros.simulate.robot import perturbed, pose_error
+from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.routines import ROUTINES, settings_for
@@ -191,7 +191,7 @@ def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
         rng, bags = np.random.default_rng(seed), []
         for bag in made.bags:
             T = np.array([se3.inverse(s.T_base_flange @ se3.inverse(away)) for s in bag])
-            T = perturbed(T, pose_error(bench.ROBOT, T, rng))
+            T = se3.perturb(T, pose_error(bench.ROBOT, T, rng))
             bags.append([replace(s, T_base_flange=one) for s, one in zip(bag, T, strict=True)])
         inside += bench.within(result(
             'ball_bar', replace(made, bags=bags), replace(
