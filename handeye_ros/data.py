@@ -234,14 +234,12 @@ Feature: TypeAlias = FaceLine | EdgePoint | Arc
 @dataclass(frozen=True, eq=False)
 class Sample:
     """
-    What a stop gives: the features seen while the robot stood still, and its pose.
+    What a stop gives, or one profile of a moving robot: the features seen, and the pose.
 
-    Or what a pass of a moving robot, or one of its profiles, gives.
     stamp: of the first profile used; T_base_flange: (4, 4).
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting.
     motion: trajectory of a moving robot (sampling.trajectory); offsets: from the stamp to the time
     of its pose, of the rotation behind the position (s), and drift (sampling.sweep).
-    per_profile: of a pass, the samples of its profiles; it has the features of the middle one.
     """
 
     stamp: int
@@ -251,7 +249,6 @@ class Sample:
     flipped: tuple[Feature, ...] = ()
     motion: Any = None
     offsets: tuple[float, ...] = (0.0,)
-    per_profile: tuple[Sample, ...] = ()
 
     @property
     def moving(self) -> bool:
@@ -261,7 +258,21 @@ class Sample:
     @property
     def parts(self) -> tuple[Sample, ...]:
         """Return the samples that an answer uses: of a pass one per profile, else this one."""
-        return self.per_profile or (self,)
+        return (self,)
+
+
+@dataclass(frozen=True, eq=False)
+class Pass(Sample):
+    """
+    What a pass of a moving robot gives: parts, a sample of each of its profiles.
+
+    It stands where a sample of a stop stands, with pose and features of the middle profile. All
+    differences between a sweep and stops: a pass is cut by time (StopFinder), and its profiles
+    are not combined (sampling/features.py); passes_expanded takes it apart, with one motion for
+    all parts; synchronised finds the clocks, on which the poses of the parts depend (problem_of).
+    """
+
+    parts: tuple[Sample, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,17 @@ from functools import partial
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Feature, Profile, Reject, Sample
+from handeye_ros.data import (
+    Arc,
+    Array,
+    EdgePoint,
+    FaceLine,
+    Feature,
+    Pass,
+    Profile,
+    Reject,
+    Sample,
+)
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points, off_circle
 from handeye_ros.profiles.lines import combined_line, on_line
@@ -46,7 +56,7 @@ def sample_of(stop: Stop, config: Config) -> Sample:
     """Return the sample of a stop; raises FeatureError with the reason."""
     stop = stop.load(config)
     if config.sampling.moving:
-        return _sample_of_pass(stop, config)
+        return _pass_of(stop, config)
     profiles = decoded(stop.steady(config), config)
     if not profiles:
         raise _no_profiles(stop, config)
@@ -56,8 +66,8 @@ def sample_of(stop: Stop, config: Config) -> Sample:
                   _flipped(used[0], config))
 
 
-def _sample_of_pass(stop: Stop, config: Config) -> Sample:
-    """Return the sample of a pass, with those of its profiles; raises FeatureError."""
+def _pass_of(stop: Stop, config: Config) -> Pass:
+    """Return the samples of the profiles of a pass; raises FeatureError."""
     found, reasons = _found(decoded(evenly(stop.profiles, MOST_SINGLE), config), config)
     if 2 * len(found) < MOST_SINGLE < len(stop.profiles):
         found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_SINGLE), config), config)
@@ -68,8 +78,9 @@ def _sample_of_pass(stop: Stop, config: Config) -> Sample:
         Sample(profile.stamp, pose, features,
                flipped=() if k % 8 else _flipped(profile, config))  # some suffice
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
-    return replace(single[len(single) // 2], profiles=len(single), per_profile=single,
-                   motion=trajectory_of(stop.poses, config.sampling.max_pose_gap))
+    middle = single[len(single) // 2]
+    return Pass(middle.stamp, middle.T_base_flange, middle.features, len(single), middle.flipped,
+                trajectory_of(stop.poses, config.sampling.max_pose_gap), parts=single)
 
 
 def _no_profiles(stop: Stop, config: Config) -> FeatureError:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
+from typing import TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
@@ -21,6 +22,7 @@ from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sam
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import around, by_stamp, Copied
 import numpy as np
+from numpy.typing import NDArray
 
 NS = 1_000_000_000
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
@@ -34,6 +36,7 @@ FOREVER = 2**63
 # settings, and for the test of the clocks (50 ms apart, see checks/settings.py) in 3.75 s.
 MOST_PROFILES = 32
 
+Item = TypeVar('Item')
 NOT_EVALUATED = Reject(0, 'not evaluated yet')
 
 
@@ -88,11 +91,8 @@ class Stop:
         """Return the stop with the profiles surely taken during it, among candidates in order."""
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
-        while begin < end and not self._has(candidates[begin]):
-            begin += 1
-        while begin < end and not self._has(candidates[end - 1]):
-            end -= 1
-        inside, (first, last) = candidates[begin:end], self._steady_span(config)
+        inside = [profile for profile in candidates[begin:end] if self._has(profile)]
+        first, last = self._steady_span(config)
         begin = bisect_left(inside, first, key=by_stamp)
         end = max(begin, bisect_right(inside, last, key=by_stamp))
         # few from times with vibration
@@ -131,11 +131,14 @@ def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     return evenly(profiles, min(150, max(least, 1 + round(40 * length))))
 
 
-def evenly(profiles: Sequence[AnyProfile], most: int) -> list[AnyProfile]:
-    """Return at most a number of the profiles, evenly spaced."""
-    if len(profiles) <= most:
-        return list(profiles)
-    return [profiles[i] for i in np.linspace(0, len(profiles) - 1, most).astype(int)]
+def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most a number of n items, evenly spaced."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
+
+
+def evenly(items: Sequence[Item], most: int) -> list[Item]:
+    """Return at most a number of items, evenly spaced."""
+    return [items[i] for i in evenly_chosen(len(items), most)]
 
 
 def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
@@ -277,14 +280,9 @@ class ProfileBuffer(Copied):
         for profile in profiles:
             self.items.append(profile)
             self._bytes += _held(profile)
-        if self._bytes > self._most:
-            # more than has to go: to shift what is left for every single one takes its time
-            excess, drop = self._bytes - 0.95 * self._most, 0
-            while excess > 0 and drop < len(self.items) - 1:
-                excess -= _held(self.items[drop])
-                drop += 1
-            self.dropped += drop
-            self._forget(slice(0, drop))
+            while self._bytes > self._most and len(self.items) > 1:
+                self.dropped += 1
+                self._forget(slice(0, 1))
 
     def keep(self, first: int, last: int, now: int) -> None:
         """Forget all profiles outside two stamps but those after a third one."""

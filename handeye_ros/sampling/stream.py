@@ -111,12 +111,16 @@ class Stream(Copied, Generic[Stamped]):
         return (self.latest - self._first) * 1e-9 / (count - 1) if count > 1 else 0.0
 
     def add(self, item: Stamped, frame: str) -> list[Stamped]:
-        """Add the next message; return the messages confirmed by it."""
+        """Add the next message; return it and the one held back, as far as they are confirmed."""
         self.frame = frame if self.frame is None else self.frame
         if frame != self.frame and not self._adopted(frame):
             return []
         self._strays_in_a_row = 0
-        passed = self._judged_by(item)
+        held = self._held
+        if held and held.stamp - item.stamp > LARGEST_STEP:
+            self._held = None
+            self._dropped['whose stamp lies far ahead of the next one'] += 1
+        passed = self.released(0, item.stamp - 1)
         self.late = item.stamp <= max(self.latest, self._held.stamp if self._held else -1)
         if self.late:
             self._dropped['whose stamp is not later than the one before'] += 1
@@ -165,19 +169,6 @@ class Stream(Copied, Generic[Stamped]):
             return []
         self._held = None
         return [self._passed(held)]
-
-    def _judged_by(self, item: Stamped) -> list[Stamped]:
-        """Return the message held back if the next message confirms it."""
-        held = self._held
-        if held is None:
-            return []
-        if item.stamp > held.stamp:
-            self._held = None
-            return [self._passed(held)]
-        if held.stamp - item.stamp > LARGEST_STEP:
-            self._held = None
-            self._dropped['whose stamp lies far ahead of the next one'] += 1
-        return []
 
     def _passed(self, item: Stamped) -> Stamped:
         self._late_since = -1

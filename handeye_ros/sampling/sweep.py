@@ -7,7 +7,9 @@ A profile with stamp t has the pose T(t + offset + drift (t - middle)): the cloc
 is late, and runs faster. A robot may also report its rotation later than its position: then its
 rotation is that of the time + lag. The derivative of a condition by one of the three is its
 derivative by the flange pose times the twist: one more column each. No start value is needed: fits
-start from several offsets, on some of the samples, until one is good.
+start from several offsets, on some of the samples, until one is good. A sweep is thinned to
+MOST_SAMPLES profiles, however long it is: neighbours share the errors of the robot, and say
+little more.
 """
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from itertools import islice
 
 from handeye_ros import targets
 from handeye_ros.config import Config
-from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
+from handeye_ros.data import Array, CLOCK_DRIFT, Pass, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.least_squares import believed, graduated, Rows, System
@@ -26,6 +28,7 @@ from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
 from handeye_ros.estimation.search import CONVINCING, mean_squares, relabelled, white_at
 from handeye_ros.frames import mounted
+from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 import numpy as np
 from numpy.typing import NDArray
@@ -37,17 +40,10 @@ MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a sta
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    passes = [sample for sample in samples if sample.per_profile]
-    if not passes:
-        return tuple(samples)
-    motion = joined([sample.motion for sample in passes])
-    return tuple(replace(one, motion=motion) if sample.per_profile else one
+    motions = [sample.motion for sample in samples if isinstance(sample, Pass)]
+    motion = joined(motions) if motions else None
+    return tuple(replace(one, motion=motion) if isinstance(sample, Pass) else one
                  for sample in samples for one in sample.parts)
-
-
-def evenly_chosen(n: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most a number of n samples, evenly spaced."""
-    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,11 +174,12 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     """
     Return samples of a moving robot with the poses at the most likely times.
 
-    At most MOST_SAMPLES are used. Raises DataError where no estimate can be started.
+    Of a sweep with more than MOST_SAMPLES only so many remain, evenly chosen: the others are
+    neither samples of the answer nor rejects. Raises DataError where no estimate can be started.
     """
     if not any(sample.moving for sample in samples):
         return Synchronised(list(samples), [])
-    samples = [samples[i] for i in evenly_chosen(len(samples), MOST_SAMPLES)]
+    samples = evenly(samples, MOST_SAMPLES)
     problem = problem_of(samples, config)
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))

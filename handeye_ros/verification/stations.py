@@ -28,7 +28,8 @@ from handeye_ros.data import (
 )
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount, mounted, sensor_axes
-from handeye_ros.sampling.sweep import evenly_chosen, Pairing, passes_expanded
+from handeye_ros.sampling.stops import evenly, evenly_chosen
+from handeye_ros.sampling.sweep import Pairing, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import edge_noise, ObservationRows
@@ -200,8 +201,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     Also returns in words whether this offset is that of the calibration. X: (4, 4) sensor plane
     in the mount. Samples that show another surface or edge are left out.
     """
-    samples = passes_expanded(samples)
-    samples = [samples[i] for i in evenly_chosen(len(samples), MOST)]
+    samples = evenly(passes_expanded(samples), MOST)
     pairing = Pairing.of(samples)
     stations = StationSet.of(samples, _observed(routine, samples, mounted(samples, config) @ X),
                              config)
