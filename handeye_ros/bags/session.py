@@ -101,24 +101,6 @@ class OutputFolders:
         return folder
 
 
-@dataclass(frozen=True)
-class Event:
-    """
-    An event: a stop was evaluated, a sample was removed, or the settings were changed.
-
-    number: of the stop, 0 for settings; began: stamp of its first pose; taken: whether it gave a
-    sample; text: why there is no sample; refused: why its sample is never used.
-    """
-
-    kind: str
-    config: Config
-    number: int = 0
-    began: int = 0
-    taken: bool = False
-    text: str = ''
-    refused: str = ''
-
-
 @dataclass(frozen=True, eq=False)
 class Stored:
     """
@@ -183,28 +165,30 @@ class SessionFiles:
 
         joints: stamps and serialised joint values. Raises UnwritableError.
         """
-        reason = stop.result.reason if isinstance(stop.result, Reject) else ''
-        event = Event(STOP, config, stop.number, stop.began, stop.sample is not None, reason,
-                      stop.refused)
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]
-        file = self.append(event, seen, joints)
+        file = self.append(STOP, config, seen, joints)
         return replace(stop, poses=(), profiles=(), source=partial(load, file, stop.began))
 
-    def append(self, event: Event, stop: Stop = NOTHING, joints: Sequence[tuple[int, bytes]] = ()
-               ) -> Path:
-        """Write an event, with what was seen at its stop; raises UnwritableError."""
+    def append(self, kind: str, config: Config, stop: Stop = NOTHING,
+               joints: Sequence[tuple[int, bytes]] = ()) -> Path:
+        """
+        Write an event; return its file.
+
+        kind: STOP, for a stop that was evaluated, with what was seen there; REMOVED, for its
+        sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
+        """
         path: object = self.path or 'the folder of the session'
         try:
             if self.path is None:
-                self.path, self._lock = self._begun(event.config)
+                self.path, self._lock = self._begun(config)
             path = folder = self.path
             if not folder.is_dir():
                 raise FileNotFoundError('its folder is gone (unmounted or removed?); bring it '
                                         'back, or call ~/clear_samples for a new session')
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
-            types, messages = _messages(event, stop, joints)
+            types, messages = _messages(kind, config, stop, joints)
             with replaced(file) as temporary, temporary.open('wb') as stream:
                 write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
                 stream.flush()
@@ -222,7 +206,7 @@ class SessionFiles:
     def restarted(self, config: Config) -> SessionFiles:
         """Return the files of another session, which exists at once; raises UnwritableError."""
         other = SessionFiles(self._parent)
-        other.append(Event(CONFIGURED, config))  # so that `last` names it
+        other.append(CONFIGURED, config)  # so that `last` names it
         self.close()
         return other
 
@@ -256,10 +240,9 @@ def _claimed(folder: Path) -> int:
     return lock
 
 
-def _messages(event: Event, stop: Stop, joints: Sequence[tuple[int, bytes]]
+def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
               ) -> tuple[dict[str, str], list[Raw]]:
     """Return the types of the topics of an event, and its messages."""
-    config = event.config
     profile_topic = full_name(config.profile_topic)
     pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
     joint_topic = full_name(config.joint_topic)
@@ -273,9 +256,11 @@ def _messages(event: Event, stop: Stop, joints: Sequence[tuple[int, bytes]]
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
             else cloud_cdr(profile, config.profile.unit, DOUBLE)) for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
-    values = {'event': event.kind, 'number': event.number, 'began': event.began,
-              'taken': event.taken, 'text': event.text, 'refused': event.refused}
-    if sample := stop.sample:
+    sample, why = stop.sample, stop.result if isinstance(stop.result, Reject) else None
+    values = {'event': kind, 'number': stop.number, 'began': stop.began,
+              'taken': sample is not None, 'text': why.reason if kind == STOP and why else '',
+              'refused': stop.refused}
+    if sample:
         values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
                    'T_base_flange': sample.T_base_flange.tolist()}
     end = stop.end if stop.poses else time.time_ns()
@@ -323,15 +308,14 @@ def read_session(path: Path) -> Stored:
     stops: dict[int, Stop] = {}
     taken, numbers, config = set[int](), 0, Config()
     for file in files_of(path):
-        event = _event_of(file)
-        config, numbers = event.config, max(numbers, event.number)
-        if event.kind == STOP:
-            stops[event.number] = Stop(event.began, source=partial(load, file, event.began),
-                                       number=event.number, refused=event.refused)
-            (taken.add if event.taken else taken.discard)(event.number)
-        elif event.kind == REMOVED:
-            stops.pop(event.number, None)
-            taken.discard(event.number)
+        kind, config, stop, gave_a_sample = _event_of(file)
+        numbers = max(numbers, stop.number)
+        if kind != CONFIGURED:
+            stops.pop(stop.number, None)
+            taken.discard(stop.number)
+        if kind == STOP:
+            stops[stop.number] = stop
+            taken |= {stop.number} if gave_a_sample else set()
     return Stored(path, config, stops, len(taken), numbers)
 
 
@@ -359,8 +343,8 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[tuple[
     return [(reader.types[message.topic], message) for message in messages]
 
 
-def _event_of(file: Path) -> Event:
-    """Return the event of a file; raises InputError."""
+def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
+    """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
     texts = {raw.topic: text_from_cdr(raw.data)
              for _, raw in _read_file(file, (CONFIGURATION, OUTCOME))}
     if not {CONFIGURATION, OUTCOME} <= set(texts):
@@ -373,9 +357,11 @@ def _event_of(file: Path) -> Event:
                                  'handeye_ros knows: update the package')
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
-        return Event(str(values['event']), with_values(Config(), settings, str(file)),
-                     int(values['number']), int(values['began']), bool(values['taken']),
-                     str(values['text']), str(values['refused']))
+        began = int(values['began'])
+        stop = Stop(began, source=partial(load, file, began), number=int(values['number']),
+                    refused=str(values['refused']))
+        return (str(values['event']), with_values(Config(), settings, str(file)), stop,
+                bool(values['taken']))
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
 

@@ -32,7 +32,6 @@ from handeye_ros import se3
 from handeye_ros.agreement import count_of, sample_summary
 from handeye_ros.bags.session import (
     CONFIGURED,
-    Event,
     OutputFolders,
     REMOVED,
     SessionFiles,
@@ -415,7 +414,7 @@ class LiveSession:
         if not samples:
             raise DataError('there is no sample to remove', reason='nothing_to_remove')
         last = samples[-1]
-        self._write(self.files.append, Event(REMOVED, self.config, last.number))
+        self._write(self.files.append, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:
             self.session.remove(last)
         return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
@@ -452,7 +451,7 @@ class LiveSession:
         with self.lock:
             self.session = session
         if replace(old_config, session=self.config.session) != self.config:
-            self.files.append(Event(CONFIGURED, self.config))
+            self.files.append(CONFIGURED, self.config)
         if session.samples:
             self.answer.asked_with = {}  # as with other settings: solve again
         count = sum(stop.sample is not None for stop in session.stops)
@@ -477,4 +476,4 @@ class LiveSession:
             self._stale = deque(stop.number for stop in self.session.stops)
         if self.files.path:
             with suppress(InputError):  # kept as trouble
-                self._write(self.files.append, Event(CONFIGURED, config))
+                self._write(self.files.append, CONFIGURED, config)
