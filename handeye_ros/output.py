@@ -51,10 +51,19 @@ def write_whole(path: Path, text: str) -> None:
 
 
 @contextmanager
+def writing(path: object) -> Iterator[None]:
+    """Raise UnwritableError, which names the path, for an OSError within the block."""
+    try:
+        yield
+    except OSError as error:
+        raise UnwritableError(path, error.strerror or str(error)) from error
+
+
+@contextmanager
 def replaced(path: Path) -> Iterator[Path]:
     """Give a temporary file that replaces another when the block ends without an error."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield temporary
@@ -62,8 +71,6 @@ def replaced(path: Path) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 temporary.unlink()
-    except OSError as error:
-        raise UnwritableError(path, error.strerror or str(error)) from error
 
 
 def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> tuple[Any, Any]:

@@ -175,12 +175,31 @@ class _Topic:
 
     def require(self, reader: Reader) -> None:
         """Raise InputError for a missing topic, and if most of its messages are invalid."""
-        require_topic(reader, self._key, self.name, self._kind)
+        if reader.types.get(self.name) != self._kind:
+            raise self._missing(reader)
         total = len(self.items) + len(self._malformed)
         if not total:
             raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
                              f'that it was published while recording, or set {self._key}')
         reader.warnings += _left_out(self._malformed, total, f'messages on {self.name}')
+
+    def _missing(self, reader: Reader) -> InputError:
+        """Return the refusal of a bag without a topic of this name and type."""
+        name, kind, types = self.name, self._kind, reader.types
+        ordered = sorted(types.items(), key=lambda item: (item[1] != kind, item[0]))
+        names = [f'{other} ({type_of_it})' for other, type_of_it in ordered[:12]]
+        names += [f'{len(ordered) - 12} more'] if len(ordered) > 12 else []
+        if self._key == 'pose_source':  # there is only one place for transforms
+            advice = '; record /tf, or set pose_source to topic'
+        elif kind in types.values():
+            advice = f': set {self._key}, as in --set {self._key}={ordered[0][0]}'
+        elif self._key == 'pose_topic' and types.get('/tf') == TF:
+            advice = ': take the poses from /tf, as in --set pose_source=tf'
+        else:
+            advice = f'; none of them is a {kind}: publish and record one'
+        start = (f'{name} carries {types[name]}, but only {kind} can be read there'
+                 if name in types else f'{reader.path} has no topic {name}')
+        return InputError(f'{start}. It holds {", ".join(names)}{advice}')
 
     def ordered(self, reader: Reader) -> list[Any]:
         """
@@ -233,27 +252,6 @@ def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]
 
 def _stamps(items: Sequence[Any]) -> NDArray[np.int64]:
     return np.array([item.stamp for item in items], np.int64)
-
-
-def require_topic(reader: Reader, key: str, name: str, kind: str) -> None:
-    """Raise InputError for a bag without a topic of this name and type; key: that names it."""
-    types = reader.types
-    if types.get(name) == kind:
-        return
-    ordered = sorted(types.items(), key=lambda item: (item[1] != kind, item[0]))
-    names = [f'{other} ({type_of_it})' for other, type_of_it in ordered[:12]]
-    names += [f'{len(ordered) - 12} more'] if len(ordered) > 12 else []
-    if key == 'pose_source':  # there is only one place for transforms
-        advice = '; record /tf, or set pose_source to topic'
-    elif kind in types.values():
-        advice = f': set {key}, as in --set {key}={ordered[0][0]}'
-    elif key == 'pose_topic' and types.get('/tf') == TF:
-        advice = ': take the poses from /tf, as in --set pose_source=tf'
-    else:
-        advice = f'; none of them is a {kind}: publish and record one'
-    start = (f'{name} carries {types[name]}, but only {kind} can be read there' if name in types
-             else f'{reader.path} has no topic {name}')
-    raise InputError(f'{start}. It holds {", ".join(names)}{advice}')
 
 
 Poses: TypeAlias = tuple[Sequence[TimedPose], Array | None]

@@ -23,8 +23,8 @@ from handeye_ros.bags.messages import DATATYPES, UNITS
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, TimedPose
-from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.output import write_whole
+from handeye_ros.errors import InputError
+from handeye_ros.output import write_whole, writing
 from handeye_ros.results import truth_file
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -266,7 +266,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
     InputError if the path exists or is the current folder, UnwritableError if it is not writable.
     """
     path = path.resolve()
-    try:
+    with writing(path):
         _check_free(path, force)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:
@@ -277,8 +277,6 @@ def write_folder(path: Path, texts: Mapping[str, str],
             if path.exists():  # it is deleted with the temporary folder
                 shutil.move(path, Path(folder) / 'replaced')
             new_folder.rename(path)
-    except OSError as error:
-        raise UnwritableError(path, error.strerror or str(error)) from error
 
 
 def _check_free(path: Path, force: bool) -> None:

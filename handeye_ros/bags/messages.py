@@ -81,18 +81,14 @@ class _Cdr:
 
     def text(self) -> str:
         """Return a string."""
-        return self._characters(self.count(1))
+        size = self.count(1)
+        begin, self.at = self.at, self.at + size
+        return str(self.data[begin:self.at], 'utf-8').removesuffix('\0')
 
     def header(self) -> tuple[int, str]:
         """Return stamp and frame of a std_msgs/Header."""
-        seconds, nanoseconds, size = self.values('iII')
-        return seconds * NS + nanoseconds, frame_name(self._characters(size))
-
-    def _characters(self, size: int) -> str:
-        begin, self.at = self.at, self.at + size
-        if self.at > len(self.data):
-            raise ValueError(f'{size} characters are not there')
-        return str(self.data[begin:self.at], 'utf-8').removesuffix('\0')
+        seconds, nanoseconds = self.values('iI')
+        return seconds * NS + nanoseconds, frame_name(self.text())
 
 
 def _read(kind: str, data: bytes, parse: Callable[[_Cdr], T]) -> T:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import fcntl
 from functools import partial
-from itertools import islice
+from itertools import count, islice
 import json
 import os
 from pathlib import Path
@@ -43,7 +43,7 @@ from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, Reader,
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
-from handeye_ros.output import folder_name, replaced
+from handeye_ros.output import folder_name, replaced, writing
 from handeye_ros.sampling.session import Session, with_result
 from handeye_ros.sampling.stops import Stop
 
@@ -89,15 +89,11 @@ class OutputFolders:
         """Return the folder of the name, for results; raises InputError if another node has it."""
         folder = self.folder(config)
         if folder not in self._own:
-            try:
+            with writing(folder):
                 folder.mkdir(parents=True, exist_ok=True)
-                self._own[folder] = _claimed(folder)
-            except BlockingIOError as error:
-                raise InputError(f'another running node saves its results in {folder}: set name '
-                                 'or output_dir of this one, so that neither replaces those of '
-                                 'the other') from error
-            except OSError as error:
-                raise UnwritableError(folder, error.strerror or str(error)) from error
+                self._own[folder] = _claimed(
+                    folder, f'another running node saves its results in {folder}: set name or '
+                    'output_dir of this one, so that neither replaces those of the other')
         return folder
 
 
@@ -144,14 +140,11 @@ class SessionFiles:
         self.path = stored.path if stored else None
         self._lock: int | None = None
         if stored:
-            try:
-                self._lock = _claimed(stored.path)
+            with writing(stored.path):
+                self._lock = _claimed(
+                    stored.path, f'{stored.path} is in use by another node: end that node first, '
+                    'or begin a new session')
                 write_metadata(stored.path, files_of(stored.path))
-            except BlockingIOError as error:
-                raise InputError(f'{stored.path} is in use by another node: end that node first, '
-                                 'or begin a new session') from error
-            except OSError as error:
-                raise UnwritableError(stored.path, error.strerror or str(error)) from error
 
     def close(self) -> None:
         """Release the lock, so that another node can continue the session."""
@@ -178,11 +171,11 @@ class SessionFiles:
         kind: STOP, for a stop that was evaluated, with what was seen there; REMOVED, for its
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
         """
-        path: object = self.path or 'the folder of the session'
-        try:
-            if self.path is None:
+        if self.path is None:
+            with writing('the folder of the session'):
                 self.path, self._lock = self._begun(config)
-            path = folder = self.path
+        folder = self.path
+        with writing(folder):
             if not folder.is_dir():
                 raise FileNotFoundError('its folder is gone (unmounted or removed?); bring it '
                                         'back, or call ~/clear_samples for a new session')
@@ -199,8 +192,6 @@ class SessionFiles:
                 with suppress(OSError):
                     file.unlink()  # the event is refused, so it must not be read back
                 raise
-        except OSError as error:
-            raise UnwritableError(path, error.strerror or str(error)) from error
         return file
 
     def restarted(self, config: Config) -> SessionFiles:
@@ -220,23 +211,23 @@ class SessionFiles:
         """Make the folder of a new session, named after the time; return it and its lock."""
         parent, stamp = self._parent(config), datetime.now(UTC).strftime(STAMP)
         parent.mkdir(parents=True, exist_ok=True)
-        for attempt in range(1000):
+        for attempt in count():
             folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
             with suppress(FileExistsError):
                 folder.mkdir()
                 sync(parent)
-                return folder, _claimed(folder)
-        raise FileExistsError(f'{parent / stamp} is there already')
+                break
+        return folder, _claimed(folder, f'another node has begun {folder}')
 
 
-def _claimed(folder: Path) -> int:
-    """Lock a folder until the process ends; raises BlockingIOError if another has, OSError."""
+def _claimed(folder: Path, taken: str) -> int:
+    """Lock a folder until the process ends; taken: the refusal if another has. OSError."""
     lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    except BlockingIOError as error:
         os.close(lock)
-        raise
+        raise InputError(taken) from error
     return lock
 
 
@@ -256,11 +247,10 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
             else cloud_cdr(profile, config.profile.unit, DOUBLE)) for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
-    sample, why = stop.sample, stop.result if isinstance(stop.result, Reject) else None
+    reason = stop.result.reason if kind == STOP and isinstance(stop.result, Reject) else ''
     values = {'event': kind, 'number': stop.number, 'began': stop.began,
-              'taken': sample is not None, 'text': why.reason if kind == STOP and why else '',
-              'refused': stop.refused}
-    if sample:
+              'taken': stop.sample is not None, 'text': reason, 'refused': stop.refused}
+    if sample := stop.sample:
         values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
                    'T_base_flange': sample.T_base_flange.tolist()}
     end = stop.end if stop.poses else time.time_ns()

@@ -146,13 +146,6 @@ class StopCollector(Copied):
         """Mark a stop as taken, so that it is not returned again."""
         self._taken.add(stop.began)
 
-    def standing(self) -> Stop | None:
-        """Return the current stop if it is sampled automatically and was not returned yet."""
-        stop = self._finder.current()
-        if stop is None or not self._config.sampling.by_itself or self.is_taken(stop):
-            return None
-        return self._with_profiles(stop)
-
     def current_stop(self) -> Stop:
         """
         Return the stop at which the robot stands now.

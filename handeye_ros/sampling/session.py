@@ -113,9 +113,11 @@ class Session(StopCollector):
         if sampling.moving or stood < next_check:
             return None
         self._next_check = began, CHECK_LATER * next_check
-        stop, known = self.standing(), self._stops.get(began)
-        if stop is None or (known and known.sample):
+        stop, known = self._finder.current(), self._stops.get(began)
+        if (stop is None or not sampling.by_itself or self.is_taken(stop)
+                or known and known.sample):
             return None
+        stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < PATIENCE else 0
         return stop if len(stop.steady(self._config)) >= enough else None
 

@@ -239,12 +239,11 @@ class StopFinder(Copied):
 
     def _extend(self, pose: TimedPose) -> None:
         """Add a pose to a stop; a long one keeps its first seconds, on request its last."""
-        if not self._is_full(pose):
-            self._run.append(pose)
-        elif not self.sampling.by_itself:
-            self._run.append(pose)
-            while self._is_full(pose):
-                self._run.popleft()
+        if self._is_full(pose) and self.sampling.by_itself:
+            return
+        self._run.append(pose)
+        while self._is_full(pose):
+            self._run.popleft()
 
     def _is_full(self, pose: TimedPose) -> bool:
         return pose.stamp - self._run[0].stamp > LONGEST or len(self._run) > MOST_POSES

@@ -7,9 +7,8 @@ A profile with stamp t has the pose T(t + offset + drift (t - middle)): the cloc
 is late, and runs faster. A robot may also report its rotation later than its position: then its
 rotation is that of the time + lag. The derivative of a condition by one of the three is its
 derivative by the flange pose times the twist: one more column each. No start value is needed: fits
-start from several offsets, on some of the samples, until one is good. A sweep is thinned to
-MOST_SAMPLES profiles, however long it is: neighbours share the errors of the robot, and say
-little more.
+start from several offsets, on some of the samples, until one is good. However long a
+sweep is, MOST_SAMPLES of its profiles make the answer.
 """
 from __future__ import annotations
 
