@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, UTC
 import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import __version__
 from handeye_ros.arm import (
     Arm,
     corrected_urdf,
@@ -25,7 +23,7 @@ from handeye_ros.arm import (
 from handeye_ros.data import Calibration
 from handeye_ros.output import write_whole
 from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import transform_values
+from handeye_ros.results.calibration_file import dated, transform_values
 from handeye_ros.robot.outcome import ArmOutcome, UNCHANGED
 import numpy as np
 from rich import box
@@ -107,15 +105,12 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.kind == REVOLUTE},
         'transform': transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.kinds), 'residual_rms': m.fit.residual_rms,
-                    'left_out_rms': m.left_out_rms, 'left_out_median': m.left_out_median,
+        'models': [{'parameters': list(m.kinds), **m.residuals,
                     'chosen': m is outcome.chosen} for m in outcome.models],
         'robot_smooth_error': outcome.smooth,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations[:MOST_CONFIGURATIONS].round(6).tolist(),
-        'provenance': {'version': __version__,
-                       'created': datetime.now(UTC).isoformat(timespec='seconds'),
-                       **calibration.provenance, 'warnings': list(answer.warnings)}}
+        'provenance': {**dated(calibration).provenance, 'warnings': list(answer.warnings)}}
 
 
 def table(answer: ArmAnswer) -> RenderableType:
@@ -136,9 +131,8 @@ def table(answer: ArmAnswer) -> RenderableType:
         joints.add_row(joint['name'], *cells, ', '.join(unknown))
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     for model in answer.outcome.models:
-        sizes = (model.fit.residual_rms, model.left_out_rms, model.left_out_median)
         models.add_row(', '.join(model.kinds) or UNCHANGED,
-                       *(f'{size * 1e3:.3f} mm' for size in sizes),
+                       *(f'{size * 1e3:.3f} mm' for size in model.residuals.values()),
                        'the answer' if model is chosen else '')
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints, models,

@@ -64,9 +64,10 @@ class Model:
         return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
 
     @property
-    def left_out_median(self) -> float:
-        """Return the median of the cross-validation errors of the used stops (m)."""
-        return float(np.median(self.left_out[self.fit.used]))
+    def residuals(self) -> dict[str, float]:
+        """Return the residuals of the used stops, and the errors of left-out ones (m), by name."""
+        return {'residual_rms': self.fit.residual_rms, 'left_out_rms': self.left_out_rms,
+                'left_out_median': float(np.median(self.left_out[self.fit.used]))}
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,9 +50,9 @@ class PointRows:
         return len(self.q)
 
 
-def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, tuple[str, ...]]:
+def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str]]:
     """
-    Return the contents of a table, and a sentence for each peculiarity.
+    Return the contents of a table, and a sentence for each joint that barely moves.
 
     A row for each configuration. Columns: the joints of the URDF with their unit
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
@@ -67,10 +67,8 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, tuple[st
     names = tuple(dict.fromkeys(labels))
     target = np.array([names.index(label) for label in labels], dtype=np.intp)
     order = np.argsort(target, kind='stable')
-    unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
-              for name in table.names if table.kind(name) == ANGLE and name not in kinds]
     return (PointRows(q[order], points[order], target[order], names, order + 1, in_hand),
-            (*unused, *joint_notes(arm, q)))
+            joint_notes(arm, q))
 
 
 def start_of(rows: PointRows, arm: Arm, limit: float) -> Start:

@@ -13,14 +13,14 @@ from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import covering
 from handeye_ros.frames import in_mount, sensor_axes
 from handeye_ros.robot.answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
 from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start, UNSOLVED
-from handeye_ros.robot.stops import Profiles, State, Stops
+from handeye_ros.robot.stops import lengths, Profiles, State, Stops
 from handeye_ros.sampling.session import Session
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -84,8 +84,6 @@ def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Arr
 
 def start_of(sources: Sequence[Source], arm: Arm) -> Start:
     """Return the samples that agree, with the arm as stated; raises DataError."""
-    def missed(joints: Array, other_side: bool) -> float:
-        return max(_misfit(source, arm, joints, other_side) for source in sources)
     measured, states, q = [], [], []
     for source in sources:
         config = source.problem.config
@@ -105,22 +103,20 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
     state = State(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
-    return Start(fit, len(every), problem.config.limits.residual, problem.in_hand, every, missed)
+    return Start(fit, len(every), problem.config.limits.residual, problem.in_hand, every,
+                 lambda *change: max(_misfit(source, arm, *change) for source in sources))
 
 
 def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
     """Return the median residual (m) of the stops at the best estimate; see Start.missed."""
-    config = source.problem.config
-    if other_side:
-        others = {'eye_in_hand': 'eye_on_base', 'eye_on_base': 'eye_in_hand'}
-        config = replace(config, calibration_type=others[config.calibration_type])
+    in_hand = source.problem.in_hand != other_side
+    config = replace(source.problem.config,
+                     calibration_type='eye_in_hand' if in_hand else 'eye_on_base')
     poses = in_mount(arm.forward(source.q @ joints.T), config)
-    problem = replace(source.problem, poses=poses, config=config)
-    agreed = robust_solution(problem, np.random.default_rng(SEED))
-    one = Profiles(agreed.whole)
-    stops = Stops.of(source.q @ joints.T, (one,))
-    state = State(agreed.estimate.X, (agreed.estimate.state,), arm, np.zeros(0))
-    return float(np.median(stops.distances(state)))
+    agreed = robust_solution(replace(source.problem, poses=poses, config=config),
+                             np.random.default_rng(SEED))
+    residuals = linearise(agreed.whole, agreed.estimate).residuals
+    return float(np.median(lengths(residuals, agreed.whole.observations.station)))
 
 
 def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str, str]] = ()

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import ClassVar, TypeAlias
 
 from handeye_ros import se3
@@ -122,6 +123,12 @@ class Points:
 Measured: TypeAlias = Profiles | Points
 
 
+def lengths(residuals: Array, station: NDArray[np.intp], axes: int = 1) -> Array:
+    """Return the length (n,) of the residual of each stop, RMS of several; axes: of a vector."""
+    vectors = np.bincount(station) / axes
+    return np.asarray(np.sqrt(np.bincount(station, residuals ** 2) / vectors))
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """
@@ -181,17 +188,15 @@ class Stops:
     @cached_property
     def unknowns(self) -> int:
         """Return the number of unknowns without a prior: X and the targets."""
-        return 6 + sum(one.unknowns for one in self.measured)
+        return int(self.parts[-1][2].stop)
 
     @cached_property
     def parts(self) -> list[tuple[Measured, slice, slice]]:
         """Return for each target its measurements, its stops, and the columns of its unknowns."""
-        parts, stop, column = [], 0, 6
-        for one in self.measured:
-            parts.append((one, slice(stop, stop + len(one)),
-                          slice(column, column + one.unknowns)))
-            stop, column = stop + len(one), column + one.unknowns
-        return parts
+        stops = np.cumsum([0, *map(len, self.measured)])
+        columns = np.cumsum([6, *(one.unknowns for one in self.measured)])
+        return [(one, slice(*own), slice(*free)) for one, own, free in zip(
+            self.measured, pairwise(stops), pairwise(columns), strict=True)]
 
     @cached_property
     def station(self) -> NDArray[np.intp]:
@@ -207,8 +212,7 @@ class Stops:
     def distances(self, state: State) -> Array:
         """Return the length (n,) of the residual of each stop, RMS of several (m)."""
         values = np.concatenate([found.values for found in self.residuals(state)])
-        vectors = np.bincount(self.station) / self.axes
-        return np.asarray(np.sqrt(np.bincount(self.station, values ** 2) / vectors))
+        return lengths(values, self.station, self.axes)
 
     def linearised(self, state: State) -> tuple[Array, Array]:
         """

@@ -50,7 +50,6 @@ NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # level of the tests of a calibration error
 INCONSISTENT = 1e-3  # level of the test that the points agree
 FOREIGN = 1e-6  # below this p no error of the calibration explains the points
-LARGE = 0.01  # m: a larger tolerance gets a note
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             limits: VerifyConfig) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
     other_size = fit.p_error < FOREIGN < fit.scatter.p  # the shape fits, but not in its size
-    notes = _notes(fit, other_size, stations, limits)
+    notes = _notes(fit, other_size, stations)
     failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
     for q in quantities:
         if q.error is None:
@@ -225,7 +224,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANT),
             (fit.along, fit.along_std, fit.along > NORMAL_95 * fit.along_std))
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
-    return ('undecided', (*undecided, *notes)) if undecided else ('pass', notes)
+    return 'undecided' if undecided else 'pass', (*undecided, *notes)
 
 
 def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str:
@@ -236,8 +235,7 @@ def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str
             'these')
 
 
-def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
-           limits: VerifyConfig) -> tuple[str, ...]:
+def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> list[str]:
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
     kept = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
     if kept:
@@ -253,10 +251,7 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
     if fit.claim_p < SIGNIFICANT:
         notes.append('the deviations are larger than the calibration claims '
                      f'(p = {fit.claim_p:.1g})')
-    if limits.tolerance > LARGE:
-        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
-                     'in metres unless a unit is given')
-    return tuple(notes)
+    return notes
 
 
 def time_of(stamp: int) -> str:

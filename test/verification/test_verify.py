@@ -15,7 +15,7 @@ from handeye_ros.results.verification_file import protocol
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
-from handeye_ros.verification.routines import ROUTINES, settings_for
+from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
 from handeye_ros.verification.verify import values, verify, yaml_text
 import numpy as np
 import pytest
@@ -219,9 +219,10 @@ def test_what_cannot_be_verified_is_refused():
             result(name, given, calibration)
     for name, lengths, bags, words in (('step', (0.1,), 1, 'needs 2 bags, and got 1'),
                                        ('step', (0.1,) * 4, 4, '5 or 6 bags, and got 4'),
+                                       ('cube', (), 1, 'no routine "cube"'),
                                        ('ball_bar', (), 2, r'1 lengths \(.*, and got 0')):
         with pytest.raises(InputError, match=words):
-            settings_for(ROUTINES[name], of_lengths(*lengths), bags)
+            settings_for(routine_of(name), of_lengths(*lengths), bags)
 
 
 def teeth(made, found, lengths=()):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 
-from command import assert_refused, handeye
 from handeye_ros import se3
 from handeye_ros.bags import bag_write
 from handeye_ros.cli import command
@@ -99,13 +98,3 @@ def test_files_of_no_verification_are_refused(tmp_path, text, words):
     (tmp_path / 'told.yaml').write_text(text)
     with pytest.raises(InputError, match=words):
         verification_file.read(tmp_path / 'told.yaml')
-
-
-@pytest.mark.parametrize(('words', 'sentence'), [
-    (('ball_bar', 'ball', '--set', 'verify.lengths=[0.2]'), 'ball_bar needs 2 bags, and got 1'),
-    (('cube', 'ball'), 'no routine "cube"'),
-    (('sphere', 'ball', '--calibration', 'none.yaml'), 'none.yaml')])
-def test_the_verb_refuses_in_words(tmp_path, words, sentence):
-    write_calibration(stated(np.eye(4)), tmp_path / 'c.yaml')
-    run = handeye('verify', '--calibration', 'c.yaml', *words, cwd=tmp_path)
-    assert_refused(run, 2, sentence)
