@@ -146,7 +146,7 @@ class LiveAnswer:
     def forget(self, why: str) -> None:
         """Begin anew with other samples."""
         self.review, self.asked_with = Review(advise((), self._live.config)), None
-        self._withdraw(why)
+        self.calibration, self.missing = None, why
 
     def compute_calibration(self) -> Future[str]:
         """
@@ -195,29 +195,28 @@ class LiveAnswer:
 
     def _put(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
              ) -> str:
-        """Put the review, and the answer if it was asked for; return the message about it."""
-        if basis[0] is not self._live.files:
+        """
+        Put the review and, if it was asked for, the answer; return the message about that.
+
+        Raises DataError for a refusal, and what the job raises.
+        """
+        live = self._live
+        if basis[0] is not live.files:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
         try:
-            review = result_or_ended(job)
+            self.review = replace(result_or_ended(job), basis=basis)
         except HandeyeError as error:  # no refusal: the previous answer stays
             self.review = replace(self.review, no_agreements=str(error), basis=basis)
             raise
-        self.review = replace(review, basis=basis)
-        return self._put_answer(review, session) if asked else ''
-
-    def _put_answer(self, review: Review, session: Session) -> str:
-        """Put an answer, and return the message about it; raises DataError for a refusal."""
-        live = self._live
-        assert review.answer is not None
-        try:
-            calibration = review.answer.required()
-        except DataError as error:
-            self._refuse(error)
-            raise
-        inputs = [{'topic': live.config.profile_topic}, {'topic': live.pose_topic}]
-        inputs += [{'session': live.path}] * bool(live.path)
+        answer = self.review.answer
+        if answer is None or not asked:
+            return ''
+        if answer.refusal:
+            self._refuse(answer.refusal)
+        calibration = answer.required()
+        inputs = [{'topic': live.config.profile_topic}, {'topic': live.pose_topic},
+                  {'session': live.path}]
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})
         self._solved, self.missing = _numbers(session), ''
@@ -225,15 +224,10 @@ class LiveAnswer:
 
     def _refuse(self, error: HandeyeError) -> None:
         """Withdraw the answer after a refusal; what only disturbs the streams withdraws none."""
-        reason = f'the last attempt to compute it was refused ({error})'
         if isinstance(error, DataError):
-            self._withdraw(reason)
-        elif self.calibration is None:
-            self.missing = reason
-
-    def _withdraw(self, reason: str) -> None:
-        """Remove the answer, with the reason for its state."""
-        self.calibration, self.missing = None, reason
+            self.calibration = None
+        if self.calibration is None:
+            self.missing = f'the last attempt to compute it was refused ({error})'
 
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""

@@ -314,11 +314,9 @@ class LiveSession:
         try:
             stop = self._stored(stop)
         except InputError as error:
-            if earlier and earlier.source:
-                stop = earlier  # of fewer profiles, but on the disk
-            else:
-                stop = replace(stop, result=Reject(stop.result.stamp, str(error)),
-                               refused=str(error))
+            # an earlier part of the stop has fewer profiles, but is on the disk
+            stop = earlier if earlier and earlier.source else replace(
+                stop, result=Reject(stop.result.stamp, str(error)), refused=str(error))
         if stop.sample is None:
             self.refused[stop.began] = stop.pose(self.config)
         self._put(stop, over)

@@ -293,14 +293,11 @@ class Streams:
         return f'{reason}; {message_type} is on {others}: set {key}' if others else reason
 
     def topics_of(self, message_type: str) -> list[str]:
-        """Return the topics with publishers of a message type in other nodes."""
-        node = self._node
-        own = (node.get_name(), node.get_namespace())
-        return sorted(name for name, types in node.get_topic_names_and_types()
-                      if message_type in types and any(
-                          info.topic_type == message_type
-                          and (info.node_name, info.node_namespace) != own
-                          for info in self._publishers(name)))
+        """Return the topics with publishers of a message type, without those of this node."""
+        own = f'{self._node.get_fully_qualified_name()}/'
+        return sorted(name for name, types in self._node.get_topic_names_and_types()
+                      if message_type in types and not name.startswith(own)
+                      and any(info.topic_type == message_type for info in self._publishers(name)))
 
     def trouble(self) -> str:
         """Return a sentence for each topic with several publishers, and for a second node."""
