@@ -118,13 +118,13 @@ class LiveAnswer:
 
     def changes(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
-        now = _numbers(session)
-        removed, added = len(self._solved - now), len(now - self._solved)
-        if not removed and not added:
+        now, before = _numbers(session), self._solved
+        differences = ' and '.join(
+            f'{len(numbers)} {what}'
+            for numbers, what in ((before - now, 'removed'), (now - before, 'added')) if numbers)
+        if not differences:
             return ''
-        differences = ' and '.join([f'{removed} removed'] * bool(removed)
-                                   + [f'{added} added'] * bool(added))
-        return (f'; it was computed from {count_of(len(self._solved), "sample")}, which have '
+        return (f'; it was computed from {count_of(len(before), "sample")}, which have '
                 f'changed since ({differences}): call ~/compute_calibration for an answer from '
                 f'the current {len(now)}')
 

@@ -184,7 +184,7 @@ class LiveSession:
     def ask(self, work: Callable[[], Result]) -> Result:
         """Let the worker do something; return its result, or raise its exception."""
         try:
-            return self.worker.ask(work)
+            return self.worker.submit(work).result()
         finally:
             self.wake()
 
@@ -308,17 +308,14 @@ class LiveSession:
             with suppress(DataError):
                 self.verification.add_stop(stop, over)
             return
-        stop = self._evaluated(stop)
+        stop, remark = self._evaluated(stop)  # no refusal, as in the solution of a recording
         earlier = self._known(stop.number)
-        remark = self.answer.objection(stop)  # no refusal, as in the solution of a recording
         try:
             stop = self._stored(stop)
         except InputError as error:
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.source else replace(
                 stop, result=Reject(stop.result.stamp, str(error)), refused=str(error))
-        if stop.sample is None:
-            self.refused[stop.began] = stop.pose(self.config)
         self._put(stop, over)
         if earlier is None or bool(earlier.sample) != bool(stop.sample):
             # the same result with more profiles is not reported again
@@ -332,7 +329,7 @@ class LiveSession:
         stop = self._known(number)
         if stop and not stop.source:  # it could not be stored before
             with suppress(InputError):
-                self._put(self._stored(self._evaluated(stop)), over=False)
+                self._put(self._stored(self._evaluated(stop)[0]), over=False)
         elif stop and not stop.refused:
             result = self.result_of(stop, self.config)
             self._put(replace(stop, result=result), over=False)
@@ -344,9 +341,17 @@ class LiveSession:
         except PoolEndedError as error:  # nothing is lost: the stop itself will be stored
             return Reject(stop.began, str(error))
 
-    def _evaluated(self, stop: Stop) -> Stop:
-        """Return a stop with its number and result, not yet in the session."""
-        return self.session.numbered(stop, self.result_of(stop, self.config))
+    def _evaluated(self, stop: Stop) -> tuple[Stop, str]:
+        """
+        Return a stop with its number and result, not yet in the session, and an objection.
+
+        The objection is '' for a good sample, and where there is none.
+        """
+        result = self.session.numbered(stop, self.result_of(stop, self.config))
+        objection = self.answer.objection(result)
+        if objection or result.sample is None:
+            self.refused[stop.began] = stop.pose(self.config)
+        return result, objection
 
     def _known(self, number: int) -> Stop | None:
         """Return the stop of a number in the session."""
@@ -392,12 +397,10 @@ class LiveSession:
             raise
 
     def _take_at(self, stop: Stop) -> str:
-        stop = self._evaluated(stop)
+        stop, objection = self._evaluated(stop)
         if stop.refused:
             raise DataError(f'{stop.refused}: move on, and turn the tool')
-        objection = self.answer.objection(stop)
         if objection or stop.sample is None:
-            self.refused[stop.began] = stop.pose(self.config)
             raise DataError(f'{objection}, and take the sample again' if objection else
                             sample_summary(stop.result))
         note = ' again, as the robot has not moved since' if self._known(stop.number) else ''

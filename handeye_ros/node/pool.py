@@ -51,7 +51,7 @@ def result_or_ended(future: Future[Result]) -> Result:
         raise PoolEndedError from error
 
 
-class Worker:
+class Worker(ThreadPoolExecutor):
     """
     One thread that does things one after the other.
 
@@ -60,28 +60,24 @@ class Worker:
 
     def __init__(self, changed: Callable[[], object]) -> None:
         """Do nothing yet; changed: called after each thing that was done later."""
+        super().__init__(1, 'worker')
         self._changed, self.failure = changed, ''
-        self._executor = ThreadPoolExecutor(1, 'worker')
 
     def later(self, work: Callable[..., object], *args: Any) -> None:
         """Do something, and then call changed."""
-        self._executor.submit(self._report, work, *args)
+        self.submit(self._report, work, *args)
 
     def _report(self, work: Callable[..., object], *args: Any) -> None:
         try:
             work(*args)
             self._changed()
             self.failure = ''
+        except HandeyeError as error:
+            self.failure = str(error)
         except Exception as error:  # noqa: BLE001 - the thread must go on
-            self.failure = str(error) if isinstance(error, HandeyeError) else (
-                f'the work on the samples failed, which should not happen: {error!r}; see the '
-                'log, and please report it')
-            if not isinstance(error, HandeyeError):
-                print(traceback.format_exc(), file=sys.stderr, flush=True)
-
-    def ask(self, work: Callable[[], Result]) -> Result:
-        """Return the result of something; raises its exceptions."""
-        return self._executor.submit(work).result()
+            self.failure = ('the work on the samples failed, which should not happen: '
+                            f'{error!r}; see the log, and please report it')
+            print(traceback.format_exc(), file=sys.stderr, flush=True)
 
 
 class Pool:

@@ -153,26 +153,6 @@ def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(
         assert 'set profile.unit to mm' in text
 
 
-def test_a_stray_of_another_frame_is_ignored_and_two_sensors_are_refused(
-        client: Client, node: subprocess.Popen[str]) -> None:
-    stand_still(client, START)
-    client.profiles.publish(sphere_profile(START + NS, 'right'))
-    client.poses.publish(pose_message(START + NS, frame_id='map'))
-    state = client.until_counted(profiles=21, poses=21)
-    assert 'dropped a profile of frame "right" (1 times)' in state['dropped']
-    assert client.call('take_sample').success
-    stand_still(client, START + 2 * NS, 0.25, frame_id='right')
-    client.until_counted(profiles=26, poses=26)
-    for service in ('take_sample', 'compute_calibration'):
-        answer = client.call(service)
-        assert not answer.success
-        assert 'the profile topic carries two frames, "laser" and "right"' in answer.message
-    assert client.call('clear_samples').success
-    client.profiles.publish(sphere_profile(START + 3 * NS, 'right'))
-    client.until_counted(profiles=27)
-    assert 'two frames' not in client.state()['message'], 'the next one counts'
-
-
 def test_a_clock_that_is_set_back_takes_nothing_that_is_not(
         client: Client, node: subprocess.Popen[str]) -> None:
     assert client.call('auto_sample', SetBool.Request(data=False)).success
