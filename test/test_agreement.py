@@ -9,7 +9,7 @@ from cells import cell, solved
 from handeye_ros import se3
 from handeye_ros.agreement import flat_crossing
 from handeye_ros.config import with_values
-from handeye_ros.estimation.search import evaluate
+from handeye_ros.estimation.solve import evaluated
 import numpy as np
 import pytest
 
@@ -20,7 +20,7 @@ def test_the_crossing_angle_does_not_depend_on_the_axes_across_a_line(turned: fl
     solution = solved(found.problem)
     T = solution.estimate.state.reshape(4, 4)
     about_line = se3.transform(se3.exp_rotation(np.array([turned, 0.0, 0.0])), np.zeros(3))
-    elsewhere = evaluate(solution.problem, replace(
+    elsewhere = evaluated(solution.problem, replace(
         solution.estimate, state=(T @ about_line).reshape(-1)))
     config = with_values(found.config, {'sampling.min_crossing_angle': 1.5}, 'test')
     for sample in found.samples[:5]:  # whose laser lines are not square to it

@@ -13,7 +13,7 @@ transform of the mount by a linear function of the parameters.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -26,19 +26,23 @@ from scipy.spatial.transform import Rotation
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
 FARTHER = 0.2  # by how much more a line is bent at the largest range than in the middle
-Kernel = Callable[[Array], Array]
 
 
-def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
-    """Return products of Legendre polynomials of u and v (m,), by degree, each of RMS 1."""
-    return _products(_normalised(u), _normalised(v), degrees)
+def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> Array:
+    """
+    Return products (m, k) of Legendre polynomials at u and v (m,), in -1 to 1, degree by degree.
 
-
-def _products(u: Array, v: Array, degrees: Sequence[int]) -> list[Array]:
-    """Return the products for u and v (m,) in -1 to 1, over which each has RMS 1."""
+    Those of one degree have RMS 1 together over this range.
+    """
     norm = np.sqrt(2 * np.arange(max(degrees) + 1) + 1)
     a, b = (legendre.legvander(w, max(degrees)) * norm for w in (u, v))
-    return [a[:, :degree + 1] * b[:, degree::-1] for degree in degrees]
+    return np.concatenate([a[:, :degree + 1] * b[:, degree::-1] / (degree + 1) ** 0.5
+                           for degree in degrees], axis=1)
+
+
+def _by_degree(columns: Array, degrees: Sequence[int]) -> list[Array]:
+    """Return the columns (..., k) of polynomials, split by their degree."""
+    return np.split(columns, np.cumsum([degree + 1 for degree in degrees])[:-1], axis=-1)
 
 
 def _normalised(w: Array) -> Array:
@@ -48,10 +52,7 @@ def _normalised(w: Array) -> Array:
 
 def without(columns: Array, absorbed: Array) -> Array:
     """Return columns (m, k) projected onto the complement of the columns of absorbed (m, j)."""
-    length = np.linalg.norm(absorbed, axis=0)
-    absorbed = absorbed[:, length > 0] / length[length > 0]
-    inverse = np.linalg.pinv(absorbed.T @ absorbed, rcond=1e-10, hermitian=True)
-    return np.asarray(columns - absorbed @ (inverse @ (absorbed.T @ columns)))
+    return np.asarray(columns - absorbed @ np.linalg.lstsq(absorbed, columns, rcond=1e-5)[0])
 
 
 def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
@@ -61,10 +62,11 @@ def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
     The k fields of one degree have RMS 1 together along each axis, and contain no rigid motion of
     the plane.
     """
-    terms = polynomials(points[:, 0], points[:, 1], degrees)
-    deformation = without(_each_way(terms), _rigid(points - points.mean(axis=0)))
-    return _each_of_unit_size(deformation.reshape(2, len(points), -1).swapaxes(0, 1),
-                              [some.shape[1] for some in terms], 2)
+    m, (u, v) = len(points), map(_normalised, points.T)
+    every = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
+    fields = without(every, _rigid(points - points.mean(axis=0)))
+    both = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
+    return [some.reshape(m, 2, -1) for some in _by_degree(both, degrees)]
 
 
 def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
@@ -76,12 +78,12 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     box of these points, which are means of bins and lie inside it.
     """
     across = np.linspace(-1.25, 1.25, 11)
-    u, v = (w.ravel() for w in np.meshgrid(across, across))
-    terms = polynomials(points[:, 0], points[:, 1], degrees)
-    fitted = [np.linalg.lstsq(_rigid(where), _each_way(some), rcond=None)[0]
-              for where, some in ((box(points, across), _products(u, v, degrees)),
-                                  (points, terms))]
-    return _each_of_unit_size(fitted[0] - fitted[1], [some.shape[1] for some in terms], 2)
+    view, seen = (
+        np.linalg.lstsq(_rigid(where), np.kron(np.eye(2), polynomials(u, v, degrees)),
+                        rcond=None)[0]
+        for where, (u, v) in ((box(points, across), grid(across).T),
+                              (points, map(_normalised, points.T))))
+    return [some.reshape(3, -1) for some in _by_degree((view - seen).reshape(3, 2, -1), degrees)]
 
 
 def bent_line(points: Array) -> Array:
@@ -103,8 +105,12 @@ def bent_line(points: Array) -> Array:
 def box(points: Array, across: Sequence[float] | Array) -> Array:
     """Return a grid (k, 2) over the bounding box of points (m, 2), scaled to -1 to 1."""
     low, high = points.min(axis=0), points.max(axis=0)
-    u, v = (w.ravel() for w in np.meshgrid(across, across))
-    return np.asarray((low + high) / 2 + np.column_stack([u, v]) * (high - low) / 2)
+    return np.asarray((low + high) / 2 + grid(across) * (high - low) / 2)
+
+
+def grid(across: Sequence[float] | Array) -> Array:
+    """Return all pairs (k, 2) of some coordinates."""
+    return np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
 
 
 def _rigid(points: Array) -> Array:
@@ -112,15 +118,6 @@ def _rigid(points: Array) -> Array:
     x, z = points.T
     one, none = np.ones(len(x)), np.zeros(len(x))
     return np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
-
-
-def _each_way(terms: Sequence[Array]) -> Array:
-    """Return functions (m, k) of each degree as displacements along x, then z; x rows first."""
-    m, counts = len(terms[0]), [some.shape[1] for some in terms]
-    both = np.zeros((2, m, 2 * sum(counts)))
-    for some, k, last in zip(terms, counts, 2 * np.cumsum(counts), strict=True):
-        both[0, :, last - 2 * k:last - k] = both[1, :, last - k:last] = some
-    return both.reshape(2 * m, -1)
 
 
 def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:
@@ -131,17 +128,10 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     u, v = centred @ axes[:, 2], centred @ axes[:, 1]
-    some = polynomials(u, v, degrees)
-    flat = np.column_stack([np.ones(len(u)), u, v])
-    terms = np.zeros((len(p), sum(part.shape[1] for part in some)))
-    terms[on_surface] = without(np.concatenate(some, axis=1), flat)
-    return _each_of_unit_size(terms, [part.shape[1] for part in some], 1)
-
-
-def _each_of_unit_size(columns: Array, counts: Sequence[int], ways: int) -> list[Array]:
-    """Return columns (..., ways * sum of counts) split by counts, each part scaled to RMS 1."""
-    parts = np.split(columns, ways * np.cumsum(counts)[:-1], axis=-1)
-    return [part / count ** 0.5 for part, count in zip(parts, counts, strict=True)]
+    some = polynomials(_normalised(u), _normalised(v), degrees)
+    terms = np.zeros((len(p), some.shape[1]))
+    terms[on_surface] = without(some, np.column_stack([np.ones(len(u)), u, v]))
+    return _by_degree(terms, degrees)
 
 
 def pose_features(poses: Array) -> Array:
@@ -151,21 +141,6 @@ def pose_features(poses: Array) -> Array:
     return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
 
 
-def rational_quadratic(squared: Array) -> Array:
-    """Return the correlations at squared distances for errors of all wavelengths (estimate)."""
-    return np.asarray(1.0 / (1.0 + squared))
-
-
-def gaussian(squared: Array) -> Array:
-    """
-    Return the correlations at squared distances for errors of long wavelengths (report).
-
-    Errors of joints and links have long wavelengths. If short ones were assumed with them, the
-    absence of short ones would prove the long ones small, which the samples show least.
-    """
-    return np.asarray(np.exp2(-squared))
-
-
 def process_root(poses: Array, long_errors: bool = False) -> Array:
     """
     Return a square root (n, k) of the kernel at poses (n, 4, 4): k <= 24 basis functions.
@@ -173,8 +148,7 @@ def process_root(poses: Array, long_errors: bool = False) -> Array:
     Of many poses, 24 distant ones span it (Nystroem method).
     """
     features = pose_features(poses)
-    kernel = gaussian if long_errors else rational_quadratic
-    return _root(features, farthest_points(features, 24), kernel)
+    return _root(features, farthest_points(features, 24), long_errors)
 
 
 def process_in_time(times: Array) -> Array:
@@ -182,21 +156,23 @@ def process_in_time(times: Array) -> Array:
     count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)
     nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
-    return _root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist(), rational_quadratic)
+    return _root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())
 
 
-def correlations(a: Array, b: Array, kernel: Kernel) -> Array:
-    """Return the (n, k) correlations between errors at features (n, j) and (k, j)."""
-    return kernel(((a[:, None] - b[None]) ** 2).sum(axis=2))
+def _root(features: Array, chosen: list[int], long_errors: bool = False) -> Array:
+    """
+    Return the root (n, k) of a kernel at features (n, j), spanned by the chosen rows.
 
-
-def _root(features: Array, chosen: list[int], kernel: Kernel) -> Array:
-    """Return the root (n, k) of a kernel at features (n, j), spanned by the chosen rows."""
-    some = features[chosen]
-    values, vectors = eigen(correlations(some, some, kernel))
+    The kernel is rational quadratic, of errors of all wavelengths (for the estimate), or of long
+    ones (for the report). Errors of joints and links have long wavelengths: if short ones were
+    assumed with them, the absence of short ones would prove the long ones small, which the samples
+    show least.
+    """
+    squared = ((features[:, None] - features[chosen]) ** 2).sum(axis=2)
+    correlations = np.exp2(-squared) if long_errors else 1.0 / (1.0 + squared)
+    values, vectors = eigen(correlations[chosen])
     keep = values > 1e-6 * values[-1]
-    root = vectors[:, keep] / np.sqrt(values[keep])
-    return np.asarray(correlations(features, some, kernel) @ root)
+    return np.asarray(correlations @ (vectors[:, keep] / np.sqrt(values[keep])))
 
 
 def farthest_points(features: Array, most: int) -> list[int]:

@@ -10,7 +10,7 @@ would be hidden.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array
@@ -29,42 +29,9 @@ SURE = 100.0  # posterior odds of one station being wrong, from which it is drop
 EXPLAINED = 0.2  # p-value of the other squares below which more than one is wrong
 
 
-@dataclass(frozen=True, eq=False)
-class Contamination:
+def contaminated(solution: Solution, dropped: int) -> Solution:
     """
-    The probability that each station is wrong, and the change of the transform if it is.
-
-    Of (10), probability: (n,) p_i; shifts: (n, 6) h_i; covariances: (n, 6, 6) Sigma_i. rest: (n,)
-    p-value of the squared residuals without the error of this station.
-    """
-
-    probability: Array
-    shifts: Array
-    covariances: Array
-    rest: Array
-
-    @property
-    def worst(self) -> int | None:
-        """Return the station that is almost surely the only wrong one, or None."""
-        worst = int(np.argmax(self.probability))
-        conclusive = self.probability[worst] > SURE * (1 - self.probability[worst])
-        return worst if conclusive and self.rest[worst] > EXPLAINED else None
-
-    @property
-    def of_any(self) -> float:
-        """Return the probability that one of the stations is wrong."""
-        return float(self.probability.sum())
-
-    @property
-    def covariance(self) -> Array:
-        """Return the term (6, 6) added to the covariance of the transform, (10)."""
-        moved = self.covariances + self.shifts[:, :, None] * self.shifts[:, None, :]
-        return np.asarray(np.tensordot(self.probability, moved, 1))
-
-
-def contamination(solution: Solution, dropped: int) -> Contamination | None:
-    """
-    Return the contamination of a solution, None with very many stations.
+    Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
     Between MANY and twice as many stations the probabilities fade to 0. dropped: number of
     stations dropped as wrong, which make another wrong one likelier.
@@ -72,11 +39,11 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
     n = len(solution.problem.poses)
     weight = min(1.0, 2 - n / MANY)
     if weight <= 0:
-        return None
-    configured = evaluated(solution.problem, solution.estimate, Noise())
+        return solution
+    configured = evaluated(solution.problem, solution.estimate, Noise(lumped=False))
     wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
-    shifts, covariances = np.empty((n, 6)), np.empty((n, 6, 6))
+    squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
     for at in configured.problem.stations:
         i = configured.problem.observations.station[at.rows[:, 0]]
         K, J = wrong[at.rows], configured.columns[at.rows]
@@ -88,19 +55,19 @@ def contamination(solution: Solution, dropped: int) -> Contamination | None:
         explained[i] = (slope * size[..., 0]).sum(axis=1)
         log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
         to_transform = moved[:, :6]
-        shifts[i] = (to_transform @ size)[..., 0]
-        covariances[i] = to_transform @ np.linalg.solve(inside, np.swapaxes(to_transform, 1, 2))
+        shift = to_transform @ size
+        squares[i] = shift @ np.swapaxes(shift, 1, 2) + to_transform @ np.linalg.solve(
+            inside, np.swapaxes(to_transform, 1, 2))
     log_odds += np.log(WRONG + dropped / (n + dropped))
-    freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
-    return Contamination(weight * _probabilities(log_odds), shifts, covariances,
-                         chi2_sf(np.maximum(configured.squares - explained, 0.0), freedom))
-
-
-def _probabilities(log_odds: Array) -> Array:
-    """Return probabilities (n,) of exclusive cases; log_odds (n,): against none of them."""
     most = max(0.0, float(log_odds.max()))
-    odds = np.exp(log_odds - most)
-    return np.asarray(odds / (np.exp(-most) + odds.sum()))
+    odds = np.exp(log_odds - most)  # each is the only wrong one
+    probability = weight * odds / (np.exp(-most) + odds.sum())
+    worst = int(np.argmax(probability))
+    freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
+    rest = chi2_sf(max(configured.squares - explained[worst], 0.0), freedom)
+    sure = probability[worst] > SURE * (1 - probability[worst]) and rest > EXPLAINED
+    return replace(solution, added={ONE_WRONG: np.tensordot(probability, squares, 1)},
+                   contaminated=float(probability.sum()), wrong=worst if sure else None)
 
 
 @dataclass(frozen=True)

@@ -89,21 +89,20 @@ class System(Generic[S]):
             white = rows.white()
             return white, white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
 
-        state, (white, r, J) = start, linear(self.rows(start))
-        damping, taken, refused = 1e-4, 0, 0
-        while taken < iterations and refused < 8:
+        state, (white, r, J), damping = start, linear(self.rows(start)), 1e-4
+        for _ in range(iterations):
             step = _damped_steps(J, r, np.array(damping))
             moved = self.retract(state, step)
-            rows = self.rows(moved)
+            rows, before = self.rows(moved), r @ r
             after = float(((white(rows.residuals) * root) ** 2).sum())
-            better, done = _judged(r @ r, after, np.linalg.norm(J @ step), converged)
-            if not better:
-                damping, refused = damping * MORE, refused + 1
+            if not after <= before * (1 + ROUNDING):
+                damping *= MORE
                 continue
             state = moved
-            if done:
+            if (np.linalg.norm(J @ step) < converged * (1 + np.sqrt(before))
+                    or after >= before * (1 - 1e-14)):  # the rounding of the derivatives is left
                 break
-            damping, taken, refused = max(damping / MORE ** 2, 1e-14), taken + 1, 0
+            damping = max(damping / MORE ** 2, 1e-14)
             white, r, J = linear(rows)
         return state
 
@@ -114,50 +113,24 @@ class System(Generic[S]):
 
 def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
                        retract: Callable[[States, Array], States], starts: States,
-                       iterations: int, converged: float) -> tuple[States, Array]:
+                       iterations: int) -> tuple[States, Array]:
     """
-    Return the least-squares states from k independent starts, and their sums of squares (k,).
+    Return the states after some steps from k independent starts, and their sums of squares (k,).
 
     starts: arrays (k, ...); linear(states): residuals (k, m) and their derivatives (k, m, u);
-    retract(states, steps (k, u)): the moved states; converged: see System. One start after the
-    other takes more than twice as long.
+    retract(states, steps (k, u)): the moved states. One start after the other takes more than
+    twice as long.
     """
-    ends, squares = [part.copy() for part in starts], np.empty(len(starts[0]))
-    going, current = np.arange(len(squares)), [*starts, *linear(starts)]
-    damping = np.full(len(going), 1e-4)
-    taken, refused = np.zeros((2, len(going)), dtype=int)
-    while len(going):
+    current, damping = [*starts, *linear(starts)], np.full(len(starts[0]), 1e-4)
+    for _ in range(iterations):
         *states, r, J = current
-        step = _damped_steps(J, r, damping)
-        moved = retract(tuple(states), step)
+        moved = retract(tuple(states), _damped_steps(J, r, damping))
         trial = [*moved, *linear(moved)]
-        before, after = (np.einsum('km,km->k', each, each) for each in (r, trial[-2]))
-        length = np.linalg.norm((J @ step[..., None])[..., 0], axis=1)
-        better, done = _judged(before, after, length, converged)
+        better = (trial[-2] ** 2).sum(axis=1) <= (r ** 2).sum(axis=1) * (1 + ROUNDING)
         damping = np.where(better, np.maximum(damping / MORE ** 2, 1e-14), damping * MORE)
-        taken, refused = taken + better, np.where(better, 0, refused + 1)
         current = [np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
                    for new, old in zip(trial, current, strict=True)]
-        ended = done | (taken >= iterations) | (refused >= 8)
-        for end, values in zip([*ends, squares],
-                               [*current[:-2], np.where(better, after, before)], strict=True):
-            end[going[ended]] = values[ended]
-        current = [values[~ended] for values in current]
-        going, damping, taken, refused = (v[~ended] for v in (going, damping, taken, refused))
-    return tuple(ends), squares
-
-
-def _judged(before: Any, after: Any, length: Any, converged: float) -> tuple[Any, Any]:
-    """
-    Return whether steps are accepted, and are the last, by the sums of squares before and after.
-
-    length: of the change of the residuals that the linearisation predicts.
-    """
-    better = np.less_equal(after, np.multiply(before, 1 + ROUNDING))
-    done = better & ((length < converged * (1 + np.sqrt(before)))
-                     # what is left is the rounding of the derivatives
-                     | np.greater_equal(after, np.multiply(before, 1 - 1e-14)))
-    return better, done
+    return tuple(current[:-2]), (current[-2] ** 2).sum(axis=1)
 
 
 def _damped_steps(J: Array, r: Array, damping: Array) -> Array:

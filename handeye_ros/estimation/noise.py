@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from handeye_ros.config import NoiseConfig
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import eigen, inverse_roots
 from handeye_ros.estimation.problem import Linear, Stations
@@ -84,7 +83,9 @@ def covariances(linear: Linear, at: Stations) -> Array:
     The p parts: two components of the features' errors, the distortion that differs between
     stations, the poses, and the pose values if they have white errors.
     """
-    local, pose = _variances(linear.problem.config.noise)
+    noise = linear.problem.config.noise
+    local = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
+    pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
     features = _squared(linear.by_feature[at.rows]) * at.shared
     features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
@@ -107,12 +108,6 @@ def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
         own = problem.target.feature_errors(linear)
         total += _squared(own[at.rows]) * at.shared
     return total
-
-
-def _variances(noise: NoiseConfig) -> tuple[float, Array]:
-    """Return the variances of the distortion that differs between stations, and of a pose (6,)."""
-    pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
-    return (0.6 * noise.distortion) ** 2, pose  # the share that differs, as speckle does
 
 
 def _squared(factor: Array, variances: Array | float = 1.0) -> Array:

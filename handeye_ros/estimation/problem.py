@@ -44,16 +44,9 @@ class Observations:
     kind: NDArray[np.intp]
     noise: Array
     source: NDArray[np.intp]
-    end: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    outward: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    shape: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        """Take the points for no edge points where nothing else is given."""
-        if len(self.end) < len(self.station):
-            for name in ('end', 'outward', 'shape'):
-                none = getattr(self, name)
-                object.__setattr__(self, name, np.zeros((len(self), *none.shape[1:]), none.dtype))
+    end: NDArray[np.intp]
+    outward: Array
+    shape: Array
 
     def __len__(self) -> int:
         """Return the number of conditions."""
@@ -361,10 +354,8 @@ class Problem:
     @property
     def shows_essential(self) -> NDArray[np.bool_]:
         """Return which stations (n,) have an observation of an essential kind."""
-        target, obs = self.target, self.observations
-        of_kind = np.array([*(name in target.essential for name in target.kinds), False])  # UNUSED
-        shows = np.zeros(len(self.poses), dtype=bool)
-        shows[obs.station[of_kind[obs.kind]]] = True
+        obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
+        shows[obs.station[np.isin(obs.kind, self.target.essential_kinds)]] = True
         return shows
 
     def guesses(self, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -19,7 +19,7 @@ from itertools import chain, islice
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.covariance import contamination, ONE_WRONG
+from handeye_ros.estimation.covariance import contaminated
 from handeye_ros.estimation.least_squares import (
     agreeing,
     believed,
@@ -33,7 +33,7 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem, UNUSED
-from handeye_ros.estimation.solve import map_solution, Solution
+from handeye_ros.estimation.solve import evaluated, map_solution, Solution
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,7 +86,7 @@ def without_outliers(solution: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(used)
-        return evaluate(part, fit(part, (before or near).estimate))
+        return evaluated(part, fit(part, (before or near).estimate))
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out()
@@ -115,11 +115,7 @@ def with_blocks(solution: Solution) -> Solution:
             start, noise = found.estimate, found.noise
             if part.pose_model:
                 part = part.with_pose_values(found.problem.pose_values)
-        solution = map_solution(part, start, noise)
-        doubt = contamination(solution, len(whole.poses) - len(used))
-        return solution if doubt is None else replace(
-            solution, added={ONE_WRONG: doubt.covariance}, contaminated=doubt.of_any,
-            wrong=doubt.worst)
+        return contaminated(map_solution(part, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = agreeing(
         near.used, len(whole.poses), whole.target.minimum, fitted,
@@ -227,7 +223,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
                       np.array([start.state for start in starts]))
     for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # iterations, and starts kept after them
         kept = max(more * kept, 6 if problem.few else 0)
-        states, cost = many_least_squares(linear, retract, states, iterations, 1e-6)
+        states, cost = many_least_squares(linear, retract, states, iterations)
         order = np.argsort(cost, kind='stable')
         # of few stations, many starts lead to the same estimate
         best = (order[different(states[0][order])] if problem.few else order)[:kept]
@@ -270,8 +266,3 @@ def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
 def fit(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
     return _system(problem, noise).least_squares(linearise(problem, start)).estimate
-
-
-def evaluate(problem: Problem, estimate: Estimate) -> Solution:
-    """Return the solution at an estimate that fits, blocks lumped."""
-    return Solution.at(linearise(problem, estimate), LUMPED)

@@ -41,7 +41,8 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Pr
 import numpy as np
 from numpy.typing import NDArray
 
-STEPS, LAST_STEPS = 2, 3  # iterations of the scales: in each round, in the last
+CONVERGED = 0.1  # sigmas: the last step of the unknowns; one more follows with the final scales
+LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
@@ -433,15 +434,15 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
         if part.conservative is not None:
             if problem.pose_model is not None:
                 problem = problem.with_pose_values(part.problem.pose_values)
-            near = Solution.at(linearise(problem, part.linear.estimate), part.noise)
+            near = evaluated(problem, part.linear.estimate, part.noise)
             return _reported(Solution.at(near.stepped(), near.noise), part.conservative.noise, 0)
-    found, diverged = _iterated(Solution.at(linearise(problem, start), noise))
+    found, diverged = _iterated(evaluated(problem, start, noise))
     return found if diverged else _answer(found)
 
 
 def _iterated(found: Solution) -> tuple[Solution, bool]:
     """Return the converged solution and False, or the best before divergence and True."""
-    least, best, resting = np.inf, found, False
+    least, best = np.inf, found
     for count in range(10):  # linearisations
         (x, covariance), u = found._solved, found.unknowns
         size = float(np.abs(x[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
@@ -451,10 +452,8 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
         best, least = best if diverged else found, min(size, least)
         factors, before = found.factors(), found.noise.factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
-        moved = Solution.at(found.stepped(), replace(found.noise, factors=factors))
-        found = moved if resting and steady else moved.rescaled(STEPS)
-        resting = found is moved
-        if size < 0.03 and steady:
+        found = Solution.at(found.stepped(), replace(found.noise, factors=factors)).rescaled(1)
+        if size < CONVERGED and steady:
             break
     return found, False
 
@@ -474,13 +473,13 @@ def _answer(found: Solution) -> Solution:
 def _reported(best: Solution, noise: Noise, steps: int) -> Solution:
     """Return a solution together with that at the conservative scales of noise."""
     long = replace(best.problem, long_errors=True)
-    wide = Solution.at(linearise(long, best.linear.estimate), noise).rescaled(steps)
+    wide = evaluated(long, best.linear.estimate, noise).rescaled(steps)
     return replace(best, conservative=wide)
 
 
-def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
-    """Return the solution at an estimate, with noise and prior scales as given."""
-    return Solution.at(linearise(problem, estimate), replace(noise, lumped=False))
+def evaluated(problem: Problem, estimate: Estimate, noise: Noise | None = None) -> Solution:
+    """Return the solution at an estimate; noise: with its scales, None: lumped, as configured."""
+    return Solution.at(linearise(problem, estimate), noise or Noise())
 
 
 def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
@@ -488,5 +487,5 @@ def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) ->
     linear = linearise(solution.problem, solution.estimate)
     found = Solution.at(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        found = found.with_factors(found.factors()).rescaled(STEPS)
+        found = found.with_factors(found.factors()).rescaled(2)
     return found

@@ -21,8 +21,8 @@ from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate
-from handeye_ros.estimation.search import evaluate, fit
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.search import fit
+from handeye_ros.estimation.solve import evaluated, Solution
 import numpy as np
 import pytest
 
@@ -89,10 +89,10 @@ def test_the_deleted_residual_of_a_station_is_that_against_a_real_refit(name: st
     mean_square, _ = solution.left_out()
     for station in range(0, len(solution.problem.poses), 4):
         alone = solution.problem.subset(np.array([station]))
-        others = evaluate(solution.problem.subset(np.setdiff1d(
+        others = evaluated(solution.problem.subset(np.setdiff1d(
             np.arange(len(solution.problem.poses)), [station])),
             refit_without(solution, station))
-        there = evaluate(alone, others.estimate)
+        there = evaluated(alone, others.estimate)
         S = np.eye(len(there.white)) + there.columns @ others.covariance @ there.columns.T
         expected = there.white @ np.linalg.solve(S, there.white)
         count = (obs.station == station).sum()
@@ -128,7 +128,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     sigma = made.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    there = evaluate(replace(solution.problem, poses=moved), solution.estimate)
+    there = evaluated(replace(solution.problem, poses=moved), solution.estimate)
     mine = there.problem.observations.station == 3
     assert (there.white[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
     assert np.allclose(there.white[~mine], 0, atol=1e-3)

@@ -10,7 +10,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.search import evaluate, robust_solution, with_blocks
+from handeye_ros.estimation.search import robust_solution, with_blocks
+from handeye_ros.estimation.solve import evaluated
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 import numpy as np
@@ -23,7 +24,7 @@ def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
     made = cell('plane', 0)
     whole = robust_solution(made.problem, np.random.default_rng(0))
     few = made.problem.subset(np.arange(4))
-    covariance = evaluate(few, whole.estimate).covariance
+    covariance = evaluated(few, whole.estimate).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 
@@ -90,7 +91,7 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
     for stations in ((3, 3), (9, 9)):
         made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
         solution = with_blocks(robust_solution(made.problem, np.random.default_rng(0)))
-        without = replace(solution, contamination=None)
+        without = replace(solution, added={})
         grown.append(np.diag(solution.reported)[:6] / np.diag(without.reported)[:6])
     few, many = grown
     assert few.max() > 1.01 > many.max()

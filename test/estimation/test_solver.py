@@ -45,7 +45,7 @@ def test_an_unknown_that_nothing_depends_on_stays_where_it_is() -> None:
     J = np.column_stack([A, np.zeros(len(A))])
     (found,), squares = many_least_squares(
         lambda states: (states[0] @ J.T - b, np.broadcast_to(J, (len(states[0]), *J.shape))),
-        lambda states, steps: (states[0] + steps,), (np.ones((3, 5)),), 20, 1e-9)
+        lambda states, steps: (states[0] + steps,), (np.ones((3, 5)),), 20)
     expected, least, _, _ = np.linalg.lstsq(A, b, rcond=None)
     assert np.abs(found - [*expected, 1.0]).max() < 1e-9
     assert np.abs(squares - least).max() < 1e-9
