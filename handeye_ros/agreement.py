@@ -16,7 +16,7 @@ from pathlib import Path
 from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session import is_session, read_session
-from handeye_ros.calibration import left_out, measured_points
+from handeye_ros.calibration import measured_points, rms_by, tested_points
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, EdgePoint, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
@@ -76,9 +76,7 @@ def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
     if calibration is None or solution is None:
         return Evidence(tuple(stops), refusal=str(answer.refusal or ''))
     used = [answer.samples[i] for i in solution.used]
-    measured = measured_points(used, solution.problem)
-    residuals = measured.residuals(solution.problem, solution.estimate, solution.corrected_poses())
-    predicted = left_out(solution, measured)
+    measured, residuals, predicted = tested_points(used, solution)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
     by_stamp = {stamp: i for i, stop in enumerate(stops) for stamp in stop.samples}
     stop_of_point = np.array([by_stamp[sample.stamp] for sample in used])[measured.station]
@@ -97,7 +95,7 @@ def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) 
     stamps = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
     twists = used[moving[0]].motion.at(stamps).twists
     return np.column_stack([(stamps - stamps[0]) * 1e-9,
-                            _rms(station, residuals, len(used))[moving],
+                            rms_by(station, residuals, len(used))[moving],
                             np.linalg.norm(twists[:, :3], axis=1)])
 
 
@@ -150,11 +148,9 @@ def agreements(answer: Answer, samples: Sequence[Sample], config: Config
     # a pass is used if the answer uses most of its profiles
     by_answer = 2 * np.bincount(of_used, minlength=n) >= np.maximum(
         np.bincount(stations, minlength=n), 1)
-    measured = measured_points(used, solution.problem)
-    of_point, fold = of_used[measured.station], np.unique(of_used, return_inverse=True)[1]
-    residual = _rms(of_point, measured.residuals(
-        solution.problem, solution.estimate, solution.corrected_poses()), n)
-    predicted = _rms(of_point, left_out(solution, measured, fold.reshape(-1)), n)
+    fold = np.unique(of_used, return_inverse=True)[1].reshape(-1)
+    measured, *both = tested_points(used, solution, fold)
+    residual, predicted = (rms_by(of_used[measured.station], r, n) for r in both)
     others = [k for k in range(n) if not by_answer[k]]
     residual[others] = predicted[others] = _of_others(
         [samples[k] for k in others], answer.samples[0].offsets, solution, config)
@@ -176,15 +172,8 @@ def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: So
         return np.full(len(samples), np.nan)
     problem = relabelled(problem_at_poses(ones, config), solution.estimate)
     measured = measured_points(ones, problem)
-    return _rms(number[measured.station], measured.residuals(problem, solution.estimate),
+    return rms_by(number[measured.station], measured.residuals(problem, solution.estimate),
                 len(samples))
-
-
-def _rms(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
-    """Return the RMS (n,) of the residuals (k,) of each number (k,), NaN for one without any."""
-    count = np.bincount(number, minlength=n)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        return np.asarray(np.sqrt(np.bincount(number, residuals ** 2, minlength=n) / count))
 
 
 def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:

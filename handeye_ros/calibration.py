@@ -41,14 +41,13 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     """
     problem, parent = solution.problem, mount_frame(config)
     used = [samples[i] for i in solution.used]
-    measured = measured_points(used, problem)
-    residuals = measured.residuals(problem, solution.estimate, solution.corrected_poses())
-    reports = [*_used_reports(used, problem, measured.station, residuals),
+    measured, residuals, predicted = tested_points(used, solution)
+    reports = [*_used_reports(used, problem, rms_by(measured.station, residuals, len(used))),
                *_dropped_reports(samples, solution),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
     std, direction = se3.worst_translation(solution.reported)
     quality = Quality(len(used), len(reports) - len(used), rms(residuals),
-                      rms(left_out(solution, measured)),
+                      rms(predicted),
                       f'position along {name_direction(direction, parent)} (m)', std)
     provenance: dict[str, Any] = {'version': __version__, 'config': flatten(config)}
     if warnings:
@@ -107,16 +106,11 @@ def _joint(solution: Solution) -> dict[str, Any]:
             'variance_factor': solution.variance_factor}
 
 
-def _used_reports(used: Sequence[Sample], problem: Problem, station: NDArray[np.intp],
-                  residuals: Array) -> list[SampleReport]:
-    """Return the reports of used samples; residuals (k,) of points with their station (k,)."""
-    count = np.bincount(station, minlength=len(used))
-    own = np.sqrt(np.bincount(station, residuals ** 2, minlength=len(used)) / np.maximum(count, 1))
-    reports = []
-    for i, edges in enumerate(_edges_used(problem)):
-        note = ONLY_FACE if problem.target.essential and not edges else ''
-        reports.append(SampleReport(used[i].stamp, True, edges, float(own[i]), note))
-    return reports
+def _used_reports(used: Sequence[Sample], problem: Problem, own: Array) -> list[SampleReport]:
+    """Return the reports of used samples; own: (n,) RMS residual of each."""
+    return [SampleReport(sample.stamp, True, edges, float(residual),
+                         ONLY_FACE if problem.target.essential and not edges else '')
+            for sample, edges, residual in zip(used, _edges_used(problem), own, strict=True)]
 
 
 def _edges_used(problem: Problem) -> list[str]:
@@ -136,26 +130,34 @@ def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[Samp
             for i, square in solution.dropped.items()]
 
 
-def left_out(solution: Solution, measured: Measured, fold: NDArray[np.intp] | None = None
-             ) -> Array:
+def tested_points(used: Sequence[Sample], solution: Solution, fold: NDArray[np.intp] | None = None
+                  ) -> tuple[Measured, Array, Array]:
     """
-    Return the cross-validation residuals (k,) of the measured points, fold by fold.
+    Return the measured points of used samples, their residuals (k,) and those left out (k,).
 
-    fold: (n,) of each station, counted from 0; by default each station is one, of many stations
-    some share one.
+    The latter are against what the other folds of stations predict. fold: (n,) of each station,
+    counted from 0; by default each station is one, of many stations some share one.
     """
-    problem, n = solution.problem, len(solution.problem.poses)
+    problem, n = solution.problem, len(used)
+    measured = measured_points(used, problem)
     if fold is None:
         fold = np.arange(n) % min(n, MOST_FOLDS)
     estimates, poses = solution.predictions(fold)
     p = measured.mapped(poses @ np.array([estimate.X for estimate in estimates])[fold])
-    order = np.argsort(fold[measured.station], kind='stable')
-    by_fold, kind, residuals = p.T.take(order, axis=1).T, measured.kind[order], np.empty(len(p))
-    ends = np.cumsum(np.bincount(fold[measured.station], minlength=len(estimates))).tolist()
-    for first, last, estimate in zip([0, *ends], ends, estimates, strict=False):
-        residuals[order[first:last]] = problem.target.conditions(
-            by_fold[first:last], kind[first:last], estimate.state, problem.config).g
-    return residuals
+    of_point, left_out = fold[measured.station], np.empty(len(p))
+    for k, estimate in enumerate(estimates):
+        own = np.flatnonzero(of_point == k)
+        left_out[own] = problem.target.conditions(
+            p[own], measured.kind[own], estimate.state, problem.config).g
+    return measured, measured.residuals(
+        problem, solution.estimate, solution.corrected_poses()), left_out
+
+
+def rms_by(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
+    """Return the RMS (n,) of the residuals (k,) of each number (k,), NaN for one without any."""
+    count = np.bincount(number, minlength=n)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        return np.asarray(np.sqrt(np.bincount(number, residuals ** 2, minlength=n) / count))
 
 
 def rms(values: Array) -> float:
@@ -191,14 +193,9 @@ class Measured:
 
     def mapped(self, T: Array) -> Array:
         """Return the points (k, 3) mapped by T (n, 4, 4) of their stations."""
-        x, z = np.ascontiguousarray(self.points.T)
-        mapped = np.empty((3, len(x)))  # one coordinate after the other: faster for many points
-        for row, of_station in zip(mapped, np.moveaxis(T[:, :3, [0, 2, 3]], 0, 2), strict=True):
-            by_x, by_z, origin = of_station.take(self.station, axis=1)
-            np.multiply(by_x, x, out=row)
-            row += by_z * z
-            row += origin
-        return mapped.T
+        x, z = self.points.T[:, :, None]
+        by_x, by_z, origin = np.moveaxis(T[:, :3, [0, 2, 3]], 2, 0)[:, self.station]
+        return np.asarray(by_x * x + by_z * z + origin)
 
 
 def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
@@ -211,12 +208,7 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     bounds = np.searchsorted(obs.station, np.arange(len(used) + 1))
     parts = [problem.target.measured(sample, obs.points[first:last], obs.kind[first:last])
              for sample, first, last in zip(used, bounds[:-1], bounds[1:], strict=True)]
-    count = np.array([len(kind) for _, kind in parts])
-    step = max(-(-int(count.sum()) // MOST_POINTS), 1)
-    # index in each part of its first point whose index in all parts is a multiple of step
-    first = -(np.cumsum(count) - count) % step
-    parts = [(points[k::step], kind[k::step])
-             for (points, kind), k in zip(parts, first.tolist(), strict=True)]
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
-    return Measured(np.concatenate([points for points, _ in parts]),
-                    np.concatenate([kind for _, kind in parts]), station)
+    points, kind = map(np.concatenate, zip(*parts, strict=True))
+    step = max(-(-len(kind) // MOST_POINTS), 1)
+    return Measured(points[::step], kind[::step], station[::step])
