@@ -243,8 +243,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     start = start_of_sources(sources, arm_of(robot.urdf()))
     stops = start.fit.stops
     used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
-    outcome = solve(replace(start, fit=adjusted(replace(start.fit, used=used)),
-                            total=int(used.sum())))
+    outcome = solve(replace(start, fit=adjusted(replace(start.fit, used=used)), q=stops.q[used]))
     before, after = (float(np.sqrt((stops.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     # the flange that counts is the one that the last axis carries: what lies behind it is the

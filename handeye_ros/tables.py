@@ -70,6 +70,16 @@ class Table:
         """Return whether the table has all of these columns."""
         return all(name in self._columns for name in names)
 
+    def kind(self, name: str) -> str:
+        """Return the kind of quantity in a column, from its unit."""
+        unit = self._units.get(name)
+        return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the columns."""
+        return tuple(self._columns)
+
     def text(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""
         return [value.strip() for value in self._column(name)]

@@ -100,14 +100,13 @@ class Start:
     """
     Stops with the arm as stated, from which an outcome is found.
 
-    fit: the hand-eye transform alone, of the stops that agree, in stops of all; limit: the
-    largest valid residual (m); in_hand: whether the sensor is on the flange. missed(joints,
+    fit: the hand-eye transform alone, of the stops that agree; limit: the largest valid residual
+    (m); in_hand: whether the sensor is on the flange; q: (n, joints) of all stops. missed(joints,
     other_side): the residual (m) with the joint values multiplied by a matrix (joints, joints),
     and with the sensor on the other side.
     """
 
     fit: ArmFit
-    total: int
     limit: float
     in_hand: bool
     q: Array
@@ -131,7 +130,7 @@ def require_enough(usable: int) -> None:
 def solve(start: Start) -> ArmOutcome:
     """Return the corrected arm and its hand-eye transform; raises DataError."""
     fit = start.fit
-    if fit.used.sum() < max(MINIMUM, AGREEING * start.total) or (
+    if fit.used.sum() < max(MINIMUM, AGREEING * len(start.q)) or (
             fit.residual_rms > HOPELESS * start.limit):
         raise _contradiction(start)
     richest = without_outliers(with_arm(fit, start.arm.freed(GEOMETRY)))

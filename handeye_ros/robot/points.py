@@ -52,7 +52,7 @@ class PointRows:
 
 def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str]]:
     """
-    Return the contents of a table, and a sentence for each joint that barely moves.
+    Return the contents of a table, and a sentence for each peculiarity.
 
     A row for each configuration. Columns: the joints of the URDF with their unit
     (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
@@ -67,18 +67,20 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
     names = tuple(dict.fromkeys(labels))
     target = np.array([names.index(label) for label in labels], dtype=np.intp)
     order = np.argsort(target, kind='stable')
+    unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
+              for name in table.names if table.kind(name) == ANGLE and name not in kinds]
     return (PointRows(q[order], points[order], target[order], names, order + 1, in_hand),
-            joint_notes(arm, q))
+            [*unused, *joint_notes(arm, q)])
 
 
 def start_of(rows: PointRows, arm: Arm, limit: float) -> Start:
     """Return the hand-eye transform alone, with the arm as stated; raises DataError."""
     require_enough(len(rows))
 
-    def changed(joints: Array, other_side: bool) -> ArmFit:
-        return _alone(replace(rows, q=rows.q @ joints.T, in_hand=rows.in_hand != other_side), arm)
-    return Start(changed(np.eye(len(arm.joints)), False), len(rows), limit, rows.in_hand, rows.q,
-                 lambda joints, other_side: changed(joints, other_side).residual_rms)
+    def missed(joints: Array, other_side: bool) -> float:
+        changed = replace(rows, q=rows.q @ joints.T, in_hand=rows.in_hand != other_side)
+        return _alone(changed, arm).residual_rms
+    return Start(_alone(rows, arm), limit, rows.in_hand, rows.q, missed)
 
 
 def _alone(rows: PointRows, arm: Arm) -> ArmFit:

@@ -103,7 +103,7 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
     state = State(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
-    return Start(fit, len(every), problem.config.limits.residual, problem.in_hand, every,
+    return Start(fit, problem.config.limits.residual, problem.in_hand, every,
                  lambda *change: max(_misfit(source, arm, *change) for source in sources))
 
 

@@ -109,8 +109,8 @@ class VerificationSession:
             self.parts[-1].poses.extend(poses)
 
     def go_on(self) -> None:
-        """Begin the next part, if there is one and this one is not empty."""
-        if not self.parts[-1].is_empty and not self.is_full:
+        """Begin the next part, if this one is not empty; none where the session is full."""
+        if not self.parts[-1].is_empty:
             self.parts.append(Part())
 
     @property

@@ -49,6 +49,7 @@ EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # level of the tests of a calibration error
 INCONSISTENT = 1e-3  # level of the test that the points agree
+LARGE = 0.01  # m: a larger tolerance gets a note
 FOREIGN = 1e-6  # below this p no error of the calibration explains the points
 
 
@@ -184,7 +185,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             limits: VerifyConfig) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
     other_size = fit.p_error < FOREIGN < fit.scatter.p  # the shape fits, but not in its size
-    notes = _notes(fit, other_size, stations)
+    notes = _notes(fit, other_size, stations, limits)
     failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
     for q in quantities:
         if q.error is None:
@@ -235,7 +236,8 @@ def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str
             'these')
 
 
-def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> list[str]:
+def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
+           limits: VerifyConfig) -> list[str]:
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
     kept = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
     if kept:
@@ -251,6 +253,9 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> lis
     if fit.claim_p < SIGNIFICANT:
         notes.append('the deviations are larger than the calibration claims '
                      f'(p = {fit.claim_p:.1g})')
+    if limits.tolerance > LARGE:
+        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
+                     'in metres unless a unit is given')
     return notes
 
 
