@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import takewhile
 import os
 import signal
 import sys
@@ -34,13 +35,8 @@ calibration on request. All settings are ROS parameters and follow --ros-args:
 
 
 def own_arguments() -> list[str]:
-    """Return the arguments of the executable that are not for ROS."""
-    from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # they are there alone
-    from rclpy.utilities import remove_ros_args
-    try:
-        return list(remove_ros_args(sys.argv)[1:])
-    except (RCLError, UnknownROSArgsError):
-        return []  # ros says what is wrong
+    """Return the arguments of the executable, which come before those for ROS."""
+    return list(takewhile(lambda word: word != '--ros-args', sys.argv[1:]))
 
 
 def main() -> int:

@@ -194,7 +194,7 @@ class HandeyeNode(Node):
 
     def _apply_change(self, changes: list[RosParameter]) -> None:
         if not _values(changes):
-            return  # of ROS: a subscription declares its quality of service
+            return  # of ROS, such as use_sim_time
         with self._changing:
             config, other_topics = self._changed(changes)
             self.live.ask(partial(self.live.configure, config))

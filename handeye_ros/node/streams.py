@@ -28,8 +28,7 @@ from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them ther
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2
 
 try:
@@ -41,7 +40,7 @@ except ImportError:  # the wheels of rclpy come without it
 STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-OVERRIDES = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH))
+TYPES = {PointCloud2: CLOUD, PoseStamped: POSE, JointState: JOINTS}
 SILENT = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 PAUSE = 2e-3  # s between two reads of all topics
@@ -88,8 +87,8 @@ class _Topic:
     """
     A topic that is read.
 
-    alone: whether it should have one publisher; number: of the last message, as its publisher
-    counts them.
+    key: of the configuration, which names it: it should have one publisher; '' for those that may
+    have several. number: of the last message, as its publisher counts them.
     """
 
     messages: MessageCount
@@ -97,28 +96,30 @@ class _Topic:
     name: str
     receive: Callable[[bytes], None]
     qos: QoSProfile
-    alone: bool = True
+    key: str = ''
     subscription: Any = None
     publishers: int = 0
     number: int = 0
 
 
-def pose_topics(config: Config, tracker: FlangeTracker) -> list[tuple[Any, str, ReadPoses]]:
+def pose_topics(config: Config, tracker: FlangeTracker) -> list[tuple[Any, str, str, ReadPoses]]:
     """
-    Return message type and name of the topics that give the poses, and what reads a message.
+    Return message type, name and key of the topics with the poses, and what reads a message.
 
     tracker: follows the transforms, where they come from /tf. Raises InputError.
     """
     if config.kinematics:
         arm = read_arm(Path(config.kinematics))
-        return [(JointState, config.joint_topic, lambda data: [pose_from_joints(arm, data)])]
+        return [(JointState, config.joint_topic, 'joint_topic',
+                 lambda data: [pose_from_joints(arm, data)])]
     if config.pose_source == 'topic':
-        return [(PoseStamped, config.pose_topic, lambda data: [pose_from_cdr(data)])]
+        return [(PoseStamped, config.pose_topic, 'pose_topic', lambda data: [pose_from_cdr(data)])]
     if not TFMessage:
         raise InputError('pose_source is tf, but tf2_msgs is not installed: '
                          f'{INSTALL_TF2}; or publish the poses on pose_topic')
-    return [(TFMessage, '/tf_static', lambda data: tracker.add(transforms_from_cdr(data), True)),
-            (TFMessage, '/tf', lambda data: tracker.add(transforms_from_cdr(data), False))]
+    return [(TFMessage, '/tf_static', '',
+             lambda data: tracker.add(transforms_from_cdr(data), True)),
+            (TFMessage, '/tf', '', lambda data: tracker.add(transforms_from_cdr(data), False))]
 
 
 class Streams:
@@ -139,15 +140,14 @@ class Streams:
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         receiver.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic,
-                               self._on_profile, RELIABLE)]
+                               self._on_profile, RELIABLE, 'profile_topic')]
         if not config.kinematics:
             self._topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
-                                       self._on_joints, STREAM, alone=False))
-        for message, name, read in pose_topics(config, self._tracker):
+                                       self._on_joints, STREAM))
+        for message, name, key, read in pose_topics(config, self._tracker):
             qos = {'/tf': STREAM, '/tf_static': LATCHED_TREE}.get(name, RELIABLE)
             self._topics.append(_Topic(counts['pose'], message, name,
-                                       partial(self._on_poses, read), qos,
-                                       alone=message is not TFMessage))
+                                       partial(self._on_poses, read), qos, key))
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
@@ -168,13 +168,13 @@ class Streams:
         self._full_name(topic.name)  # raises InputError
         topic.subscription = self._node.create_subscription(
             topic.message, topic.name, topic.receive, topic.qos, callback_group=self._group,
-            raw=True, qos_overriding_options=OVERRIDES, event_callbacks=SILENT)
+            raw=True, event_callbacks=SILENT)
 
     def changes(self, config: Config) -> bool:
         """Return whether settings name other topics than these; raises InputError."""
         if _topics_named(config) == self._named:
             return False
-        names = [self._full_name(name) for _, name, _ in pose_topics(config, self._tracker)]
+        names = [self._full_name(name) for _, name, _, _ in pose_topics(config, self._tracker)]
         if self._full_name(config.profile_topic) in names:
             raise InputError('profile_topic and pose_topic are the same: each needs its own')
         return True
@@ -208,7 +208,7 @@ class Streams:
 
     def _match(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
-        for topic in [topic for topic in self._topics if topic.alone]:
+        for topic in [topic for topic in self._topics if topic.key]:
             publishers = self._publishers(topic.name)
             topic.publishers = len(publishers)
             if topic.qos is RELIABLE and any(
@@ -274,23 +274,20 @@ class Streams:
 
     def obstacles(self) -> dict[str, str]:
         """Return why no messages of a kind (profile, pose) arrive, where it is known."""
-        config = self._receiver.config
-        return {'profile': self._why_silent('profile_topic', config.profile_topic, CLOUD),
-                'pose': self._why_silent('joint_topic', config.joint_topic, JOINTS)
-                if config.kinematics else
-                self._why_silent('pose_topic', config.pose_topic, POSE)
-                if config.pose_source == 'topic' else self._tracker.missing()}
+        return {'pose': self._tracker.missing(),
+                **{topic.messages.kind: self._why_silent(topic)
+                   for topic in self._topics if topic.key}}
 
-    def _why_silent(self, key: str, topic: str, message_type: str) -> str:
-        """Return why no messages of a type arrive, '' if there is a publisher; key: names it."""
-        name = self._full_name(topic)
+    def _why_silent(self, topic: _Topic) -> str:
+        """Return why no messages of a topic arrive, '' if there is a publisher."""
+        name, message_type = self._full_name(topic.name), TYPES[topic.message]
         types = {info.topic_type for info in self._publishers(name)}
         if message_type in types:
             return ''
         reason = f'{name} has no publisher' if not types else (
             f'it carries {", ".join(sorted(types))}, expected {message_type}')
         others = ', '.join(self.topics_of(message_type)[:LISTED])
-        return f'{reason}; {message_type} is on {others}: set {key}' if others else reason
+        return f'{reason}; {message_type} is on {others}: set {topic.key}' if others else reason
 
     def topics_of(self, message_type: str) -> list[str]:
         """Return the topics with publishers of a message type, without those of this node."""
@@ -302,7 +299,7 @@ class Streams:
     def trouble(self) -> str:
         """Return a sentence for each topic with several publishers, and for a second node."""
         sentences, node = [], self._node
-        for topic in (topic for topic in self._topics if topic.alone):
+        for topic in (topic for topic in self._topics if topic.key):
             name = self._full_name(topic.name)
             names = [f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                      for info in self._publishers(name)]
