@@ -114,9 +114,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         factor = np.linalg.cholesky(rows.noise)
         white = scipy.linalg.solve_triangular(factor, np.column_stack([errors, rows.r]),
                                               lower=True)
-        U, s, _ = np.linalg.svd(white[:, :-1], full_matrices=False)
-        return rest, *predicted(white[:, -1], U * (s / np.hypot(s, 1.0)), stops[obs.station],
-                                stops)
+        return rest, *predicted(white[:, -1], white[:, :-1], stops[obs.station], stops)
 
     comparison, _, left_out = agreeing_groups(
         np.unique(whole.problem.observations.station), compared_at)

@@ -24,6 +24,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import (
     agreeing,
+    as_they_are,
     chi2_isf,
     chi2_sf,
     Rows,
@@ -46,7 +47,7 @@ MOST_DISTANCES = 1500  # of which the expected RMS is computed
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
-RANK = 1e-8  # relative singular value of an unknown that the points do not show
+FREE = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
 ALONE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
@@ -212,23 +213,18 @@ class Shape:
     values: Callable[[Array], Array] = lambda q: np.empty(0)
     quantities: tuple[Quantity, ...] = ()
 
-    def by_unknowns(self, p: Array, q: Array) -> Array:
-        """Return the derivatives (m, k) of the distances by the unknowns q (k,)."""
-        return derivatives(partial(self.distance, p), q)
-
     def by_point(self, p: Array, q: Array) -> Array:
         """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
-    def fitted(self, p: Array, whitener: Callable[[Array], White] | None = None,
+    def fitted(self, p: Array, white: Callable[[Array], White] = lambda q: as_they_are,
                iterations: int = 50) -> Array:
-        """Return the unknowns (k,) that fit points p (m, 3) best, whitened if given."""
-        def rows(q: Array) -> Rows:
-            found = Rows(self.distance(p, q), partial(self.by_unknowns, p, q))
-            return replace(found, white=lambda: whitener(q)) if whitener else found
-
-        return System[Array](rows, np.add, np.zeros(len(p), dtype=np.intp)).least_squares(
-            self.start, iterations=iterations)
+        """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
+        distance = partial(self.distance, p)
+        return System[Array](
+            lambda q: Rows(distance(q), partial(derivatives, distance, q), partial(white, q)),
+            np.add, np.zeros(len(p), dtype=np.intp)).least_squares(
+                self.start, iterations=iterations)
 
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
@@ -268,8 +264,8 @@ class Fit:
     RMS displacement of the points (m); weakest_direction: in words; along, along_std: the
     estimated error in this direction. error (6,): estimated error of the calibration; p_error,
     p_no_error: p-values of the distances with and without it; implied, implied_std: its largest
-    displacement of a point (m). residuals (m,): whitened, of the shape as expected; taken_up (m,
-    k): U U' is the part of them that shape and calibration take up, whatever its error.
+    displacement of a point (m). residuals (m,): whitened, of the shape as expected; by_unknowns
+    (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if free.
     """
 
     quantities: tuple[Quantity, ...]
@@ -289,7 +285,7 @@ class Fit:
     implied: float
     implied_std: float
     residuals: Array
-    taken_up: Array
+    by_unknowns: Array
 
 
 def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
@@ -309,7 +305,8 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
     factors, distances = factors_at(q), shape.distance(p, q)
-    r, J = _white(factors, distances), _white(factors, shape.by_unknowns(p, q))
+    r, J = (_white(factors, values) for values in (
+        distances, derivatives(partial(shape.distance, p), q)))
     by_mount = stations.in_mount(shape.by_point(p, q))
     G = _white(factors, np.hstack([by_mount, se3.cross(lever, by_mount)]))
     gain = np.asarray(np.linalg.pinv(J), dtype=float)
@@ -354,16 +351,15 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     left = float(((remainder - A @ error) ** 2).sum())
     freedom_left = max(freedom + len(known) - 6, 1)
     scale = max(left / freedom_left, 1.0)
-    columns = np.hstack([J, G])
-    U, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300),
-                            full_matrices=False)
+    unknowns = np.hstack([J, G])
     return Fit(
         quantities, scatter, *_weakest(A.T @ A, lever, error, mount_frame(config)), distances,
         np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]), region, len(known),
         float(chi2_sf(region, len(known))) if len(known) else 1.0, error,
         float(chi2_sf(left, freedom_left)),
         float(chi2_sf((remainder @ remainder - left) / scale, 6)),
-        *largest_displacement(lever, error, scale * inverse), r, U[:, s > RANK * s[0]])
+        *largest_displacement(lever, error, scale * inverse), r,
+        unknowns * FREE / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
 
 
 def _by_move(lever: Array) -> Array:
@@ -440,13 +436,16 @@ def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
     return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
 
 
-def predicted(r: Array, U: Array, row_groups: Numbers, groups: Numbers) -> tuple[Array, Numbers]:
+def predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Numbers
+              ) -> tuple[Array, Numbers]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
-    r: (m,) whitened residuals; U: (m, k) with U U' the part of them that the unknowns take up.
-    What a group alone determines is no part of it.
+    r: (m,) whitened residuals; by_unknowns (m, k): their derivatives by unknowns, in units of
+    1 sigma of these. What a group alone determines is no part of it.
     """
+    U, s, _ = np.linalg.svd(by_unknowns, full_matrices=False)
+    U *= s / np.hypot(s, 1.0)  # U U' r is what the unknowns take up
     left = r - U @ (U.T @ r)
     squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
     for k, group in enumerate(groups):

@@ -137,7 +137,7 @@ def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibratio
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
         found = fit(shape, X, calibration.covariance, config)
-        return (shape, found), *predicted(found.residuals, found.taken_up,
+        return (shape, found), *predicted(found.residuals, found.by_unknowns,
                                           shape.stations.row_groups, groups)
 
     (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
