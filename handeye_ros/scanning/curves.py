@@ -45,8 +45,13 @@ class Curve:
 
     def advance(self, t: float | Array) -> Array:
         """Return the unit tangents (..., 3) at t."""
-        derivative = self.bspline(t, 1)
-        return np.asarray(derivative / np.linalg.norm(derivative, axis=-1, keepdims=True))
+        return unit(self.bspline(t, 1))
+
+    def beyond(self, t: float) -> tuple[Array, Array]:
+        """Return position and tangent (3,) at t, extrapolated a little beyond the ends."""
+        inside = float(np.clip(t, self.first, self.last))
+        tangent = self.advance(inside)
+        return self.position(inside) + (t - inside) * tangent, tangent
 
     def std(self, t: Array) -> Array:
         """Return 1 sigma of the points at t (k,), in 3 dimensions."""
@@ -66,13 +71,14 @@ class Curve:
     def _lengths(self) -> tuple[Array, Array]:
         """Return many t, and the arc lengths there."""
         t = np.linspace(self.first, self.last, FINE)
-        steps = np.linalg.norm(np.diff(self.position(t), axis=0), axis=1)
-        return t, np.concatenate([[0.0], np.cumsum(steps)])
+        points = self.position(t)
+        steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
+        return t, np.cumsum(steps)
 
 
-def cubic(t: Array, points: Array) -> Curve:
-    """Return the cubic through points (n, 3) at increasing t (n,), by least squares."""
-    return _fitted(t, points, np.repeat([t[0], t[-1]], 4))
+def unit(vectors: Array) -> Array:
+    """Return vectors (..., 3) at length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def spline(t: Array, points: Array) -> Curve:
@@ -90,6 +96,7 @@ def spline(t: Array, points: Array) -> Curve:
 
 
 def _fitted(t: Array, points: Array, knots: Array) -> Curve:
+    """Return the least squares through points (n, 3) at increasing t (n,)."""
     bspline = make_lsq_spline(t, points, knots, k=3)
     B = BSpline.design_matrix(t, knots, 3).toarray()
     variance = float(((bspline(t) - points) ** 2).sum()) / max(len(B) - B.shape[1], 1)
@@ -108,6 +115,6 @@ def _knots(t: Array, points: Array) -> Array:
 def through(points: Array) -> Curve:
     """Return the cubic through points (k, 3) if it is close to the spline, else the spline."""
     t = np.arange(1.0, len(points) + 1.0)
-    simple, flexible = cubic(t, points), spline(t, points)
+    simple, flexible = _fitted(t, points, np.repeat([t[0], t[-1]], 4)), spline(t, points)
     difference = simple.position(t) - flexible.position(t)
     return simple if np.sqrt((difference ** 2).sum(axis=1).mean()) < SAME else flexible

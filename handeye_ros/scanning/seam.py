@@ -18,12 +18,13 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.output import write_whole
-from handeye_ros.scanning.curves import Curve, spline, through
+from handeye_ros.output import csv_text, write_whole
+from handeye_ros.scanning.curves import Curve, spline, through, unit
 from handeye_ros.scanning.seam_edges import course
 from handeye_ros.scanning.seam_sections import edges
 from handeye_ros.scanning.seam_sheets import sheets_of
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 import yaml
 
@@ -42,19 +43,18 @@ UNCLEAR = 10.0  # largest scatter of the sections, in sigmas of the points, or o
 @dataclass(frozen=True, eq=False)
 class Seam:
     """
-    A seam: paired edges (k, 3), root (k, 3), and its curve.
+    A seam: pairs of points of its edges, and its curve.
 
-    kind: v, butt, lap or fillet; line: the line of the curve: centre, root, first or second edge;
-    normals: (k, 3), out of the part, mean of those of the sheets; residuals: (k,) of the sections
-    nearest to each pair (m); noise: 1 sigma of the cloud; spacing: of its points; others: number
-    of seams of other kinds. std: (k, 2) 1 sigma of the line and of the approach (rad). Metres.
+    kind: v, butt, lap or fillet; lines: (k, 3) first and second edge, root and centre; line: that
+    of the curve; normals: (k, 3), out of the part, mean of those of the sheets; residuals: (k,) of
+    the sections nearest to each pair (m); noise: 1 sigma of the cloud; spacing: of its points;
+    others: number of seams of other kinds. std: (k, 2) 1 sigma of the line and of the approach
+    (rad). Metres.
     """
 
     kind: str
     line: str
-    first: Array
-    second: Array
-    root: Array
+    lines: dict[str, Array]
     normals: Array
     residuals: Array
     curve: Curve
@@ -68,13 +68,28 @@ class Seam:
         """Return the RMS distance of the sections from the line (m)."""
         return float(np.sqrt((self.residuals ** 2).mean()))
 
+    @property
+    def positions(self) -> Array:
+        """Return the arc lengths (k,) of the pairs."""
+        return np.linspace(0.0, self.curve.length, len(self.normals))
+
+    def at(self, lengths: Array, values: Array) -> Array:
+        """Return values (k, m) of the pairs at arc lengths (n,)."""
+        return np.asarray(make_interp_spline(self.positions, values, k=1)(lengths))
+
 
 @dataclass(frozen=True, eq=False)
 class ToolFrames:
-    """Arc lengths (m,) and T_base_tool (m, 4, 4): columns n (advance), o (approach), n x o."""
+    """
+    Frames along a seam, at arc lengths (m,).
+
+    T_base_tool: (m, 4, 4), columns n (advance), o (approach), n x o; measures: (m, 4) gap,
+    mismatch, residual and 1 sigma of its position at each. Metres.
+    """
 
     lengths: Array
     T_base_tool: Array
+    measures: Array
 
 
 def find_seam(points: Array, widest: float = WIDEST,
@@ -112,14 +127,14 @@ def find_seam(points: Array, widest: float = WIDEST,
                            direction.std(grid)])
     distance = np.linalg.norm(
         curves['root'].position(np.clip(lengths, *ends)) - sections.lines['root'], axis=1)
-    residuals = np.interp(grid, lengths, distance)
-    spread = float(np.sqrt((residuals ** 2).mean()))
-    if max(sections.noise, spread) > max(UNCLEAR * sheets.noise, sheets.spacing):
-        raise DataError(f'the sections of the seam scatter by {mm(max(sections.noise, spread))}, '
-                        f'and the points by {mm(sheets.noise)}: this is not a uniform seam; cut '
-                        'it out with --box, or scan more densely')
-    return Seam(rough.kind, line, lines['first'], lines['second'], lines['root'], normals,
-                residuals, through(lines[line]), sections.noise, sheets.spacing, rough.others, std)
+    seam = Seam(rough.kind, line, lines, normals, np.interp(grid, lengths, distance),
+                through(lines[line]), sections.noise, sheets.spacing, rough.others, std)
+    scatter = max(seam.noise, seam.residual)
+    if scatter > max(UNCLEAR * sheets.noise, sheets.spacing):
+        raise DataError(f'the sections of the seam scatter by {mm(scatter)}, and the points by '
+                        f'{mm(sheets.noise)}: this is not a uniform seam; cut it out with --box, '
+                        'or scan more densely')
+    return seam
 
 
 def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, -1.0),
@@ -131,8 +146,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
     travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
     n (rad). Raises DataError where no frame is certain.
     """
-    positions = np.linspace(0.0, seam.curve.length, len(seam.normals))
-    certain = positions[(seam.std <= UNCERTAIN).all(axis=1)]
+    certain = seam.positions[(seam.std <= UNCERTAIN).all(axis=1)]
     if not len(certain):
         raise DataError('the position of the seam has a standard deviation of '
                         f'{mm(float(np.median(seam.std[:, 0])))}, too much for a path: scan more '
@@ -140,40 +154,32 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
     t = seam.curve.by_length(lengths)
     n = seam.curve.advance(t)
-    o = -_interpolated(lengths, positions, seam.normals)
+    o = -seam.at(lengths, seam.normals)
     o[o @ np.asarray(towards) < 0] *= -1
-    o -= (o * n).sum(axis=1, keepdims=True) * n
-    o /= np.linalg.norm(o, axis=1, keepdims=True)
+    o = unit(o - (o * n).sum(axis=1, keepdims=True) * n)
     R = np.stack([n, o, np.cross(n, o)], axis=-1)
     tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
-    return ToolFrames(lengths, se3.transform(R @ tilt, seam.curve.position(t)))
+    return ToolFrames(lengths, se3.transform(R @ tilt, seam.curve.position(t)),
+                      _measures(seam, lengths))
 
 
-def _interpolated(lengths: Array, positions: Array, values: Array) -> Array:
-    """Return values (k, m) at positions (k,) along the seam, at other lengths (n,)."""
-    return np.column_stack([np.interp(lengths, positions, column) for column in values.T])
-
-
-def measures(seam: Seam, frames: ToolFrames) -> Array:
+def _measures(seam: Seam, lengths: Array) -> Array:
     """
-    Return (m, 4) at each frame: gap, mismatch, residual and 1 sigma of its position (m).
+    Return gap, mismatch, residual and 1 sigma of the position (m, 4) at arc lengths (m,).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the sections nearby from the line.
     """
-    positions = np.linspace(0.0, seam.curve.length, len(seam.normals))
-    across = seam.second - seam.first
-    mismatch = (across * seam.normals).sum(axis=1)
-    tangent = np.gradient(seam.root, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    along_sheets = across - mismatch[:, None] * seam.normals
-    along_sheets -= (across * tangent).sum(axis=1)[:, None] * tangent
-    nearby = np.abs(positions - frames.lengths[:, None]) <= NEARBY
+    across, tangent = (seam.lines['second'] - seam.lines['first'],
+                       unit(np.gradient(seam.lines['root'], axis=0)))
+    mismatch, advance = ((across * way).sum(axis=1, keepdims=True)
+                         for way in (seam.normals, tangent))
+    along_sheets = across - mismatch * seam.normals - advance * tangent
+    gap = np.linalg.norm(along_sheets, axis=1)
+    known = seam.at(lengths, np.column_stack([gap, np.abs(mismatch), seam.std[:, 0]]))
+    nearby = np.abs(seam.positions - lengths[:, None]) <= NEARBY
     residual = np.sqrt((nearby * seam.residuals ** 2).sum(axis=1) / nearby.sum(axis=1))
-    known = np.column_stack([np.linalg.norm(along_sheets, axis=1), np.abs(mismatch),
-                             seam.std[:, 0]])
-    gap, height, std = _interpolated(frames.lengths, positions, known).T
-    return np.column_stack([gap, height, residual, std])
+    return np.insert(known, 2, residual, axis=1)
 
 
 def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
@@ -183,9 +189,9 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
     Raises UnwritableError.
     """
     rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
-                            se3.quaternion(frames.T_base_tool), measures(seam, frames)])
-    write_whole(folder / 'seam.csv', '\n'.join([
-        ','.join(COLUMNS), *(','.join(f'{v:.9f}' for v in row) for row in rows), '']))
+                            se3.quaternion(frames.T_base_tool), frames.measures])
+    texts = ([f'{value:.9f}' for value in row] for row in rows)
+    write_whole(folder / 'seam.csv', csv_text(COLUMNS, texts))
     content = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
         'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
@@ -198,7 +204,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
 
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     """Return the sentences on a seam."""
-    gap, mismatch, _, std = 1e3 * measures(seam, frames).T
+    gap, mismatch, _, std = 1e3 * frames.measures.T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
     lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
              f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',

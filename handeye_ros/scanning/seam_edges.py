@@ -10,13 +10,16 @@ sheet; borders of the part have none.
 """
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
+from handeye_ros.scanning.curves import unit
 from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
@@ -54,7 +57,7 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
     widest: largest distance between its edges (m); up: (3,) towards the tool. Raises DataError.
     """
     pairs, spacing = _facing(sheets, widest), sheets.spacing
-    of_kind: dict[str, list[Pairs]] = {kind: [] for kind in (*KINDS, 'none')}
+    of_kind = defaultdict[str, list[Pairs]](list)
     sides = np.sort(sheets.label[pairs], axis=1)
     for two in np.unique(sides, axis=0):
         for part, _ in _connected(sheets, pairs[(sides == two).all(axis=1)]):
@@ -104,13 +107,9 @@ def _facing(sheets: Sheets, widest: float) -> Pairs:
     ahead &= (alike == opposite) | (~alike & (length < TOUCHING * sheets.spacing))
     i, j, length = i[ahead], j[ahead], length[ahead]
     # of each point the nearest on each other sheet
-    nearest = []
-    for first, second in ((i, j), (j, i)):
-        key = np.unique(first * (label.max(initial=0) + 1) + label[second],
-                        return_inverse=True)[1]
-        shortest = np.full(len(i), np.inf)
-        np.minimum.at(shortest, key, length)
-        nearest.append(shortest[key])
+    count = label.max(initial=0) + 1
+    nearest = [minimum(length, key, key) if len(key) else length
+               for key in (i * count + label[j], j * count + label[i])]
     chosen = (length == nearest[0]) | (length == nearest[1])
     chosen &= length <= NEXT_NEAREST * np.minimum(*nearest)
     return np.stack([i[chosen], j[chosen]], axis=1)
@@ -181,8 +180,7 @@ def _covered(sheets: Sheets, pairs: Pairs) -> bool:
 
 def _is_v(sheets: Sheets, pairs: Pairs) -> bool:
     """Return whether both sheets of a concave corner bend outwards at their other ends."""
-    axis = -sheets.outward[pairs].sum(axis=(0, 1))
-    axis /= np.linalg.norm(axis)
+    axis = -unit(sheets.outward[pairs].sum(axis=(0, 1)))
     label = sheets.label[sheets.rims]
     plates = sheets.rims[np.isin(label, sheets.label[pairs], invert=True)]
     if not len(plates):

@@ -10,12 +10,12 @@ its lower edges.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import Curve, spline
+from handeye_ros.scanning.curves import Curve, spline, unit
 from handeye_ros.scanning.seam_edges import Course, position_text
 from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
@@ -77,20 +77,9 @@ class _Side(NamedTuple):
     stops: Array
     resolution: Array
 
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """The rough course: its curve, for each pair t (k,), and its points (2, k) on the sides."""
-
-    curve: Curve
-    t: Array
-    rims: NDArray[np.intp]
-
-    def position(self, t: float) -> tuple[Array, Array]:
-        """Return position and tangent at t, extrapolated a little beyond the ends."""
-        clipped = float(np.clip(t, self.curve.first, self.curve.last))
-        tangent = self.curve.advance(clipped)
-        return self.curve.position(clipped) + (t - clipped) * tangent, tangent
+    def further(self) -> _Side:
+        """Return the sides (k, ...) with their ends 1 sigma further out."""
+        return self._replace(end=self.end + self.resolution[:, None] * self.outwards)
 
 
 def edges(sheets: Sheets, rough: Course) -> Edges:
@@ -108,14 +97,12 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     up = (-sheets.outward[i] - sheets.outward[j] if is_corner
           else sheets.normals[i] + sheets.normals[j])
     across = np.cross(up, curve.advance(rough.t))
-    turned = _dot(sheets.outward[i] - sheets.outward[j], across)[:, 0] < 0
-    rims = np.where(turned, [j, i], [i, j])
-    found = _edges_along(sheets, _Line(curve, rough.t, rims), rough.kind)
-    if not is_corner:
-        return found
-    # out of a corner the rough course may bend at its ends
-    curve = spline(found.lengths, found.lines['root'])
-    return _edges_along(sheets, _Line(curve, rough.t, rims), rough.kind)
+    turned = _dot(sheets.outward[i] - sheets.outward[j], across) < 0
+    rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
+    found = _edges_along(sheets, rough, curve)
+    if is_corner:  # out of it the rough course may bend at its ends
+        found = _edges_along(sheets, rough, spline(found.lengths, found.lines['root']))
+    return found
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -123,54 +110,51 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(axis=1, keepdims=True))
 
 
-def _edges_along(sheets: Sheets, line: _Line, kind: str) -> Edges:
-    """Return the edges by sections across a line; raises DataError."""
+def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
+    """
+    Return the edges by sections across a curve through the rough course; raises DataError.
+
+    The first of each pair of the course is on the first side.
+    """
     step = max(1e-3, 3 * sheets.spacing)
-    first, last = line.t[0] - OVERHANG, line.t[-1] + OVERHANG
+    first, last = rough.t[0] - OVERHANG, rough.t[-1] + OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
     sections = [(t, *both) for t in places.tolist() if None not in (
-        both := [_side(sheets, line, side, t, step, kind) for side in (0, 1)])]
-    seen = np.array([t for t, *_ in sections] or [first, last])
+        both := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])]
+    seen, *sides = zip(*sections, strict=True) if sections else ((first, last),)
     missing = np.append(np.diff(seen) - step, 0.0)
     worst = int(np.argmax(missing))
     if not sections or missing[worst] > MISSING:
-        place = position_text(line.position(0.5 * (seen[worst] + seen[worst + 1]))[0])
+        place = position_text(curve.beyond(0.5 * (seen[worst] + seen[worst + 1]))[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
-    a, b = (_Side(*map(np.array, zip(*sides, strict=True)))
-            for sides in list(zip(*sections, strict=True))[1:])
+    a, b = (_Side(*map(np.array, zip(*side, strict=True))) for side in sides)
     ends = (float(seen[0] + max(a.begins[0], b.begins[0])),
             float(seen[-1] + min(a.stops[-1], b.stops[-1])))
     filled = np.minimum(a.stops - a.begins, b.stops - b.begins) > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
-    between = b.outwards - a.outwards
-    gap = np.median(_dot(a.end - b.end, between)[:, 0] / np.linalg.norm(between, axis=1))
+    gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
     met = {'fillet': np.inf, 'v': MET * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
-    meeting = met.get(kind, 0.0)
-    lines = _lines(kind, meeting, a, b)
-    further = [side._replace(end=side.end + side.resolution[:, None] * side.outwards)
-               for side in (a, b)]
-    changed = _lines(kind, meeting, further[0], b), _lines(kind, meeting, a, further[1])
+    lines, *changed = (_lines(rough.kind, met.get(rough.kind, 0.0), *sides)
+                       for sides in ((a, b), (a.further(), b), (a, b.further())))
     resolution = {name: float(np.median(np.linalg.norm(
-        [moved[name] - lines[name] for moved in changed], axis=(0, 2)))) for name in lines}
-    normals = a.normal + b.normal
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return Edges(seen[filled], lines, resolution, normals,
+        [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
+    return Edges(np.array(seen)[filled], lines, resolution, unit(a.normal + b.normal),
                  float(np.median([a.noise, b.noise])), ends)
 
 
-def _side(sheets: Sheets, line: _Line, side: int, t: float, step: float, kind: str
+def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
           ) -> _Side | None:
     """Return one sheet in the section at t, None where it does not end there."""
     points, spacing, margin = sheets.points, sheets.spacing, MARGIN * sheets.spacing
-    window = np.abs(line.t - np.clip(t, line.t[0], line.t[-1])) <= WINDOW
-    own, other = line.rims[side, window], line.rims[1 - side, window]
+    window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= WINDOW
+    own, other = rough.pairs[window, side], rough.pairs[window, 1 - side]
     if not len(own):
         return None
-    position, tangent = line.position(t)
+    position, tangent = curve.beyond(t)
     inwards, upright = _axes(sheets, own, other, tangent)
-    on_line = line.curve.position(np.clip(line.t[window], line.curve.first, line.curve.last))
+    on_line = curve.position(np.clip(rough.t[window], curve.first, curve.last))
     offset = np.median(points[own] - on_line, axis=0)
     # the points of a pair may be displaced along the seam
     start = position + offset - (offset @ tangent) * tangent
@@ -179,8 +163,7 @@ def _side(sheets: Sheets, line: _Line, side: int, t: float, step: float, kind: s
                     dtype=int)
     labels, counts = np.unique(sheets.label[own], return_counts=True)
     rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
-    along, b, height = ((points[rows] - start)
-                        @ np.column_stack([tangent, inwards, upright])).T
+    along, b, height = np.stack([tangent, inwards, upright]) @ (points[rows] - start).T
     limit = BEYOND
     if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
         separation = np.median((points[own] - points[other]) @ inwards)
@@ -188,7 +171,7 @@ def _side(sheets: Sheets, line: _Line, side: int, t: float, step: float, kind: s
     resolution = _column_resolution(b, spacing)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
-    fitted = _sheet_through(b, height, margin, 1 if kind in ('v', 'fillet') else 2)
+    fitted = _sheet_through(b, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
     if fitted is None:
         return None
     sheet, noise = fitted
@@ -209,8 +192,7 @@ def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangen
           ) -> tuple[Array, Array]:
     """Return the directions into a sheet and out of its surface (3,), orthogonal to the seam."""
     inwards = -sheets.outward[own].mean(axis=0)
-    inwards -= (inwards @ tangent) * tangent
-    inwards /= np.linalg.norm(inwards)
+    inwards = unit(inwards - (inwards @ tangent) * tangent)
     upright = np.cross(tangent, inwards)
     towards = upright @ sheets.outward[other].mean(axis=0)
     if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
@@ -221,18 +203,14 @@ def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangen
 def _sheet_through(b: Array, height: Array, margin: float, degree: int
                    ) -> tuple[Array, float] | None:
     """Return the polynomial through the sheet at b > margin, and the residual scatter."""
-    beside: NDArray[np.bool_] = np.asarray(b > margin)
-    if beside.sum() < FEWEST or np.ptp(b[beside]) < margin:
-        return None
     sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
-        distance = np.abs(height - np.polyval(sheet, b))
-        used = beside & (distance <= cut * noise)
-        if used.sum() < FEWEST:
+        used = (b > margin) & (np.abs(height - np.polyval(sheet, b)) <= cut * noise)
+        if used.sum() < FEWEST or np.ptp(b[used]) < margin:
             return None
         sheet = np.polyfit(b[used], height[used], degree)
-        noise = 1.4826 * float(np.median(np.abs(height[used] - np.polyval(sheet, b[used]))))
-        noise = max(noise, 1e-6)
+        scatter = np.median(np.abs(height[used] - np.polyval(sheet, b[used])))
+        noise = max(1.4826 * float(scatter), 1e-6)
     return sheet, noise
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from handeye_ros.data import Array
+from handeye_ros.scanning.curves import unit
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
@@ -74,41 +75,35 @@ def sheets_of(points: Array, up: Array) -> Sheets:
     _assign_unlabelled(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
     # one displaced profile makes a band that is not flat, but does not divide a sheet
     label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
-    label = _without_single_profiles(points, label, THINNEST * spacing)
+    _remove_single_profiles(points, label, THINNEST * spacing)
     rims, outward = _rims(points, tree, label, normals, spacing)
     return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
 
 
-def _without_single_profiles(points: Array, label: NDArray[np.intp], thinnest: float
-                             ) -> NDArray[np.intp]:
+def _remove_single_profiles(points: Array, label: NDArray[np.intp], thinnest: float) -> None:
     """
-    Return the labels (n,) without narrow sheets, which are single profiles.
+    Take the label (n,) from the points of narrow sheets, which are single profiles.
 
     A face at a grazing angle is rows of points that are far from each other.
     """
     order = np.argsort(label, kind='stable')
-    result = label.copy()
     for rows in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
         if np.linalg.eigvalsh(np.cov(points[rows].T, bias=True))[1] < thinnest ** 2:
-            result[rows] = -1
-    return result
+            label[rows] = -1
 
 
 def _assign_unlabelled(points: Array, label: NDArray[np.intp], normals: Array, reach: float,
                        tolerance: float) -> None:
     """Write the label and normal of the nearest fitting sheet to points without a label."""
-    sheet, unassigned = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
-    if not len(sheet) or not len(unassigned):
-        return
-    distance, neighbours = cKDTree(points[sheet]).query(points[unassigned], 8,
-                                                        distance_upper_bound=reach)
-    neighbours = sheet[np.minimum(neighbours, len(sheet) - 1)]
-    offset = points[unassigned][:, None] - points[neighbours]
-    to_plane = np.abs((offset * normals[neighbours]).sum(axis=2))
-    fits = np.isfinite(distance) & (to_plane < tolerance)
-    assigned = fits.any(axis=1)
-    owner = neighbours[np.arange(len(unassigned)), np.argmax(fits, axis=1)][assigned]
-    label[unassigned[assigned]], normals[unassigned[assigned]] = label[owner], normals[owner]
+    sheet, others = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+    distance, nearest = cKDTree(points[sheet]).query(points[others], 8, distance_upper_bound=reach)
+    nearest = np.append(sheet, 0)[nearest]  # beyond the reach any point, at an infinite distance
+    offset = points[others][:, None] - points[nearest]
+    to_plane = np.abs((offset * normals[nearest]).sum(axis=2))
+    row, place = np.nonzero(np.isfinite(distance) & (to_plane < tolerance))
+    row, first = np.unique(row, return_index=True)
+    owner = nearest[row, place[first]]
+    label[others[row]], normals[others[row]] = label[owner], normals[owner]
 
 
 def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDArray[np.bool_],
@@ -135,13 +130,11 @@ def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array,
     free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
     for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
         n = normals[block]
-        first = np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]]))
-        first /= np.maximum(np.linalg.norm(first, axis=1), 1e-12)[:, None]
+        first = unit(np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])))
         second = np.cross(n, first)
+        along, across = np.moveaxis(offset @ np.stack([first, second], axis=-1), -1, 0)
         free_angle[block], middle = _free_angle(
-            np.arctan2(np.einsum('nij,nj->ni', offset, second),
-                       np.einsum('nij,nj->ni', offset, first)),
-            valid & (label[neighbours] == label[block][:, None]))
+            np.arctan2(across, along), valid & (label[neighbours] == label[block][:, None]))
         outward[block] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
     rows = np.flatnonzero((free_angle > FREE_ANGLE) & (label >= 0))
     cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), label[rows]])

@@ -11,8 +11,8 @@ from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import cloud_writer
-from handeye_ros.scanning.curves import cubic, spline, through
-from handeye_ros.scanning.seam import find_seam, measures, sentences, tool_frames
+from handeye_ros.scanning.curves import spline, through
+from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
 from handeye_ros.simulate.measuring import Preform, preform_cloud
 import joints
 import numpy as np
@@ -64,7 +64,7 @@ def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
     away = off_line(truth, frames.T_base_tool[:, :3, 3])
     assert seam.kind == kind and seam.noise == pytest.approx(1e-4, rel=0.1)
     assert away.max() < 1e-4 and off_approach(truth, frames.T_base_tool) < 1.0
-    std = measures(seam, frames)[:, 3]
+    std = frames.measures[:, 3]
     assert std.max() < 5e-5 and np.sqrt((away ** 2).mean()) < 2 * std.mean()
     assert 0 < frames.lengths[0] < 0.02  # the ends are not certain enough
     assert 'no frames on the first' in ' '.join(sentences(seam, frames))
@@ -89,7 +89,7 @@ def test_joints_as_a_sensor_sees_them(name):
 def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
     vee = find_seam(joint_of('vee 6, root 2').points)
     assert vee.line == 'root'
-    assert measures(vee, tool_frames(vee, 5e-3))[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
+    assert tool_frames(vee, 5e-3).measures[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
     points = joint_of('lap 5, lean -20').points
     second = find_seam(points, line='second')
     last = second.curve.position(second.curve.last)
@@ -159,7 +159,7 @@ def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
     line = curve.position(np.linspace(curve.first, curve.last, 2000))
     assert cKDTree(wound - noise).query(line)[0].max() < 6.5e-4  # half a step of the points
     points, index = np.column_stack([0.1 * t, 0.02 * t ** 2, 0 * t]), np.arange(1.0, 201.0)
-    for curve in (cubic(index, points), spline(index, points)):
+    for curve in (through(points), spline(index, points)):
         assert curve.length == pytest.approx(0.1025, rel=5e-3)
         for at in (1.0, 100.0, 200.0):
             np.testing.assert_allclose(curve.position(at), points[int(at) - 1], atol=1e-6)
