@@ -99,10 +99,6 @@ class RawProfile:
         """Return the (n, 2) rows of the profile, read anew each time; see Profile."""
         return self.read().points
 
-    def __deepcopy__(self, memo: Any) -> RawProfile:
-        """Return itself: nothing in it changes."""
-        return self
-
 
 AnyProfile: TypeAlias = Profile | RawProfile
 

@@ -227,9 +227,9 @@ def _header(stamp: int, frame_id: str) -> Any:
     return _new('std_msgs/msg/Header', time, frame_id)
 
 
-def joints_cdr(stamp: int, values: Array, names: Sequence[str] = ()) -> bytes:
-    """Return a serialised JointState; names: joint_1, joint_2, ... if not given."""
-    names, empty = names or [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
+def joints_cdr(stamp: int, values: Array) -> bytes:
+    """Return a serialised JointState of joint_1, joint_2, ..."""
+    names, empty = [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
     return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, empty, empty))
 
 
@@ -239,18 +239,17 @@ def _pose(translation: Array, quaternion: Array) -> Any:
                 _new('geometry_msgs/msg/Quaternion', *map(float, quaternion)))
 
 
-def write_path(path: Path, T: Array, frame_id: str, stamp: int, name: str = 'seam',
-               force: bool = False) -> None:
+def write_path(path: Path, T: Array, frame_id: str, stamp: int, force: bool = False) -> None:
     """
-    Write poses (n, 4, 4) on the topics NAME/path and NAME/poses.
+    Write poses (n, 4, 4) on the topics /seam/path and /seam/poses.
 
     stamp: of the messages (ns). Raises InputError if the path exists, UnwritableError.
     """
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
     stamped = [_new(POSE, header, pose) for pose in poses]
-    by_topic = {full_name(f'{name}/path'): _new(PATH, header, stamped),
-                full_name(f'{name}/poses'): _new(POSE_ARRAY, header, poses)}
+    by_topic = {'/seam/path': _new(PATH, header, stamped),
+                '/seam/poses': _new(POSE_ARRAY, header, poses)}
     write_folder(path, {}, lambda folder: _write_bag(
         folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
         [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force)
