@@ -101,8 +101,8 @@ class LiveAnswer:
         self.missing = ''
         self.asked_with: dict[str, Any] | None = None
         self._solved: set[int] = set()  # numbers of the samples of the last answer
-        self._wanted: tuple[Any, ...] = ()  # folder, formats and answer that were saved last,
-        self._saved: exports.Saved | None = None  # and the files
+        self._saved: exports.Saved | None = None  # the files of this answer
+        self._wanted: tuple[Any, ...] = ()  # their folder and formats
 
     @property
     def withdrawn(self) -> bool:
@@ -112,9 +112,7 @@ class LiveAnswer:
     @property
     def saved(self) -> str:
         """Return the file of the current answer, empty before it is saved."""
-        if self._saved is None or self._wanted[-1] is not self.calibration:
-            return ''
-        return str(self._saved.files[0])
+        return str(self._saved.files[0]) if self._saved else ''
 
     def changes(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
@@ -219,7 +217,7 @@ class LiveAnswer:
                   {'session': live.path}]
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})
-        self._solved, self.missing = _numbers(session), ''
+        self._solved, self.missing, self._saved = _numbers(session), '', None
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
@@ -232,9 +230,7 @@ class LiveAnswer:
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.required()
-        formats = live.config.save.formats
-        folder = live.folders.own(live.config)
-        wanted = folder, formats, self.calibration
+        wanted = folder, formats = live.folders.own(live.config), live.config.save.formats
         if self._saved and self._wanted == wanted and self._saved.files[0].is_file():
             text = f'saved already: {", ".join(map(str, self._saved.files))}'
         else:

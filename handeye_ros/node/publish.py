@@ -28,7 +28,6 @@ def publish(paths: Sequence[Path]) -> None:
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
     calibrations: dict[str, Calibration] = {}  # by the frame of the sensor
-    failed = 0
     for path in paths:
         try:
             calibration = read_calibration(file_of(path).absolute())
@@ -38,12 +37,11 @@ def publish(paths: Sequence[Path]) -> None:
                                  'name each sensor once')
             calibrations[calibration.child_frame] = calibration
         except HandeyeError as error:
-            failed += 1
             print(error, file=sys.stderr, flush=True)
     if calibrations:
         with suppress(KeyboardInterrupt):  # while the node is made
             spin(lambda: _publisher([*calibrations.values()]))
-    if failed:
+    if failed := len(paths) - len(calibrations):
         raise InputError(f'{failed} of {len(paths)} calibrations not published: see above, and '
                          'name files that handeye solve or ~/save_calibration wrote')
 
