@@ -91,8 +91,7 @@ class Outputs:
             _Latched(node, String, f'~/{name}', lambda text: String(data=text))
             for name in ('samples', 'status', 'guidance'))
         self._next_pose = _Latched(node, PoseStamped, '~/next_pose',
-                                   lambda place: pose_stamped(
-                                       place[0], place[1], place[2], self._now()))
+                                   lambda place: pose_stamped(**place, stamp=self._now()))
         self._calibration = _Latched(node, TransformStamped, '~/calibration',
                                      lambda answer: transform_of(answer, self._now()))
         self._tf_static = TFMessage and _Latched(
@@ -135,8 +134,9 @@ class Outputs:
             self._status.show(json.dumps(status_message(state)))
             guidance = state['guidance']
             self._guidance.show(guidance['text'])
-            self._next_pose.show(guidance['translation'] and (
-                guidance['translation'], guidance['rotation'], config.base_frame))
+            self._next_pose.show(guidance['translation'] and {
+                'translation': guidance['translation'], 'rotation': guidance['rotation'],
+                'frame_id': config.base_frame})
 
     def _show_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""

@@ -13,7 +13,6 @@ from handeye_ros.data import Calibration, Reject
 from handeye_ros.errors import DataError
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.node.state import Attempt
-from handeye_ros.output import write_whole
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.sampling.stops import Stop
@@ -107,13 +106,13 @@ class LiveVerification:
     def _put(self, job: Future[Verification]) -> str:
         live, result = self._live, result_or_ended(job)
         verified = live.config.verify.calibration
-        file = live.folders.own(live.config) / f'verification_{result.routine}.yaml'
-        previous = exports.set_aside(file.parent, [file.name], {file.name})
-        write_whole(file, yaml_text(with_provenance(
+        name = f'verification_{result.routine}.yaml'
+        content = yaml_text(with_provenance(
             result, (live.config.profile_topic, live.pose_topic),
-            Path(verified).expanduser() if verified else None)))
+            Path(verified).expanduser() if verified else None))
+        saved = exports.write({name: content}, live.folders.own(live.config), {name})
         self.verdict = sentence(result)
-        text = f'{self.verdict}; {exports.Saved((file,), previous)}'
+        text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
         self.session = None

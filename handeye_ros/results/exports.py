@@ -281,8 +281,8 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     calibration = calibration_file.dated(calibration)
     forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
     own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT}
-    return _write({form.file_name(calibration): form.text(calibration) for form in forms},
-                  folder.expanduser().absolute(), own_names)
+    return write({form.file_name(calibration): form.text(calibration) for form in forms},
+                 folder.expanduser().absolute(), own_names)
 
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:
@@ -293,18 +293,18 @@ def export(calibration: Calibration, name: str, file: Path) -> Saved:
     """
     file, text = file.expanduser().absolute(), format_of(name).text(calibration)
     unchanged = file.is_file() and file.read_bytes() == text.encode()
-    return _write({file.name: text}, file.parent, set() if unchanged else {file.name})
+    return write({file.name: text}, file.parent, set() if unchanged else {file.name})
 
 
-def _write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
-    """Write files by name into a folder; aside: names of those that are kept before."""
-    previous = set_aside(folder, sorted(aside), set(texts))
+def write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
+    """Write files by name into a folder; aside: names of those that are kept in its history."""
+    previous = _set_aside(folder, sorted(aside), set(texts))
     for name, text in texts.items():
         write_whole(folder / name, text)
     return Saved(tuple(folder / name for name in texts), previous)
 
 
-def set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | None:
+def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | None:
     """
     Move the files of a folder to its history; return the new folder, None without files.
 
