@@ -52,6 +52,8 @@ SURE = 0.95  # probability with which one cause, or some together, are named
 KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
 STILL = np.zeros(6)  # no move
+ROBOT = ('the poses of the robot err otherwise than before (mastering, a joint, wear), or repeat '
+         'worse than noise.robot_* says: check the robot before the sensor')
 MORE = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 degrees '
         'about x and y: an error of the robot differs there, a move does not')
 
@@ -61,15 +63,15 @@ class Check:
     """
     Result of a check.
 
-    verdict: unchanged, or the causes: target (it, or the robot's base, moved), sensor, robot
-    (its pose errors changed), with "or" between those that the stops do not distinguish.
-    evidence: how many times as likely the recording is with a change as without. odds: probability
-    of each cause if something changed. target_moved (m), target_turned (rad): the most likely move
-    if the target is the cause; sensor_moved, sensor_turned: the same for the sensor in the flange;
-    points_off: the largest error of points in this case, and its std (m). target_shows,
-    sensor_shows: smallest detectable shifts along their axes (in the base, in the flange), m; nan:
-    not detectable. rms: of the residuals (m). time_offset_changed: of a sweep, and its 1 sigma
-    (s).
+    verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
+    fixed to the other), robot (its pose errors changed), with "or" between those that the stops do
+    not distinguish. evidence: how many times as likely the recording is with a change as without.
+    odds: probability of each cause if something changed. target_moved (m), target_turned (rad):
+    the most likely move if the target is the cause; sensor_moved, sensor_turned: the same for the
+    sensor in the flange; points_off: the largest error of points in this case, and its std (m).
+    target_shows, sensor_shows: smallest detectable shifts along their axes (in the base, in the
+    flange), m; nan: not detectable. rms: of the residuals (m). time_offset_changed: of a sweep,
+    and its 1 sigma (s).
     """
 
     stamp: int
@@ -121,7 +123,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
     rows = comparison.residuals()
 
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
-              _Cause('robot', _robot_likelihood(comparison, rows)))
+              _Cause('robot', _robot_likelihood(comparison, rows), ROBOT))
     likelihood = np.array([cause.likelihood for cause in causes])
     together = float(np.logaddexp.reduce(likelihood))
     evidence = together - math.log(len(causes)) - rows.likelihood(0.0)
@@ -253,31 +255,18 @@ def _prior(scale: float) -> Array:
 @dataclass(frozen=True, eq=False)
 class _Cause:
     """
-    Log likelihood of a cause, and its most likely move: shift (m) and turn (rad).
+    Log likelihood of a cause, what follows from it, and its most likely move: shift, turn.
 
-    displacement: the largest of a point by this move, and its std (m).
+    In m and rad. displacement: the largest of a point by this move, and its std (m).
     """
 
     name: str
     likelihood: float
+    sentence: str
     shift: float = 0.0
     turn: float = 0.0
     displacement: float = 0.0
     std: float = 0.0
-
-    @property
-    def sentence(self) -> str:
-        """Return what has changed, and what follows from it."""
-        turn = f'{math.degrees(self.turn):.3f} degrees'
-        off = f'{mm(self.displacement)} ± {mm(2 * self.std)}'
-        return {
-            'target': f'the target, or the base of the robot, moved by up to {off} where it was '
-                      f'seen, and turned by {turn}; the calibration holds',
-            'sensor': f'the sensor moved on the flange by {mm(self.shift)} and {turn}: points are '
-                      f'off by up to {off}; calibrate again',
-            'robot': 'the poses of the robot err otherwise than before (mastering, a joint, '
-                     'wear), or repeat worse than noise.robot_* says: check the robot before the '
-                     'sensor'}[self.name]
 
 
 def _moved(comparison: _Comparison, name: str) -> _Cause:
@@ -293,8 +282,16 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
         likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in SCALES]
         scale = SCALES[int(np.argmax(likelihood))]
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
-    return _Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), shift, turn,
-                  *largest_displacement(rows.lever[name], move, C))
+    displacement, std = largest_displacement(rows.lever[name], move, C)
+    off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
+    what = (f'the {name} moved on the flange' if (name == 'sensor') == comparison.problem.in_hand
+            else f'the {name}, or the base of the robot, moved')
+    sentence = (
+        f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
+        if name == 'sensor' else
+        f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
+    return _Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), sentence,
+                  shift, turn, displacement, std)
 
 
 def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:

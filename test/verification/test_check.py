@@ -63,6 +63,20 @@ def test_a_change_is_measured(calibrated):
     assert far.points_off < 2e-3
 
 
+def test_beside_the_robot_the_base_moves_with_the_sensor(calibrated):
+    cell, config, _, X, T = calibrated['sphere']
+    config, rng = replace(config, calibration_type='eye_on_base'), np.random.default_rng(3)
+
+    def seen(count, X, T):
+        return [replace(s, T_base_flange=se3.inverse(s.T_base_flange))
+                for s in bench.samples(cell, count, X, T, rng)]
+
+    solved, shift = pipeline.solve(seen(18, X, T), [], config, 'laser'), np.array([0, 0, 1e-3])
+    for now, words in ((X @ se3.transform(np.eye(3), shift), T), 'the sensor, or the base'), (
+            (X, T @ se3.transform(np.eye(3), shift)), 'the target moved on the flange'):
+        assert check(seen(8, *now), solved, config).sentence.startswith(words)
+
+
 def test_what_cannot_be_seen_or_told_apart_is_said(calibrated):
     slid = checked(calibrated, 'plane', moved=(5e-3, 0, 0))
     assert slid.verdict == 'unchanged'
