@@ -84,8 +84,7 @@ class LiveSession:
 
         pool: where long computations run; changed: called by the worker after every change.
         """
-        self.config, self.folders, self.files = config, folders, files
-        self.pool = pool
+        self.config, self.folders, self.files, self.pool = config, folders, files, pool
         self.lock = Lock()
         self.session = Session(config)
         self.waiting: deque[Stop] = deque()  # complete stops, not yet evaluated
@@ -308,7 +307,7 @@ class LiveSession:
             with suppress(DataError):
                 self.verification.add_stop(stop, over)
             return
-        stop, remark = self._evaluated(stop)  # no refusal, as in the solution of a recording
+        stop, remark = self._evaluated(stop)  # which refuses nothing, as in a recording
         earlier = self._known(stop.number)
         try:
             stop = self._stored(stop)
@@ -343,9 +342,9 @@ class LiveSession:
 
     def _evaluated(self, stop: Stop) -> tuple[Stop, str]:
         """
-        Return a stop with its number and result, not yet in the session, and an objection.
+        Return a stop with its number and result, not yet in the session, and an objection or ''.
 
-        The objection is '' for a good sample, and where there is none.
+        The pose of a stop without a good sample is noted, so that it is not proposed again.
         """
         result = self.session.numbered(stop, self.result_of(stop, self.config))
         objection = self.answer.objection(result)
