@@ -246,6 +246,8 @@ class LiveSession:
     @property
     def pose_topic(self) -> str:
         """Return where the poses come from."""
+        if self.config.kinematics:
+            return self.config.joint_topic
         return self.config.pose_topic if self.config.pose_source == 'topic' else '/tf'
 
     @property
