@@ -103,7 +103,7 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
     rows = ObservationRows()
     if edges:
         stop, is_line = np.array([k for k, _ in edges]), routine.name == 'line'
-        away = _common(np.array([_ends(f, T[k]) for k, f in edges]), stop, int(is_line))
+        away, _ = _common(np.array([_ends(f, T[k]) for k, f in edges]), stop, int(is_line))
         for number in np.unique(stop):
             nearest = min(np.flatnonzero(stop == number), key=away.__getitem__)
             edge = edges[nearest][1]
@@ -112,16 +112,18 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
     return rows.observations()
 
 
-def _common(points: Array, stop: Numbers, dimension: int) -> Array:
+def _common(points: Array, stop: Numbers, dimension: int) -> tuple[Array, Array]:
     """
     Return the distances (k,) of features from the one point, line or plane that they share.
+
+    And those (s,) of the nearest feature of each stop.
 
     points: (k, n, 3) of each feature; stop: (k,) its stop, ascending; dimension: 0, 1 or 2, of
     the point, line or plane. Tried are those through two features of different stops; the best is
     near at least one feature of most stops.
     """
     first = np.unique(stop, return_index=True)[1]
-    best, lowest = np.full(len(stop), np.inf), np.inf
+    best, lowest = (np.full(len(stop), np.inf), np.full(len(first), np.inf)), np.inf
     pairs = [pair for pair in combinations(range(len(stop)), 2) if stop[pair[0]] != stop[pair[1]]]
     for pair in pairs[::max(len(pairs) // TRIALS, 1)]:
         through = points[list(pair)].reshape(-1, 3)
@@ -132,7 +134,7 @@ def _common(points: Array, stop: Numbers, dimension: int) -> Array:
         nearest = np.minimum.reduceat(away, first)
         cost = float(np.median(nearest) + 0.1 * nearest.mean())
         if cost < lowest:
-            best, lowest = away, cost
+            best, lowest = (away, nearest), cost
     return best
 
 
@@ -169,26 +171,26 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     pieces = [(k, f) for k, s in enumerate(samples) for f in s.features
               if isinstance(f, FaceLine)]
     stop = np.array([k for k, _ in pieces])
+    ends, surfaces, free = np.array([_ends(f, T[k]) for k, f in pieces]), [], np.arange(len(stop))
     least = max(LEAST_SHARE * len(np.unique(stop)), LEAST_STOPS)
-    if len(np.unique(stop)) < least or len(stop) == len(np.unique(stop)):
-        return samples, ''
-    ends = np.array([_ends(f, T[k]) for k, f in pieces])
-    surfaces, free = list[Numbers](), np.arange(len(stop))
-    while len(np.unique(stop[free])) >= least:
-        away = _common(ends[free], stop[free], 2)
-        nearest = [away[stop[free] == k].min() for k in np.unique(stop[free])]
+    while len(stop) > len(np.unique(stop)) and len(np.unique(stop[free])) >= least:
+        away, nearest = _common(ends[free], stop[free], 2)
         on = away <= max(SAME, WIDE * float(np.median(nearest)))
         if len(np.unique(stop[free][on])) >= least:
-            surfaces.append(free[on])
+            surfaces.append([pieces[row] for row in free[on].tolist()])
         free = free[~on]
-    depths = [float(np.median([range_sign * pieces[k][1].centre[1] for k in rows]))
-              for rows in surfaces]
-    chosen = int(np.argmin(depths))
-    on_chosen = {id(pieces[row][1]) for row in surfaces[chosen]}
-    stops = len(np.unique(stop[surfaces[chosen]]))
+    if not surfaces:
+        return samples, ''
+
+    def depth(surface: list[tuple[int, FaceLine]]) -> float:
+        return float(np.median([range_sign * piece.centre[1] for _, piece in surface]))
+
+    chosen = min(surfaces, key=depth)
+    on_chosen = {id(piece) for _, piece in chosen}
     sentence = '' if len(surfaces) < 2 else (
         f'of {len(surfaces)} surfaces in sight it is the nearest, '
-        f'{1e3 * abs(depths[chosen]):.0f} mm from the sensor, at {stops} of {len(samples)} stops')
+        f'{1e3 * abs(depth(chosen)):.0f} mm from the sensor, at {len({k for k, _ in chosen})} of '
+        f'{len(samples)} stops')
     return [replace(s, features=tuple(f for f in s.features if id(f) in on_chosen))
             for s in samples], sentence
 

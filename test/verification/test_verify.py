@@ -74,6 +74,16 @@ def test_of_a_block_on_a_surface_plate_the_nearest_surface_is_taken():
     assert wrong.verdict == 'fail'
 
 
+def test_of_stops_that_share_no_surface_all_pieces_take_part():
+    made, found = measured('plane', count=5)
+    first, *others = made.bags[0]
+    face = first.features[0]
+    nearer = replace(face, centre=face.centre - [0, 0.02], points=face.points - [0, 0.02])
+    two = replace(made, bags=((replace(first, features=(face, nearer)), *others),))
+    moves = {3: [2e-2, 0, 1e-2, 0.05, 0, 0], 4: [0, -3e-2, 5e-2, 0, 0.05, 0]}
+    assert result('plane', with_poses(two, moves), found).verdict == 'fail'
+
+
 def test_what_does_not_belong_to_the_artefact_takes_no_part():
     made, found = measured('sphere')
     arcs = [(s, f) for s in made.bags[0] for f in s.features if isinstance(f, Arc)]
