@@ -374,8 +374,9 @@ class Problem:
                         self.target.retract(estimate.state, delta[..., 6:]))
 
     def with_pose_values(self, values: Array) -> Problem:
-        """Return the problem with the poses of its pose model at values (k,)."""
-        assert self.pose_model is not None
+        """Return the problem with the poses of its pose model, if it has one, at values (k,)."""
+        if self.pose_model is None:
+            return self
         poses, _ = self.pose_model.at(values)
         return replace(self, poses=poses if self.in_hand else se3.inverse(poses),
                        pose_values=values)

@@ -113,8 +113,7 @@ def with_blocks(solution: Solution) -> Solution:
         if before is not None and len(used) > MANY:
             found = before.conservative or before  # a few of very many hardly move the solution
             start, noise = found.estimate, found.noise
-            if part.pose_model:
-                part = part.with_pose_values(found.problem.pose_values)
+            part = part.with_pose_values(found.problem.pose_values)
         return contaminated(map_solution(part, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = agreeing(

@@ -432,8 +432,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) 
     if every > 1:
         part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
         if part.conservative is not None:
-            if problem.pose_model is not None:
-                problem = problem.with_pose_values(part.problem.pose_values)
+            problem = problem.with_pose_values(part.problem.pose_values)
             near = evaluated(problem, part.linear.estimate, part.noise)
             return _reported(Solution.at(near.stepped(), near.noise), part.conservative.noise, 0)
     found, diverged = _iterated(evaluated(problem, start, noise))

@@ -110,12 +110,11 @@ class Session(StopCollector):
         began, next_check = self._next_check
         if began != self._finder.began:
             began, next_check = self._next_check = self._finder.began, first
-        if sampling.moving or stood < next_check:
+        if sampling.mode != 'still' or stood < next_check:
             return None
         self._next_check = began, CHECK_LATER * next_check
         stop, known = self._finder.current(), self._stops.get(began)
-        if (stop is None or not sampling.by_itself or self.is_taken(stop)
-                or known and known.sample):
+        if stop is None or self.is_taken(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < PATIENCE else 0
