@@ -167,7 +167,7 @@ def _from_files(values: Values) -> Array:
 
 def _park(views: Views) -> Array:
     views.require_determined()
-    return views.closed_form()[0]
+    return np.asarray(views.closed_form()[0])
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {

@@ -23,6 +23,7 @@ The heights follow eq. 6; h3(q3) of eq. 7 is D-H (Craig) with alpha = 90 degrees
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from handeye_ros import se3
@@ -35,35 +36,19 @@ SWEEP: Array = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Tracker:
+class Measured:
     """
-    Reflector centres in the tracker's frame, metres.
+    What tracker and profiler see, metres.
 
-    arc: (n, 3) while R2 turns; line: (n, 3) while P3 moves, R2 as in the sweep; ball: (3,);
-    face_c, face_d: (n, 3) on the two faces; h0: reflector above P3's top; h1: its top above
-    the origin of frame 2.
-    """
-
-    arc: Array
-    line: Array
-    ball: Array
-    face_c: Array
-    face_d: Array
-    h0: float
-    h1: float
-
-
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """
-    Profile points of the sweep, (n, 3) each: x, z in the sensor plane and q3 (metres).
-
-    q30: the reading at which the sensor frame is taken.
+    parts: points (n, 3) by part. Reflector centres in the tracker's frame: arc, while R2 turns;
+    line, while P3 moves, R2 as in the sweep; ball, only one; face_c, face_d, on the two faces.
+    Profile points of the sweep, x, z in the sensor plane and q3: swept_ball, swept_face_c,
+    swept_face_d. height: of the reflector above the origin of frame 2 (h0 + h1); q30: the reading
+    at which the sensor frame is taken.
     """
 
-    ball: Array
-    face_c: Array
-    face_d: Array
+    parts: Mapping[str, Array]
+    height: float
     q30: float
 
 
@@ -82,31 +67,31 @@ class Result:
     angles: Array
 
 
-def solve(tracker: Tracker, sweep: Sweep, direction: Array = SWEEP) -> Result:
+def solve(measured: Measured, direction: Array = SWEEP) -> Result:
     """
     Return the hand-eye transform by eqs. 5 to 12.
 
     direction: (3,) of the sweep in the sensor frame, roughly: it settles the sign of y, which
     the ball leaves open. Raises TooFewError.
     """
-    T_tracker_flange = link_frame(tracker, sweep.q30)
-    direction, ball, radius = fit_swept_ball(sweep.ball, sweep.q30, direction)
-    faces = [swept(points, sweep.q30, direction) for points in (sweep.face_c, sweep.face_d)]
-    T_tracker_k = block_frame(tracker.ball, tracker.face_c, tracker.face_d)
-    T_tracker_sensor = T_tracker_k @ se3.inverse(block_frame(ball, *faces))
-    angles = [face_angle(tracker.face_c, tracker.face_d), face_angle(*faces)]
-    return Result(se3.inverse(T_tracker_flange) @ T_tracker_sensor, direction, radius,
-                  np.array(angles))
+    parts, q30 = measured.parts, measured.q30
+    direction, ball, radius = fit_swept_ball(parts['swept_ball'], q30, direction)
+    by_tracker = parts['face_c'], parts['face_d']
+    by_sweep = [swept(parts[f'swept_{face}'], q30, direction) for face in ('face_c', 'face_d')]
+    T_tracker_sensor = (block_frame(parts['ball'][0], *by_tracker)
+                        @ se3.inverse(block_frame(ball, *by_sweep)))
+    return Result(se3.inverse(link_frame(measured)) @ T_tracker_sensor, direction, radius,
+                  np.array([face_angle(*by_tracker), face_angle(*by_sweep)]))
 
 
-def link_frame(tracker: Tracker, q3: float) -> Array:
-    """Return T_tracker_flange (4, 4), frame 3 at reading q3, by eqs. 6 and 7."""
-    centre, axis = fit_arc(tracker.arc)
-    along = fit_line(tracker.line)
+def link_frame(measured: Measured) -> Array:
+    """Return T_tracker_flange (4, 4), frame 3 at reading q30, by eqs. 6 and 7."""
+    centre, axis = fit_arc(measured.parts['arc'])
+    along = fit_line(measured.parts['line'])
     R = se3.nearest_rotation(np.column_stack([-np.cross(along, axis), -along, axis]))
-    T_tracker_2 = se3.transform(R, centre - R[:, 2] * (tracker.h0 + tracker.h1))
-    quarter_turn = se3.exp_rotation(np.array([np.pi / 2, 0.0, 0.0]))
-    return np.asarray(T_tracker_2 @ se3.transform(quarter_turn, quarter_turn[:, 2] * q3))
+    T_tracker_2 = se3.transform(R, centre - R[:, 2] * measured.height)
+    turned = se3.exp_rotation(np.array([np.pi / 2, 0.0, 0.0]))
+    return np.asarray(T_tracker_2 @ se3.transform(turned, turned[:, 2] * measured.q30))
 
 
 def block_frame(ball: Array, face_c: Array, face_d: Array) -> Array:

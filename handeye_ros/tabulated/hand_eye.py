@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 from handeye_ros import orientations, se3
 from handeye_ros.checks.refusals import require_rotations
@@ -44,17 +43,14 @@ LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 MINIMUM = 3
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 
-State: TypeAlias = tuple[Array, Array]
-"""X: the camera in its mount; Z: the target in the frame where it is fixed, (4, 4)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Views(Lists):
     """
     Poses (n, 4, 4) at the same times.
 
     seen: T_camera_target; robot: of what carries the camera (the flange, or with eye_on_base the
-    base) in what carries the target.
+    base) in what carries the target. State (2, 4, 4): X, the camera in its mount, and Z, the
+    target in the frame where it is fixed.
     """
 
     name = 'hand_eye'
@@ -86,22 +82,20 @@ class Views(Lists):
         return TableAnswer(X, fit.covariance[:6, :6], np.isin(np.arange(len(off)), used),
                            off[:, 0], rms, holdout, angle, target)
 
-    def adjusted(self, state: State, variances: Array) -> tuple[Adjusted[State], Array]:
+    def adjusted(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
         """Return the fit for variances (3,) of the causes, and what whitens the views."""
         whiten = inverse_roots(np.tensordot(np.maximum(variances, SMALLEST_VARIANCE),
                                             self.causes(state), 1))
 
-        def rows(state: State) -> Rows:
+        def rows(state: Array) -> Rows:
             return Rows((whiten @ self.differences(state)[..., None]).ravel(),
                         lambda: (whiten @ self.derivatives(state)).reshape(-1, 12))
 
-        def retract(state: State, step: Array) -> State:
-            return se3.perturb(state[0], step[:6]), se3.perturb(state[1], step[6:])
-
-        system = System(rows, retract, np.repeat(np.arange(len(whiten)), 6))
+        system = System(rows, lambda state, step: se3.perturb(state, step.reshape(2, 6)),
+                        np.repeat(np.arange(len(whiten)), 6))
         return adjust(system, state, MINIMUM), whiten
 
-    def closed_form(self) -> State:
+    def closed_form(self) -> Array:
         """
         Return the state by all pairs of poses, rotation first.
 
@@ -113,19 +107,15 @@ class Views(Lists):
         some = np.linspace(0, len(i) - 1, min(len(i), MOST_PAIRS)).astype(int)
         i, j = i[some], j[some]
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
-        turns = [se3.angle(moves[:, :3, :3]) for moves in (A, B)]
-        sure = np.maximum(*turns) < LARGEST_ANGLE
-        X = np.asarray(solve_motions(A[sure], B[sure]))
-        return X, se3.mean_pose(T @ X @ seen)
+        sure = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
+        X = solve_motions(A[sure], B[sure])
+        return np.stack([X, se3.mean_pose(T @ X @ seen)])
 
-    def differences(self, state: State) -> Array:
+    def differences(self, state: Array) -> Array:
         """Return the (n, 6) differences of measured and predicted views in the camera frame."""
-        predicted = se3.inverse(self.robot @ state[0]) @ state[1]
-        turned = self.seen[:, :3, :3] @ np.swapaxes(predicted[:, :3, :3], 1, 2)
-        return np.concatenate([self.seen[:, :3, 3] - predicted[:, :3, 3],
-                               se3.log_rotation(turned)], axis=1)
+        return se3.difference(self.seen, se3.inverse(self.robot @ state[0]) @ state[1])
 
-    def derivatives(self, state: State) -> Array:
+    def derivatives(self, state: Array) -> Array:
         """Return the derivatives (n, 6, 12) of the differences by X and Z."""
         (X, Z), T = state, self.robot
         to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
@@ -136,7 +126,7 @@ class Views(Lists):
         J[:, :3, 6:9], J[:, 3:, 9:] = -to_camera, -to_camera
         return J
 
-    def causes(self, state: State) -> Array:
+    def causes(self, state: Array) -> Array:
         """
         Return the covariances (3, n, 6, 6) of the differences for unit variances of each cause.
 
@@ -151,7 +141,7 @@ class Views(Lists):
         return np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
                          turned @ np.swapaxes(turned, 1, 2)])
 
-    def variances(self, state: State, used: Index) -> Array:
+    def variances(self, state: Array, used: Index) -> Array:
         """Return the variances (3,) of the causes from the views that are used."""
         residuals, jacobian = self.differences(state)[used], self.derivatives(state)[used]
         parts = self.causes(state)[:, used]
@@ -175,7 +165,7 @@ class Views(Lists):
 
     def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
         Z = se3.mean_pose(self.robot[fitted] @ X @ self.seen[fitted])
-        return _lengths(self.subset(measured).differences((X, Z)))[:, 0]
+        return _lengths(self.subset(measured).differences(np.stack([X, Z])))[:, 0]
 
 
 def _lengths(differences: Array) -> Array:

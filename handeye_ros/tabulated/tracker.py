@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from pathlib import Path
 from typing import Any
@@ -69,33 +70,29 @@ class TrackerSession(Values):
     def subset(self, samples: Index) -> TrackerSession:
         return replace(self, pieces=[self.pieces[i] for i in samples])
 
-    def of(self, part: str) -> Array:
-        """Return the points (k, 3) of a part."""
-        return np.concatenate([piece.points for piece in self.pieces if piece.part == part])
+    @cached_property
+    def measured(self) -> jing2020.Measured:
+        """Return the points of both instruments by part."""
+        parts = {part: np.concatenate([p.points for p in self.pieces if p.part == part])
+                 for part in UNKNOWNS}
+        return jing2020.Measured(parts | {'ball': self.ball[None]},
+                                 self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
     def by_part(self, values: Any, statistic: Callable[[Any], Any]) -> Array:
         """Return for each piece (n,) the statistic of the values (n,) of its part."""
         parts, index = np.unique([piece.part for piece in self.pieces], return_inverse=True)
         return np.array([statistic(values[index == k]) for k in range(len(parts))])[index]
 
-    def reflector(self) -> jing2020.Tracker:
-        """Return the points of the tracker."""
-        known = self.config.tracker
-        return jing2020.Tracker(self.of('arc'), self.of('line'), self.ball, self.of('face_c'),
-                                self.of('face_d'), known.h0, known.h1)
-
     def chain(self) -> jing2020.Result:
         """Return the published answer, of the sensor plane; raises DataError."""
-        ball, face_c, face_d = map(self.of, SWEPT)
-        sweep = jing2020.Sweep(ball, face_c, face_d, self.q30)
         direction = self.axes[:3, :3].T @ np.array(self.config.tracker.direction)
-        return jing2020.solve(self.reflector(), sweep, direction / np.linalg.norm(direction))
+        return jing2020.solve(self.measured, direction / np.linalg.norm(direction))
 
     def require_determined(self) -> None:
         """Raise for points in the wrong order, a short arc, parallel faces, a crooked sweep."""
         arc, line = (points[np.linspace(0, len(points) - 1, min(len(points), ORDERED)).astype(int)]
-                     for points in (self.of('arc'), self.of('line')))
-        centre, axis = jing2020.fit_arc(self.of('arc'))
+                     for points in (self.measured.parts['arc'], self.measured.parts['line']))
+        centre, axis = jing2020.fit_arc(self.measured.parts['arc'])
         spokes = arc - centre
         turns = np.cross(spokes[:-1], spokes[1:]) @ axis
         for what, steps in (('arc', turns), ('line', np.diff(line @ jing2020.fit_line(line)))):
@@ -139,7 +136,7 @@ class TrackerSession(Values):
                 f'{self.pieces[int(worst.argmax())].part}: check which face is which, h0 and h1, '
                 'the readings of P3, and the noise of both instruments', reason='misfit')
         # generalised cross-validation: each point predicted by a fit without it
-        share = np.array([UNKNOWNS[piece.part] / len(self.of(piece.part))
+        share = np.array([UNKNOWNS[piece.part] / len(self.measured.parts[piece.part])
                           for piece in agreed.pieces])
         left_out = off[good] / (1 - np.minimum(share / 2, 0.5))
         return TableAnswer(
@@ -167,32 +164,35 @@ class TrackerSession(Values):
 
     def distances(self, X: Array, fitted: TrackerSession) -> Array:
         """Return the RMS distances (n,) of pieces from what those of `fitted` show with X."""
-        arc, line = fitted.of('arc'), fitted.of('line')
-        pivot, axis = jing2020.fit_arc(arc)
-        reach = np.linalg.norm(np.cross(arc - pivot, axis), axis=1).mean()
-        along = jing2020.fit_line(line)
+        parts = fitted.measured.parts
+        line, along = parts['line'].mean(axis=0), jing2020.fit_line(parts['line'])
+        pivot, axis = jing2020.fit_arc(parts['arc'])
         direction, centre, radius = jing2020.fit_swept_ball(
-            fitted.of('swept_ball'), self.q30, X[2, :3])
-        T_sensor_tracker = se3.inverse(jing2020.link_frame(fitted.reflector(), self.q30) @ X)
-        planes = {face: jing2020.swept(fitted.of(f'swept_{face}'), self.q30, direction)
-                  for face in ('face_c', 'face_d')}
-        normals = {face: jing2020.fit_plane(points) for face, points in planes.items()}
+            parts['swept_ball'], self.q30, X[2, :3])
+        T_sensor_tracker = se3.inverse(jing2020.link_frame(fitted.measured) @ X)
+        planes = {}
+        for face in ('face_c', 'face_d'):
+            points = jing2020.swept(parts[f'swept_{face}'], self.q30, direction)
+            planes[face] = points.mean(axis=0), jing2020.fit_plane(points)
 
-        def off(part: str, points: Array) -> float:
+        def beside(points: Array, start: Array, along: Array) -> Array:
+            return np.asarray(np.linalg.norm(np.cross(points - start, along), axis=1))
+
+        reach = beside(parts['arc'], pivot, axis).mean()
+
+        def off(part: str, points: Array) -> Any:
             if part == 'arc':
-                spokes = points - pivot
-                aside = np.linalg.norm(np.cross(spokes, axis), axis=1) - reach
-                return rms(np.hypot(spokes @ axis, aside))
+                return np.hypot((points - pivot) @ axis, beside(points, pivot, axis) - reach)
             if part == 'line':
-                return rms(np.linalg.norm(np.cross(points - line.mean(axis=0), along), axis=1))
+                return beside(points, line, along)
             in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT
                          else se3.apply(T_sensor_tracker, points))
             if part == 'swept_ball':
-                return rms(np.linalg.norm(in_sensor - centre, axis=1) - radius)
-            face = part.removeprefix('swept_')
-            return rms((in_sensor - planes[face].mean(axis=0)) @ normals[face])
+                return np.linalg.norm(in_sensor - centre, axis=1) - radius
+            middle, normal = planes[part.removeprefix('swept_')]
+            return (in_sensor - middle) @ normal
 
-        return np.array([off(piece.part, piece.points) for piece in self.pieces])
+        return np.array([rms(off(piece.part, piece.points)) for piece in self.pieces])
 
     def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
         return self.subset(measured).distances(X, self.subset(fitted))

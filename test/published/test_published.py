@@ -21,10 +21,10 @@ from tracker_session import session
 POSES, POINTS = np.tile(np.eye(4), (9, 1, 1)), np.zeros((9, 3))
 
 
-def tracked(ball: int, arc: int) -> object:
-    tracker, sweep = session(0)
-    return jing2020.solve(replace(tracker, arc=tracker.arc[:arc]),
-                          replace(sweep, ball=sweep.ball[:ball]))
+def tracked(part: str, count: int) -> object:
+    measured = session(0)
+    few = measured.parts | {part: measured.parts[part][:count]}
+    return jing2020.solve(replace(measured, parts=few))
 
 
 @pytest.mark.parametrize(('solve', 'words'), [
@@ -34,8 +34,8 @@ def tracked(ball: int, arc: int) -> object:
     (lambda: wu2017.solve(POINTS[:3], POINTS[:3]), 'at least 4 points, got 3'),
     (lambda: zheng2018.solve(POSES[:4], POINTS[:4, :2], np.eye(4)),
      'at least 5 points on the edge, got 4'),
-    (lambda: tracked(5, 40), 'profile points on the ball, got 5'),
-    (lambda: tracked(900, 2), 'reflector points on the arc, got 2')])
+    (lambda: tracked('swept_ball', 5), 'profile points on the ball, got 5'),
+    (lambda: tracked('arc', 2), 'reflector points on the arc, got 2')])
 def test_too_few_points_are_refused(solve: Callable[[], object], words: str) -> None:
     with pytest.raises(TooFewError, match=words):
         solve()

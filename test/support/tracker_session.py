@@ -50,7 +50,7 @@ def ball_profiles(ball: Array, steps: Array, along: Array) -> Array:
 
 
 def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
-            skew: float = 0.0) -> tuple[jing2020.Tracker, jing2020.Sweep]:
+            skew: float = 0.0) -> jing2020.Measured:
     """Return what tracker and profiler see of arm, ball and block (1 sigma in metres)."""
     rng = np.random.default_rng(seed)
     T_tracker_arm = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], True).as_matrix(),
@@ -67,8 +67,10 @@ def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
     T_tracker_sensor = T_tracker_arm @ link(12, Q30) @ T_flange_sensor
     spots = [se3.apply(T_tracker_sensor, jing2020.swept(f[::53], Q30, along)) for f in faces]
     truth = [se3.apply(T_tracker_arm, arc), se3.apply(T_tracker_arm, line),
-             se3.apply(T_tracker_sensor, ball[None])[0], *spots]
+             se3.apply(T_tracker_sensor, ball[None]), *spots]
     noisy = [p + tracker_noise * rng.normal(size=p.shape) for p in truth]
     swept = [p + sensor_noise * rng.normal(size=p.shape) * [1, 1, 0]
              for p in (ball_profiles(ball, steps, along), *faces)]
-    return jing2020.Tracker(*noisy, H0, H1), jing2020.Sweep(*swept, Q30)
+    names = ('arc', 'line', 'ball', 'face_c', 'face_d',
+             'swept_ball', 'swept_face_c', 'swept_face_d')
+    return jing2020.Measured(dict(zip(names, [*noisy, *swept], strict=True)), H0 + H1, Q30)

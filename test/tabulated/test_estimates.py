@@ -115,26 +115,25 @@ SENSOR = 3.7e-5
 CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 'test')
 
 
-def tracked(measured: jing2020.Tracker, sweep: jing2020.Sweep) -> TableAnswer:
-    config = with_values(CELL, {'tracker.h0': measured.h0, 'tracker.h1': measured.h1}, 'test')
-    parts = {kind: getattr(measured, kind) for kind in ('arc', 'line', 'face_c', 'face_d')} | {
-        part: getattr(sweep, part.removeprefix('swept_')) for part in SWEPT}
+def tracked(measured: jing2020.Measured) -> TableAnswer:
+    config = with_values(CELL, {'tracker.h0': measured.height, 'tracker.h1': 0.0}, 'test')
     pieces = [Piece(row, part, point[None], np.array([SENSOR if part in SWEPT else 2e-5]))
-              for part, points in parts.items() for row, point in enumerate(points)]
-    return solve(TrackerSession(config, pieces, measured.ball, sweep.q30))
+              for part, points in measured.parts.items() if part != 'ball'
+              for row, point in enumerate(points)]
+    return solve(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
 
 
 @pytest.mark.parametrize('skew', [0.0, 4.0])
 def test_the_tracker_without_noise(skew: float) -> None:
     """The block may be crooked; the ball and the faces are what was swept."""
-    found = tracked(*session(1, skew=skew))
+    found = tracked(session(1, skew=skew))
     np.testing.assert_allclose(se3.difference(found.X, T_flange_sensor), 0, atol=1e-9)
     assert found.target['face_angle'] == pytest.approx(np.deg2rad(90.0 + skew))
     assert found.target['radius'] == pytest.approx(0.01905)
 
 
 def test_the_tracker_is_as_sure_as_it_says() -> None:
-    squares = [chi_squared(tracked(*session(seed, 2e-5, SENSOR)), T_flange_sensor)
+    squares = [chi_squared(tracked(session(seed, 2e-5, SENSOR)), T_flange_sensor)
                for seed in range(2)]
     assert 0.3 < np.mean(squares) < 2.0
 
@@ -155,26 +154,27 @@ def test_the_rim_of_the_ball_is_no_block() -> None:
 
 
 def test_wrong_points_of_the_tracker_are_left_out() -> None:
-    measured, sweep = session(2, 2e-5, SENSOR)
-    measured.arc[5] += [1e-3, 0, 0]
-    measured.face_c[1] += [3e-3, 2e-3, -1e-3]
-    found = tracked(measured, sweep)
+    measured = session(2, 2e-5, SENSOR)
+    parts = measured.parts
+    parts['arc'][5] += [1e-3, 0, 0]
+    parts['face_c'][1] += [3e-3, 2e-3, -1e-3]
+    found = tracked(measured)
     assert chi_squared(found, T_flange_sensor) < 4
     assert np.flatnonzero(~found.used).tolist() == [
-        5, len(measured.arc) + len(measured.line) + 1]
+        5, len(parts['arc']) + len(parts['line']) + 1]
 
 
 def test_what_of_the_tracker_cannot_carry_an_answer_is_refused() -> None:
-    measured, sweep = session(0, 2e-5, SENSOR)
-    order = np.random.default_rng(1).permutation(30)
-    wrong = measured.face_c + np.linspace(0, 9e-3, len(measured.face_c))[:, None]
+    measured = session(0, 2e-5, SENSOR)
+    parts, order = measured.parts, np.random.default_rng(1).permutation(30)
+    wrong = parts['face_c'] + np.linspace(0, 9e-3, len(parts['face_c']))[:, None]
     for change, words in (
-            ({'face_d': measured.face_c + 1e-3 * np.ones(3)}, 'nearly parallel'),
-            ({'arc': measured.arc[order]}, 'the points of the arc go back and forth'),
-            ({'line': measured.line[order]}, 'the points of the line go back and forth'),
+            ({'face_d': parts['face_c'] + 1e-3 * np.ones(3)}, 'nearly parallel'),
+            ({'arc': parts['arc'][order]}, 'the points of the arc go back and forth'),
+            ({'line': parts['line'][order]}, 'the points of the line go back and forth'),
             ({'face_c': wrong}, 'contradict each other')):
         with pytest.raises(DataError, match=words):
-            tracked(replace(measured, **change), sweep)
+            tracked(replace(measured, parts=parts | change))
 
 
 def test_a_sweep_that_is_none_is_refused() -> None:
