@@ -37,11 +37,11 @@ from typing import Any
 from handeye_ros.bags.bag_write import cloud_cdr, pose_cdr
 from handeye_ros.bags.session import files_of, OutputFolders, read_session, resumed, SessionFiles
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Profile, TimedPose
+from handeye_ros.data import Profile, Sample, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
-from handeye_ros.sampling.features import sample_of
+from handeye_ros.sampling.features import result_of
 from mcap.reader import make_reader
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -287,7 +287,8 @@ def check(folder: Path, tally: Tally, config: Config, fewest: int) -> None:
     assert not back, f'{folder}: the removed samples {sorted(back)} are back'
     newest = max(found.stops, default=0)
     if newest:
-        assert sample_of(found.stops[newest], config).profiles >= fewest
+        sample = result_of(found.stops[newest], config)
+        assert isinstance(sample, Sample) and sample.profiles >= fewest
     for file in files_of(folder):
         with file.open('rb') as stream:
             assert make_reader(stream).get_summary() is not None

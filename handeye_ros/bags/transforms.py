@@ -132,8 +132,7 @@ def _product(chain: list[_Link], stamp: int) -> Array | None:
     """Return the pose of the chain's first frame in its last parent; None if unknown."""
     product = np.eye(4)
     for link in chain:
-        T = link.at(stamp)
-        if T is None:
+        if (T := link.at(stamp)) is None:
             return None
         product = T @ product
     return product

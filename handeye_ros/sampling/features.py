@@ -47,16 +47,13 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
     """Return the sample of a stop, or the reject with the reason."""
     stop = stop.load(config)
     try:
-        return sample_of(stop, config)
+        return _pass_of(stop, config) if config.sampling.moving else _sample_of(stop, config)
     except FeatureError as error:
         return Reject(stop.start, str(error))
 
 
-def sample_of(stop: Stop, config: Config) -> Sample:
-    """Return the sample of a stop; raises FeatureError with the reason."""
-    stop = stop.load(config)
-    if config.sampling.moving:
-        return _pass_of(stop, config)
+def _sample_of(stop: Stop, config: Config) -> Sample:
+    """Return the sample of a robot that stood still; raises FeatureError with the reason."""
     profiles = decoded(stop.steady(config), config)
     if not profiles:
         raise _no_profiles(stop, config)

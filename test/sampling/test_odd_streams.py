@@ -109,6 +109,11 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
         session.finish()
 
 
+def test_a_topic_keeps_the_frame_of_its_first_message() -> None:
+    with pytest.raises(InputError, match='two frames, "map" and "base"'):
+        played([pose(0, frame='map'), *stops((0.1, 1))], profiles(0, 1))
+
+
 def test_no_poses_no_stops_and_millimetres_are_distinguished() -> None:
     with pytest.raises(DataError, match='no flange pose'):
         played([], profiles(0, 3)).require_stops()

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
-from handeye_ros.sampling.features import result_of, sample_of
+from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NS
 import numpy as np
@@ -73,7 +73,7 @@ def add(session: Session, item: TimedPose | Profile) -> None:
 def taken(session: Session, config: Config = CONFIG) -> Sample:
     """Return the sample of the current stop, put into the session as on request."""
     stop = session.current_stop()
-    stop = session.numbered(stop, sample_of(stop, config))
+    stop = session.numbered(stop, result_of(stop, config))
     if isinstance(stop.result, Reject):
         raise DataError(stop.result.reason)
     session.put(stop)
