@@ -119,13 +119,14 @@ class TrackerSession(Values):
         # the distance of a reflector from a swept face has the noise of both instruments
         sigma = np.array([np.hypot(rms(piece.sigma), piece.part.startswith('face')
                                    * self.config.noise.sensor) for piece in self.pieces])
-        agreed = self
+        every = used = np.arange(len(self))
         for _ in range(3):  # wrong points bend the first fit
-            off = self.distances(agreed.chain().T_flange_sensor, agreed)
+            off = self.residuals(self.subset(used).chain().T_flange_sensor, used, every)
             good = off < np.maximum(WRONG * sigma, BESIDE * self.by_part(off, np.median))
-            agreed = self.subset(np.flatnonzero(good))
+            used = np.flatnonzero(good)
+        agreed = self.subset(used)
         chain = agreed.chain()
-        X, off = chain.T_flange_sensor, self.distances(chain.T_flange_sensor, agreed)
+        X, off = chain.T_flange_sensor, self.residuals(chain.T_flange_sensor, used, every)
         lost = self.by_part(~good, np.mean) / LARGEST_DROPPED_SHARE
         excess = self.by_part(np.where(good, off / sigma, np.nan),
                               lambda known: np.sqrt(np.nanmean(known ** 2)))
@@ -162,14 +163,15 @@ class TrackerSession(Values):
             off.append(se3.difference(session.chain().T_flange_sensor, X))
         return np.asarray(np.transpose(off) @ off / DRAWS)
 
-    def distances(self, X: Array, fitted: TrackerSession) -> Array:
-        """Return the RMS distances (n,) of pieces from what those of `fitted` show with X."""
-        parts = fitted.measured.parts
+    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
+        """Return the RMS distances of measured pieces from what the fitted ones show with X."""
+        known = self.subset(fitted).measured
+        parts = known.parts
         line, along = parts['line'].mean(axis=0), jing2020.fit_line(parts['line'])
         pivot, axis = jing2020.fit_arc(parts['arc'])
         direction, centre, radius = jing2020.fit_swept_ball(
             parts['swept_ball'], self.q30, X[2, :3])
-        T_sensor_tracker = se3.inverse(jing2020.link_frame(fitted.measured) @ X)
+        T_sensor_tracker = se3.inverse(jing2020.link_frame(known) @ X)
         planes = {}
         for face in ('face_c', 'face_d'):
             points = jing2020.swept(parts[f'swept_{face}'], self.q30, direction)
@@ -192,10 +194,8 @@ class TrackerSession(Values):
             middle, normal = planes[part.removeprefix('swept_')]
             return (in_sensor - middle) @ normal
 
-        return np.array([rms(off(piece.part, piece.points)) for piece in self.pieces])
-
-    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
-        return self.subset(measured).distances(X, self.subset(fitted))
+        pieces = self.subset(measured).pieces
+        return np.array([rms(off(piece.part, piece.points)) for piece in pieces])
 
     def field(self) -> Array:
         return field_points()

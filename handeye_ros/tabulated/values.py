@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
-from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from handeye_ros import __version__, se3
 from handeye_ros.checks.refusals import (
@@ -86,9 +86,6 @@ class Values(ABC):
         return np.eye(4)
 
 
-L = TypeVar('L', bound='Lists')
-
-
 @dataclass(frozen=True, eq=False)
 class Lists(Values):
     """Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row."""
@@ -100,7 +97,7 @@ class Lists(Values):
     def samples(self) -> Sequence[tuple[int, str]]:
         return [(row, '') for row in range(1, len(self.seen) + 1)]
 
-    def subset(self: L, samples: Index) -> L:
+    def subset(self, samples: Index) -> Self:
         return replace(self, seen=self.seen[samples], robot=self.robot[samples])
 
     def field(self) -> Array:

@@ -140,7 +140,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path):
 FIELDS = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '<f4')])
 
 
-@pytest.mark.parametrize('count', [0, 1, 12345])
+@pytest.mark.parametrize('count', [0, 12345])
 def test_other_libraries_read_the_clouds(tmp_path, count):
     rng = np.random.default_rng(count)
     cloud = np.empty(count, FIELDS)
@@ -178,8 +178,12 @@ def test_clouds_of_others_are_read(tmp_path):
         read_cloud(tmp_path / 'o.pcd')
 
 
-def test_damaged_clouds_are_refused(tmp_path):
+def test_damaged_clouds_are_refused_and_one_that_breaks_off_is_not_there(tmp_path):
     path = tmp_path / 'c.ply'
+    with pytest.raises(ZeroDivisionError), cloud_writer(path) as writer:
+        writer.write(np.ones(3, FIELDS))
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())
     with cloud_writer(path) as writer:
         writer.write(np.ones(10, FIELDS))
     whole = path.read_bytes()
@@ -191,13 +195,6 @@ def test_damaged_clouds_are_refused(tmp_path):
         path.write_bytes(text)
         with pytest.raises(InputError):
             read_cloud(path)
-
-
-def test_a_cloud_that_breaks_off_is_not_there(tmp_path):
-    with pytest.raises(ZeroDivisionError), cloud_writer(tmp_path / 'c.ply') as writer:
-        writer.write(np.ones(3, FIELDS))
-        raise ZeroDivisionError
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
