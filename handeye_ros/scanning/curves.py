@@ -9,6 +9,7 @@ spline with a knot every few centimetres is used.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from handeye_ros.data import Array
 import numpy as np
@@ -58,22 +59,18 @@ class Curve:
         b = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
         return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, self.covariance, b)))
 
-    def by_length(self, lengths: Array) -> Array:
-        """Return t (n,) at arc lengths (n,) from the first point."""
-        t, along = self._lengths()
-        return np.interp(lengths, along, t)
-
     @property
     def length(self) -> float:
         """Return the length of the curve (m)."""
-        return float(self._lengths()[1][-1])
+        return float(self.arc[0][-1])
 
-    def _lengths(self) -> tuple[Array, Array]:
-        """Return many t, and the arc lengths there."""
+    @cached_property
+    def arc(self) -> tuple[Array, Array]:
+        """Return arc lengths from the first point (m), and t there."""
         t = np.linspace(self.first, self.last, FINE)
         points = self.position(t)
         steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
-        return t, np.cumsum(steps)
+        return np.cumsum(steps), t
 
 
 def unit(vectors: Array) -> Array:

@@ -166,7 +166,8 @@ class Scanner:
         """Return which points are returns within the limits."""
         is_return, z = np.isfinite(points).all(axis=1), points[:, 1]
         keep = is_return & (z >= self.options.nearest) & (z <= self.options.farthest)
-        keep[keep] = _incidence(points[keep]) <= self.options.incidence
+        if self.options.incidence < np.pi / 2:  # the slopes take as long as all the rest
+            keep[keep] = _incidence(points[keep]) <= self.options.incidence
         self.count.returns += int(is_return.sum())
         self.count.out_of_limits += int(is_return.sum()) - int(keep.sum())
         return np.asarray(keep)

@@ -152,7 +152,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
                         f'{mm(float(np.median(seam.std[:, 0])))}, too much for a path: scan more '
                         'densely, or with less noise')
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
-    t = seam.curve.by_length(lengths)
+    t = np.interp(lengths, *seam.curve.arc)
     n = seam.curve.advance(t)
     o = -seam.at(lengths, seam.normals)
     o[o @ np.asarray(towards) < 0] *= -1
