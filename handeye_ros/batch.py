@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 import csv
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__, trend
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, page, write_whole
-import yaml
+from handeye_ros.results.calibration_file import content_of
 
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
@@ -50,27 +50,21 @@ LOCAL = {  # settings of Dask on this machine
 
 @dataclass(frozen=True)
 class Job:
-    """A recording, its name in the results, and the words of its command."""
+    """A recording, its name in the results, and the verb with its other words."""
 
     bag: str
     label: str
     verb: str
-    args: tuple[str, ...] = ()
-    config: str = ''
-    settings: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
 
     def command(self, folder: Path) -> list[str]:
         """Return the words after `handeye`; folder: of the results."""
-        words = [self.verb, *self.args, self.bag, *(['--config', self.config] * bool(self.config))]
-        for setting in self.settings:
-            words += ['--set', setting]
-        return [*words, '--out', str(folder / OUTPUTS[self.verb])]
+        return [self.verb, *self.words, self.bag, '--out', str(folder / OUTPUTS[self.verb])]
 
     def state(self) -> list[Any]:
         """Return what the result depends on: version, command, and size and time of all files."""
         return [__version__, self.command(Path()), *(
-            files_of(Path(source)) for source in (self.bag, self.config, *self.args)
-            if source and Path(source).exists())]
+            files_of(Path(word)) for word in (self.bag, *self.words) if os.path.exists(word))]
 
 
 def files_of(source: Path) -> dict[str, str]:
@@ -109,12 +103,11 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         raise DataError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
                         'CSV list of them')
     counts = Counter[str]()
-    unique = []
-    for job in jobs:
+    for k, job in enumerate(jobs):
         counts[job.label] += 1
-        number = counts[job.label]
-        unique.append(job if number == 1 else replace(job, label=f'{job.label}-{number}'))
-    return unique
+        if counts[job.label] > 1:
+            jobs[k] = replace(job, label=f'{job.label}-{counts[job.label]}')
+    return jobs
 
 
 def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
@@ -130,10 +123,12 @@ def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
         yield source / bag, str(source.name / label if several else label)
 
 
-def words_of(text: str, folder: Path) -> tuple[str, ...]:
+def words_of(args: str, config: Path | str | None, settings: Iterable[str],
+             folder: Path = Path()) -> tuple[str, ...]:
     """Return the words of a command with absolute paths of its files, for workers."""
-    return tuple(str((folder / word).absolute()) if (folder / word).is_file() else word
-                 for word in shlex.split(text))
+    files = ['--config', str((folder / config).absolute())] if config else []
+    return (*(str((folder / word).absolute()) if (folder / word).is_file() else word
+              for word in shlex.split(args)), *files, *(f'--set={text}' for text in settings))
 
 
 def _listed(path: Path, base: Job) -> Iterator[Job]:
@@ -152,12 +147,10 @@ def _listed(path: Path, base: Job) -> Iterator[Job]:
         if None in row or not row['bag']:
             raise InputError(f'{path}: line {rows.line_num} names no bag, or holds more values '
                              'than the header: put quotes around a value with commas')
-        bag, config = folder / row['bag'], row.get('config')
-        yield replace(
-            base, bag=str(bag), label=row.get('label') or bag.stem,
-            config=str(folder / config) if config else base.config,
-            settings=(*base.settings, *(row.get('settings') or '').split()),
-            args=(*base.args, *words_of(row.get('args') or '', folder)))
+        bag, own = folder / row['bag'], words_of(
+            row.get('args') or '', row.get('config'), (row.get('settings') or '').split(), folder)
+        yield replace(base, bag=str(bag), label=row.get('label') or bag.stem,
+                      words=(*base.words, *own))
 
 
 @contextmanager
@@ -253,8 +246,7 @@ def _figures_in(folder: Path) -> Row:
     """Return the numbers and WORDS of the result in a folder, by the names of their columns."""
     values: Row = {}
     for file in sorted(folder.glob('*.yaml')):
-        content = yaml.load(file.read_text(encoding='utf-8'),
-                            Loader=getattr(yaml, 'CSafeLoader', yaml.SafeLoader))
+        content = content_of(file)
         transform = content.get('transform', {})
         config = content.get('provenance', {}).get('config', {})
         groups = [('', content), ('', {'target': config.get('target.type')}),
@@ -319,16 +311,15 @@ def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
     for key, cell in sorted(cells.items()):
         if len(cell) < 2:
             continue
+        first = cell[0].get('verdict', '')
+        other = next((row for row in cell if row.get('verdict', '') != first), None)
+        since = f'; {other["verdict"]} since {other["label"]}' if other else ' in all'
+        said = f'{first}{since}'
         if cell[0]['verb'] == 'solve':
             files = [out / row['label'] / 'calibration.yaml' for row in cell]
             try:
                 said = trend.since_when(trend.trend(out / key[0], files=files)[0])
             except DataError as error:
                 said = str(error)
-        else:
-            first = str(cell[0].get('verdict', ''))
-            other = next((row for row in cell if row.get('verdict', '') != first), None)
-            said = f'{first}; {other["verdict"]} since {other["label"]}' if other else (
-                f'{first} in all')
         found.append((', '.join(filter(None, key)), len(cell), said))
     return found

@@ -43,14 +43,10 @@ def _euler_numbers(axes: str, rotation: Rotation) -> Array:
         return np.asarray(rotation.as_euler(axes, degrees=True))
 
 
-def _euler_rotation(axes: str, numbers: Array) -> Rotation:
-    return Rotation.from_euler(axes, numbers, degrees=True)
-
-
 def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
     """Return a notation by angles in degrees; axes: small as of scipy for fixed ones."""
     return Notation(title, labels, 'deg', 'mm', partial(_euler_numbers, axes),
-                    partial(_euler_rotation, axes))
+                    partial(Rotation.from_euler, axes, degrees=True))
 
 
 def _wxyz(rotation: Rotation) -> Array:
@@ -77,6 +73,13 @@ NOTATIONS = {
     'yaskawa-rxryrz': _euler('Yaskawa Rx Ry Rz: about the fixed axes x, y, z',
                              ('rx', 'ry', 'rz'), 'xyz'),
 }
+
+
+# of tables that name no controller
+QUATERNION = Notation('x y z w', ('qx', 'qy', 'qz', 'qw'), '', 'm', Rotation.as_quat,
+                      Rotation.from_quat)
+RPY = Notation('roll, pitch, yaw of URDF', ('roll', 'pitch', 'yaw'), 'rad', 'm',
+               partial(Rotation.as_euler, seq='xyz'), partial(Rotation.from_euler, 'xyz'))
 
 
 def of(name: str) -> Notation:

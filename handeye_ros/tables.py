@@ -19,15 +19,13 @@ from handeye_ros import orientations, se3
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-LENGTH, ANGLE, NUMBER, TEXT = 'length', 'angle', 'number', 'text'
+LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
 UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
          ANGLE: {'rad': 1.0, 'deg': math.radians(1.0), 'degrees': math.radians(1.0)}}
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
-QUATERNION, RPY = ('qx', 'qy', 'qz', 'qw'), ('roll', 'pitch', 'yaw')
 QUATERNION_TOLERANCE = 1e-3
 LARGEST = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')
@@ -51,10 +49,9 @@ class Table:
                              'recording, set target.type to the target that it shows')
         header, rows = _content(path)
         names = [_HEADER.fullmatch(cell) for cell in header]
-        for cell, match in zip(header, names, strict=True):
-            if match is None:
-                raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
-                                 'with its unit, such as base_x [mm]')
+        if None in names:
+            raise TableError(path, f'cannot read the column header "{header[names.index(None)]}"; '
+                             'expected a name with its unit, such as base_x [mm]')
         self._units = {m[1]: SPELLINGS.get(m[2], m[2]) for m in names if m}
         if len(self._units) != len(header):
             raise TableError(path, 'two columns have the same name')
@@ -104,32 +101,24 @@ class Table:
         of a notation, those of a controller (PREFIX_a, _b, _c of KUKA), in its units where the
         header says none. Raises TableError, and UnknownNameError for the notation.
         """
+        notation, length = orientations.QUATERNION, None
         if angles:
-            return self._controller_poses(prefix, orientations.of(angles))
-        quaternion, rpy = ([f'{prefix}_{name}' for name in names] for names in (QUATERNION, RPY))
-        if self.has(rpy):
-            R = Rotation.from_euler('xyz', self.values(rpy, ANGLE))
-        else:
-            R = Rotation.from_quat(self._unit(quaternion, prefix))
-        return se3.transform(R.as_matrix(), self.points(prefix))
-
-    def _controller_poses(self, prefix: str, notation: orientations.Notation) -> Array:
+            notation = orientations.of(angles)
+            length = notation.length
+        elif self.has([f'{prefix}_{label}' for label in orientations.RPY.labels]):
+            notation = orientations.RPY
         names = [f'{prefix}_{label}' for label in notation.labels]
         if notation.angle:
-            numbers = self.values(names, ANGLE, notation.angle) / UNITS[ANGLE][notation.angle]
+            numbers = self.values(names, ANGLE, notation.angle if angles else None)
+            numbers = numbers / UNITS[ANGLE][notation.angle]
         else:
-            numbers = self._unit(names, prefix)
-        xyz = self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH, notation.length)
-        return se3.transform(notation.rotation(numbers).as_matrix(), xyz)
-
-    def _unit(self, names: Sequence[str], prefix: str) -> Array:
-        """Return quaternions (n, 4), of length 1; raises TableError."""
-        q = self.values(names, NUMBER)
-        off = np.abs(np.linalg.norm(q, axis=1) - 1.0)
-        if off.max() > QUATERNION_TOLERANCE:
-            raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
-                             'unit quaternion')
-        return q
+            numbers = self.values(names, NUMBER)
+            off = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
+            if off.max() > QUATERNION_TOLERANCE:
+                raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
+                                 'unit quaternion')
+        positions = self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH, length)
+        return se3.transform(notation.rotation(numbers).as_matrix(), positions)
 
     def _column(self, name: str) -> Sequence[str]:
         if name not in self._columns:

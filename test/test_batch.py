@@ -73,7 +73,7 @@ def test_a_result_is_there_whole_or_not_at_all(tmp_path):
     job, out = Job(str(tmp_path / 'a.mcap'), 'cell/a', 'solve'), tmp_path / 'out'
     run(job, out, pretended)
     assert unchanged(job, out)['x'] == 1.0
-    assert unchanged(replace(job, settings=('a=1',)), out) is None
+    assert unchanged(replace(job, words=('--set=a=1',)), out) is None
     (out / 'cell/a/job.json').write_text('{"state": ')  # a client that was killed
     assert unchanged(job, out) is None
 
@@ -109,11 +109,11 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'jobs.csv').write_text(
         'bag,label,settings,args\na,first,target.radius=0.02 name=x,\nb,,,--stations s.csv\n'
         'a,first,,\n')
-    jobs = jobs_of([str(tmp_path / 'jobs.csv')], replace(SOLVE, config='c.yaml'))
+    jobs = jobs_of([str(tmp_path / 'jobs.csv')], replace(SOLVE, words=('--config', 'c')))
     assert [job.label for job in jobs] == ['first', 'b', 'first-2']
-    assert jobs[0].settings == ('target.radius=0.02', 'name=x')
-    assert jobs[0].bag == str(tmp_path / 'a') and jobs[1].config == 'c.yaml'
-    assert jobs[1].args == ('--stations', 's.csv')
+    assert jobs[0].words == ('--config', 'c', '--set=target.radius=0.02', '--set=name=x')
+    assert jobs[0].bag == str(tmp_path / 'a')
+    assert jobs[1].words == ('--config', 'c', '--stations', 's.csv')
     for text, sentence in (
             ('bag,lable\na,first\n', 'it has the columns bag, lable; expected'),
             ('bag,settings\na,verify.lengths=[0.1,0.2] name=x\n', 'line 2 .* more values'),

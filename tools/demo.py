@@ -26,6 +26,7 @@ from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import exit_code, ros
+from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports, report, table
 from handeye_ros.results.truth_file import errors_against, true_transform
 import rclpy
@@ -58,7 +59,8 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
-    report_file = report.write(calibration, evidence(calibration, bag), out / exports.REPORT)
+    report_file = out / exports.REPORT
+    write_whole(report_file, report.html(calibration, evidence(calibration, bag)))
     print(f'{written}\nwrote {report_file}: open it in a browser')
 
 

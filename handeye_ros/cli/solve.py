@@ -168,22 +168,23 @@ def report(
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results import exports, verification_file
     from handeye_ros.results.calibration_file import file_of, read_calibration
-    from handeye_ros.results.report import write
+    from handeye_ros.results.report import html
     if out:
         html_file(out)
     if path.is_file() and verification_file.is_verification(path):
-        html = (out or path.with_suffix('.html')).absolute()
-        write_whole(html, verification_file.protocol(verification_file.read(path)))
-        typer.echo(f'wrote {html}')
-        return
-    file = file_of(path)
-    verified = [*map(verification_file.read, verification)]
-    calibration = read_calibration(file)
-    with doing('finding the stops'):
-        shown = evidence(calibration, bag, file.parent)
-    with doing('writing the report'):
-        written = write(calibration, shown, out or file.parent / exports.REPORT, verified)
-    typer.echo(f'wrote {written}')
+        page = path.with_suffix('.html')
+        text = verification_file.protocol(verification_file.read(path))
+    else:
+        file = file_of(path)
+        page, calibration = file.parent / exports.REPORT, read_calibration(file)
+        verified = [*map(verification_file.read, verification)]
+        with doing('finding the stops'):
+            shown = evidence(calibration, bag, file.parent)
+        with doing('writing the report'):
+            text = html(calibration, shown, verified)
+    page = (out or page).expanduser().absolute()
+    write_whole(page, text)
+    typer.echo(f'wrote {page}')
 
 
 @app.command()

@@ -126,10 +126,9 @@ def batch(
 ) -> None:
     """Run a verb on many recordings; again: on the new ones."""
     from handeye_ros import batch as batches
-    jobs = batches.jobs_of(sources, batches.Job(
-        '', '', verb, batches.words_of(args, Path()), str(config.absolute()) if config else '',
-        tuple(assignments)))
-    if len({(job.config, job.settings) for job in jobs}) == 1:
+    words = batches.words_of(args, config, assignments)
+    jobs = batches.jobs_of(sources, batches.Job('', '', verb, words))
+    if all(job.words == words for job in jobs):
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
     rows: list[Row] = []

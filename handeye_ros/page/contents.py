@@ -3,7 +3,7 @@
 """What the page shows, and what its buttons do: services, parameters, sessions and files."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes
 from handeye_ros.results import calibration_file, exports, table
-from handeye_ros.results.scene import profile_picture, shape
+from handeye_ros.results.scene import profile_picture, rounded, shape
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
@@ -35,7 +35,6 @@ SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise
             'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode',
             'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
             'verify.tolerance')
-DIGITS = 6  # after the decimal point of a metre
 
 Live = Any  # the session of the node, handeye_ros.node.live.LiveSession
 State = Mapping[str, Any]  # of handeye_ros.node.state
@@ -238,13 +237,13 @@ def _scene(live: Live, current: Any) -> dict[str, Any]:
     outline = extreme_points[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
 
     def drawn(T_base_flange: Array | None) -> Any:
-        return None if T_base_flange is None else _rounded(
+        return None if T_base_flange is None else rounded(
             (in_mount(T_base_flange, config) @ X)[:3])
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
-        'view': _rounded(outline), 'live': drawn(pose),
+        'view': rounded(outline), 'live': drawn(pose),
         'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
         'next': drawn(aim), 'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
@@ -255,7 +254,7 @@ def _motion_to(T_base_flange: Array, aim: Array) -> dict[str, Any]:
     """Return the motion to a pose: m along the axes of the base, rad about those of the flange."""
     turn = se3.log_rotation(T_base_flange[:3, :3].T @ aim[:3, :3])
     shift = aim[:3, 3] - T_base_flange[:3, 3]
-    return {'shift': _rounded(shift), 'turn': _rounded(turn),
+    return {'shift': rounded(shift), 'turn': rounded(turn),
             'distance': float(np.linalg.norm(shift)), 'angle': float(np.linalg.norm(turn))}
 
 
@@ -263,8 +262,8 @@ def _move(move: Move) -> dict[str, Any]:
     """Return a move relative to the first pose; R: (3, 3) of the sensor after the move."""
     R = se3.exp_rotation(np.array([0.0, 0.0, move.turn])) @ se3.exp_rotation(
         np.append(move.tilt, 0.0))
-    return {'turn': move.turn, 'tilt': _rounded(move.tilt), 'place': _rounded(move.place),
-            'R': _rounded(R)}
+    return {'turn': move.turn, 'tilt': rounded(move.tilt), 'place': rounded(move.place),
+            'R': rounded(R)}
 
 
 def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
@@ -275,14 +274,9 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
     form = shape(problem.target.describe(estimate.state, solution.target_std),
                  config.target.size, points)
-    ball = form.ball and (_rounded(form.ball[0]), form.ball[1])
-    return {'edges': [_rounded(line) for line in form.edges], 'ball': ball,
-            'outline': [_rounded(line) for line in form.outline], 'spots': _rounded(points)}
-
-
-def _rounded(values: Array | Sequence[float]) -> Any:
-    """Return an array as lists with DIGITS decimals."""
-    return np.round(values, DIGITS).tolist()
+    ball = form.ball and (rounded(form.ball[0]), form.ball[1])
+    return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
+            'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
 
 
 def plain(value: Any) -> Any:

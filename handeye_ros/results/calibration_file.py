@@ -126,7 +126,7 @@ def read_calibration(path: Path) -> Calibration:
     """Return the calibration in a file; raises InputError."""
     file = Section(path, content_of(path))
     require_format(path, file.get('format', str), FORMAT)
-    T = _transform(file.section('transform'))
+    T = transform_from(path, 'transform', file.get('transform', dict))
     _check_rpy(file, T)
     return Calibration(
         **{name: file.get(name, str) for name in ('name', 'method', 'parent_frame',
@@ -142,10 +142,7 @@ def read_calibration(path: Path) -> Calibration:
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
     """Return the transform (4, 4) of plain values, which a file holds under a key."""
-    return _transform(Section(path, values, f'{key}.'))
-
-
-def _transform(section: Section) -> Array:
+    section = Section(path, values, f'{key}.')
     translation, rotation = section.section('translation'), section.section('rotation')
     quaternion = np.array([rotation.get(key, float) for key in 'xyzw'])
     length = float(np.linalg.norm(quaternion))

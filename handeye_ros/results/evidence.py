@@ -99,10 +99,8 @@ class Verdict:
 def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Verdict:
     """Return the verdict; visible: points (k, 3) in the sensor frame, may be empty."""
     remarks = tuple(_remarks(calibration, evidence))
-    first, *others = *_wrong(calibration, evidence), ''
-    if first:
-        return Verdict(False, f'Do not rely on this calibration: {first}',
-                       (*filter(None, others), *remarks))
+    if wrong := _wrong(calibration, evidence):
+        return Verdict(False, f'Do not rely on this calibration: {wrong}', remarks)
     points, region = (visible, 'the points that were seen') if len(visible) else (
         field_points(), FIELD)
     return Verdict(
@@ -111,17 +109,19 @@ def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Ver
         f'over {region}).', remarks)
 
 
-def _wrong(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
+def _wrong(calibration: Calibration, evidence: Evidence) -> str:
+    """Return why the recording contradicts the calibration, '' if it does not."""
     if evidence.refusal:
-        yield f'the recording is refused now: {evidence.refusal}'
+        return f'the recording is refused now: {evidence.refusal}'
     if evidence.calibration:
         delta = se3.difference(calibration.T_flange_sensor, evidence.calibration.T_flange_sensor)
         # the same data give the same answer: their noise explains no difference
         if (np.abs(delta) > SAME * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
-            yield ('the recording gives another answer than the one saved, '
-                   f'{np.linalg.norm(delta[:3]) * 1e3:.3f} mm and '
-                   f'{math.degrees(np.linalg.norm(delta[3:])):.4f} degrees away: is it the '
-                   'recording that was solved, with the same configuration?')
+            return ('the recording gives another answer than the one saved, '
+                    f'{np.linalg.norm(delta[:3]) * 1e3:.3f} mm and '
+                    f'{math.degrees(np.linalg.norm(delta[3:])):.4f} degrees away: is it the '
+                    'recording that was solved, with the same configuration?')
+    return ''
 
 
 def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:

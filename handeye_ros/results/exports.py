@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
+from itertools import chain
 import json
 import math
 from pathlib import Path
@@ -174,28 +175,27 @@ def urdf(calibration: Calibration) -> str:
                        child=quoteattr(calibration.child_frame))
 
 
-def arguments(calibration: Calibration) -> list[str]:
+def arguments(calibration: Calibration) -> dict[str, str]:
     """Return the arguments of static_transform_publisher by name."""
     T = calibration.T_flange_sensor
-    values = dict(zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'), (*T[:3, 3], *se3.quaternion(T)),
-                      strict=True))
-    return [word for name, value in values.items() for word in (f'--{name}', repr(float(value)))
-            ] + ['--frame-id', calibration.parent_frame,
-                 '--child-frame-id', calibration.child_frame]
+    names = ('--x', '--y', '--z', '--qx', '--qy', '--qz', '--qw')
+    values = numbers(np.append(T[:3, 3], se3.quaternion(T))).split()
+    return {**dict(zip(names, values, strict=True)), '--frame-id': calibration.parent_frame,
+            '--child-frame-id': calibration.child_frame}
 
 
 def command(calibration: Calibration) -> str:
     """Return the shell line that publishes the calibration on /tf_static."""
-    return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(arguments(calibration))
+    words = chain.from_iterable(arguments(calibration).items())
+    return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(words)
 
 
 def launch(calibration: Calibration) -> str:
     """Return a launch file that publishes the calibration on /tf_static."""
-    words = arguments(calibration)
     # ROS takes letters, digits and underscores in the name of a node
     node = ''.join(c if c.isascii() and c.isalnum() else '_' for c in calibration.child_frame)
     lines = ',\n                        '.join(
-        f'{name!r}, {value!r}' for name, value in zip(words[::2], words[1::2], strict=True))
+        f'{name!r}, {value!r}' for name, value in arguments(calibration).items())
     return LAUNCH.format(file=LAUNCH_FILE, comment=commented(calibration), arguments=lines,
                          name=f'publish_{node}')
 

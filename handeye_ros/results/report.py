@@ -8,13 +8,12 @@ The file is complete: it opens without a network.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.output import figure, image, page, style, write_whole
+from handeye_ros.output import figure, image, page, style
 from handeye_ros.results import exports, table, verification_file
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.evidence import Evidence, in_plane, StopSnapshot, verdict
@@ -22,14 +21,6 @@ from handeye_ros.results.scene import in_sensor, profile_picture, scene
 import numpy as np
 
 BLUE, ORANGE = '#1f6fb4', '#e07b00'
-
-
-def write(calibration: Calibration, evidence: Evidence, path: Path,
-          verified: Sequence[Mapping[str, Any]] = ()) -> Path:
-    """Write the report of a calibration; return its absolute path. Raises UnwritableError."""
-    path = path.expanduser().absolute()
-    write_whole(path, html(calibration, evidence, verified))
-    return path
 
 
 def html(calibration: Calibration, evidence: Evidence,

@@ -34,11 +34,11 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
     parts: list[dict[str, Any]] = []
 
     def line(name: str, color: str, points: Array, width: float = 1.2) -> None:
-        parts.append({'name': name, 'color': color, 'line': _plain(points), 'width': width})
+        parts.append({'name': name, 'color': color, 'line': rounded(points), 'width': width})
 
     def dots(name: str, color: str, points: Array, width: float) -> None:
         if len(points):
-            parts.append({'name': name, 'color': color, 'points': _plain(points), 'width': width})
+            parts.append({'name': name, 'color': color, 'points': rounded(points), 'width': width})
 
     X, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
     mounts = [stop.T_mount for stop in used] or [np.eye(4)]
@@ -72,8 +72,9 @@ def in_sensor(plane: Array, config: Config) -> Array:
     return np.asarray(plane @ sensor_axes(config)[:3, [0, 2]].T)
 
 
-def _plain(points: Array) -> Any:
-    return np.asarray(points, dtype=float).round(6).tolist()
+def rounded(values: Array | Sequence[float]) -> Any:
+    """Return lengths (m) or directions as lists, with six decimals."""
+    return np.round(values, 6).tolist()
 
 
 def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any]:
@@ -84,9 +85,9 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
     """
     points = points[np.isfinite(points).all(axis=1)]
     lines, spots = drawn(features)
-    return {'points': _plain(points[::-(-len(points) // MOST_OF_PROFILE) or 1]),
-            'lines': [_plain(line) for line in lines],
-            'spots': [_plain(spot[0]) for spot in spots]}
+    return {'points': rounded(points[::-(-len(points) // MOST_OF_PROFILE) or 1]),
+            'lines': [rounded(line) for line in lines],
+            'spots': [rounded(spot[0]) for spot in spots]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +133,12 @@ def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> S
     T = se3.from_quaternion(_xyz(pose['translation']),
                             np.array([pose['rotation'][axis] for axis in 'xyzw'], dtype=float))
     angle = target.get('edge_angle', np.pi / 2)
-    local = se3.apply(se3.inverse(T), near) if len(near) else np.empty((0, 3))
-    length, width = size or (_reach(local[:, 0]), _reach(local[:, 1]))
+    seen = se3.apply(se3.inverse(T), near)
+    length, width = size or seen[:, :2].max(axis=0, initial=EDGE / 2)
     p = np.array([length, 0.0, 0.0])
     q = width * np.array([np.cos(angle), np.sin(angle), 0.0])
     ends = se3.apply(T, np.array([np.zeros(3), p, q, p + q]))
     return Shape(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
-
-
-def _reach(values: Array) -> float:
-    return max(EDGE / 2, float(values.max())) if len(values) else EDGE
 
 
 def _along(point: Array, direction: Array, near: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import content_of, transform_from, unusable
+from handeye_ros.results.calibration_file import content_of, Section, transform_from
 import numpy as np
 import yaml
 
@@ -34,10 +34,8 @@ def true_transform(bag: Path) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / NAME
     if not path.is_file():
         return None
-    content = content_of(path)
-    if not isinstance(content, dict) or 'T_flange_sensor' not in content:
-        raise unusable(path, 'it holds no T_flange_sensor')
-    return transform_from(path, 'T_flange_sensor', content['T_flange_sensor'])
+    values = Section(path, content_of(path)).get('T_flange_sensor', dict)
+    return transform_from(path, 'T_flange_sensor', values)
 
 
 @dataclass(frozen=True)
