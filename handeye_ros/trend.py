@@ -72,15 +72,12 @@ def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] 
         raise DataError(f'{folder} holds calibrations of {" and of ".join(sorted(sensors))}, '
                         'which are not compared: give the folder of one, or one of them with '
                         '--against')
-    reference = previous = first or calibrations[0][2]
-    entries = []
-    for recorded, name, calibration in calibrations:
-        difference, std, p_first = _compared(calibration, reference)
-        entries.append(Entry(Path(name), recorded, difference, std, p_first,
-                             _compared(calibration, previous)[2],
-                             calibration.quality.residual_rms))
-        previous = calibration
-    return entries, warnings
+    reference = first or calibrations[0][2]
+    before = [reference, *(calibration for _, _, calibration in calibrations)]
+    return [Entry(Path(name), recorded, *_compared(one, reference), _compared(one, previous)[2],
+                  one.quality.residual_rms)
+            for (recorded, name, one), previous in zip(calibrations, before, strict=False)
+            ], warnings
 
 
 def _compared(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:

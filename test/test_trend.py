@@ -58,5 +58,3 @@ def test_the_verb(tmp_path):
     assert (tmp_path / 't.png').stat().st_size > 1000
     assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')
-    with pytest.raises(DataError):
-        trend.trend(tmp_path / 'steady/day_0')

@@ -134,9 +134,6 @@ def is_table(path: Path) -> bool:
 
 def _is_solved_from_files(path: Path, settings: 'Config') -> bool:
     """Return whether the target is solved from files; False for one of profiles."""
-    from handeye_ros.targets import TARGETS
-    if settings.target.type in TARGETS and not is_table(path):
-        return False
     from handeye_ros import tabulated
     from_files = tabulated.is_solved_from_files(settings)
     if is_table(path) and not from_files:

@@ -137,11 +137,9 @@ def samples(
     residuals = {o.number: (a.residual, a.left_out, a.used)
                  for o, a in zip(stops, found, strict=True) if a}
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in ('number', 'residual', 'left out'):
-        table.add_column(name, justify='right')
-    table.add_column()
-    table.add_column()
+    table = Table('number', 'residual', 'left out', '', '', box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in table.columns[:3]:
+        column.justify = 'right'
     for stop in sorted(session.stops, key=lambda o: (
             -residuals.get(o.number, (0.0, -1.0))[1], o.number)):
         residual, left_out, used = residuals.get(stop.number, (None, None, True))

@@ -104,7 +104,7 @@ def run_verb(words: list[str]) -> int:
     try:
         command(words, prog_name='handeye')
     except SystemExit as end:
-        return end.code if isinstance(end.code, int) else int(bool(end.code))
+        return int(end.code or 0)
     return 0
 
 

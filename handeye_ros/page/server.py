@@ -84,7 +84,6 @@ class PageServer:
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
         self._pool = ThreadPoolExecutor(WORKERS, 'page')
-        self._gatherer = ThreadPoolExecutor(1, 'page')  # not behind requests that take long
         self._clients, self._event = 0, ''
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name='page', daemon=True)
@@ -135,14 +134,14 @@ class PageServer:
     def _end_loop(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(PATIENCE)
-        for pool in (self._pool, self._gatherer):
-            pool.shutdown(wait=False, cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
     async def _gather(self) -> None:
         """Gather the state while a browser is connected."""
         while True:
             if self._clients:
-                self._event = await self._loop.run_in_executor(self._gatherer, self._text)
+                # in the loop's own pool: not behind requests that take long
+                self._event = await self._loop.run_in_executor(None, self._text)
                 async with self._changed:
                     self._changed.notify_all()
             await asyncio.sleep(1 / RATE)
@@ -191,17 +190,16 @@ class PageServer:
     async def _events(self, request: web.Request) -> web.StreamResponse:
         response = web.StreamResponse(headers=HEADERS | {'Content-Type': 'text/event-stream'})
         self._clients += 1
-        try:
-            await response.prepare(request)
-            while not self._ending:
-                async with self._changed:
-                    await self._changed.wait()
-                await asyncio.wait_for(response.write(f'data: {self._event}\n\n'.encode()),
-                                       PATIENCE)
-        except (TimeoutError, ConnectionError):
-            pass
-        finally:
-            self._clients -= 1
+        with suppress(TimeoutError, ConnectionError):
+            try:
+                await response.prepare(request)
+                while not self._ending:
+                    async with self._changed:
+                        await self._changed.wait()
+                    await asyncio.wait_for(response.write(f'data: {self._event}\n\n'.encode()),
+                                           PATIENCE)
+            finally:
+                self._clients -= 1
         return response
 
     async def _index(self, request: web.Request) -> web.StreamResponse:

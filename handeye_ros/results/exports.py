@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
-from itertools import chain
+from itertools import chain, count
 import json
 import math
 from pathlib import Path
@@ -316,11 +316,9 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
         return None
     try:
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
-        history = first = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
-        number = 1
-        while history.exists():  # another of the same second
-            number += 1
-            history = first.with_name(f'{first.name}-{number}')
+        first = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
+        others = (first.with_name(f'{first.name}-{k}') for k in count(2))  # of the same second
+        history = next(place for place in chain([first], others) if not place.exists())
         history.mkdir(parents=True)
         for file in files:
             shutil.copy2(file, history / file.name)
