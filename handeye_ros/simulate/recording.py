@@ -19,7 +19,7 @@ from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
 from handeye_ros.simulate.scenes import anywhere, SCENES, Stops
 from handeye_ros.simulate.sensor import FRAMES
-from handeye_ros.simulate.solids import relief
+from handeye_ros.simulate.solids import relief, table
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -328,8 +328,9 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
 
 def _exact(cell: Cell, T_target_sensor: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return ranges and incidences (m, n) at poses (m, 4, 4), with errors that do not change."""
-    scenario = cell.scenario
-    sensor, solids = scenario.sensor, SCENES[scenario.scene].solids(scenario)
+    scenario, sensor = cell.scenario, cell.scenario.sensor
+    solids = (table(getattr(scenario.target, 'table', None)) if scenario.empty else
+              SCENES[scenario.scene].solids(scenario))
     z, angle = sensors.render(sensor, solids, T_target_sensor, relief(scenario.target, rng))
     if sensor.spot:
         z = sensors.blurred(sensor, z, T_target_sensor)

@@ -219,8 +219,6 @@ def plate_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
 def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return table, plate and, with clutter, a block at each of the edges p and q."""
     target: PlateTarget = scenario.target
-    if scenario.empty:
-        return table(target.table)
     solids = (*table(target.table), *slab(target))
     if target.clutter is None:
         return solids
@@ -301,8 +299,6 @@ def wedge_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
 def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return the block whose edge is the x axis, or the two legs of an angle."""
     target: WedgeTarget = scenario.target
-    if scenario.empty:
-        return ()
     length, width = target.length, target.width
     if not target.concave:
         return (box((0.0, 0.0, -width), (length, width, 0.0)),)
@@ -364,8 +360,6 @@ def _on_circle(centre: Array, radius: float, sine: Array, outwards: Array) -> Ar
 def sphere_solids(scenario: Scenario) -> tuple[Solid, ...]:
     """Return ball, stem, table and, with clutter, a block beside the ball."""
     target: SphereTarget = scenario.target
-    if scenario.empty:
-        return table(target.table)
     half, bottom = target.stem / 2, -(target.table or 0.2)
     beside = 1.2 * target.radius
     solids = (*table(target.table), Ball(target.radius),
@@ -381,7 +375,7 @@ class Scene:
     A target of the simulator.
 
     stops: draws the sensor poses; features: of each stop, with noise; solids: target and
-    surroundings, in the target frame.
+    surroundings, in the target frame, of a cell that is not empty.
     """
 
     stops: Callable[[Scenario, np.random.Generator], Stops]
