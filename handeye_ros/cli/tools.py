@@ -25,7 +25,7 @@ from handeye_ros.cli.common import (
     stored_session,
     warn,
 )
-from handeye_ros.errors import NoRosError, UnknownNameError, UnwritableError
+from handeye_ros.errors import NoRosError, UnknownNameError
 import typer
 
 if TYPE_CHECKING:
@@ -126,14 +126,16 @@ def batch(
 ) -> None:
     """Run a verb on many recordings; again: on the new ones."""
     from handeye_ros import batch as batches
+    from handeye_ros.output import writing
     words = batches.words_of(args, config, assignments)
     jobs = batches.jobs_of(sources, batches.Job('', '', verb, words))
     if all(job.words == words for job in jobs):
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
     rows: list[Row] = []
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
+    try:
         with doing(f'{len(jobs)} recordings') as progress:
             for row in batches.rows_of(jobs, out, run_verb, scheduler):
                 rows.append(row)
@@ -143,10 +145,6 @@ def batch(
         done = sum(batches.unchanged(job, out) is not None for job in jobs)
         typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
         raise typer.Exit(INTERRUPTED) from None
-    except OSError as error:
-        if error.filename is None:
-            raise
-        raise UnwritableError(error.filename, error.strerror or str(error)) from error
     counts = Counter(map(batches.result_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
     typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'

@@ -27,8 +27,8 @@ from xml.sax.saxutils import quoteattr
 
 from handeye_ros import __version__, orientations, se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import UnknownNameError, UnwritableError
-from handeye_ros.output import write_whole
+from handeye_ros.errors import UnknownNameError
+from handeye_ros.output import write_whole, writing
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, transform_values
 import numpy as np
@@ -314,7 +314,7 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
     files = [folder / name for name in names if (folder / name).is_file()]
     if not files:
         return None
-    try:
+    with writing(folder / HISTORY):
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
         first = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
         others = (first.with_name(f'{first.name}-{k}') for k in count(2))  # of the same second
@@ -325,6 +325,4 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
         for file in files:
             if file.name not in replaced:
                 file.unlink()
-    except OSError as error:
-        raise UnwritableError(folder / HISTORY, error.strerror or str(error)) from error
     return history
