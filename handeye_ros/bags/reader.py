@@ -104,6 +104,8 @@ class Reader:
 
     def wants(self, topic: str, kind: str, encoding: str) -> bool:
         """Take note of a topic and its type; return whether its messages are requested."""
+        package, _, name = kind.partition('/')  # some write it as ROS 1 did
+        kind = kind if not name or '/' in name else f'{package}/msg/{name}'
         self.types[topic] = kind if encoding == 'cdr' else f'{kind} in {encoding}'
         return self._topics is None or topic in self._topics
 

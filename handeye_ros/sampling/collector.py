@@ -157,10 +157,17 @@ class StopCollector(Copied):
         self._require_poses_now()
         stop = self._finder.current()
         if stop is None:
-            how = self.motion.sentence if self.motion else 'too few poses have come to tell'
-            raise DataError('the robot has not stood still for '
-                            f'{self._config.sampling.still_time:g} s: {how}; wait until it has, '
-                            'and take the sample again', reason='moving')
+            needed, motion = self._config.sampling.still_time, self.motion
+            if motion is None:
+                how = 'too few poses have come to measure its motion: wait'
+            elif motion.speed * needed <= self._config.sampling.still_translation and (
+                    motion.turning * needed <= self._config.sampling.still_rotation):
+                missing = max(needed - motion.still, 0.1)
+                how = f'but for {motion.still:.1f} s: wait {missing:.1f} s more'
+            else:
+                how = f'{motion.sentence}: stop it, wait'
+            raise DataError(f'the robot has not stood still for {needed:g} s, {how}, and take the '
+                            'sample again', reason='moving')
         self._profiles.add(self._profile_stream.released(stop.start, stop.end))
         return self._with_profiles(stop)
 

@@ -56,7 +56,8 @@ class Stream(Copied, Generic[Stamped]):
 
     latest: stamp of the last message passed on, -1 before the first; count: number passed on;
     late: whether the last received message was dropped because it is older than `latest`; frame:
-    of the first message; set_back: by how much the clock was set back (ns), 0 if it was not.
+    of the first message, or of the majority if the first ones were strays; set_back: by how much
+    the clock was set back (ns), 0 if it was not.
     """
 
     def __init__(self, kind: str) -> None:
@@ -112,11 +113,7 @@ class Stream(Copied, Generic[Stamped]):
     def add(self, item: Stamped, frame: str) -> list[Stamped]:
         """Add the next message; return it and the one held back, as far as they are confirmed."""
         self.frame = frame if self.frame is None else self.frame
-        if frame != self.frame:
-            known = len(self._strays) < MOST_REASONS or frame in self._strays
-            self._strays[frame if known else OTHER_FRAME] += 1
-            self._strays_in_a_row += 1
-            self._strayed = self.latest
+        if frame != self.frame and not self._adopted(frame):
             return []
         self._strays_in_a_row = 0
         held = self._held
@@ -133,6 +130,20 @@ class Stream(Copied, Generic[Stamped]):
         else:
             passed.append(self._passed(item))
         return passed
+
+    def _adopted(self, frame: str) -> bool:
+        """Count a message of another frame; return whether the stream now takes that frame."""
+        known = len(self._strays) < MOST_REASONS or frame in self._strays
+        self._strays[frame if known else OTHER_FRAME] += 1
+        self._strays_in_a_row += 1
+        self._strayed = self.latest
+        given = not self.count and self._held is None  # by a session that continues
+        if given or self.count > FEW or self._strays[frame] < 10:
+            return False
+        self._strays = Counter({str(self.frame): self.count})
+        self.frame = frame
+        self.restart()
+        return True
 
     def _note_late(self, stamp: int) -> None:
         """Count a late message; many in a row, in order, show that the clock was set back."""

@@ -28,6 +28,7 @@ DEGREE = 3
 SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 FEWEST = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
+AVERAGED = 0.004  # time over which many poses are averaged (s)
 GROSS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
 
@@ -169,12 +170,29 @@ def trajectory_of(poses: Iterable[TimedPose], max_gap: float) -> Trajectory:
     return Trajectory(stamps, rows['pose'][first_of], max_gap)
 
 
+def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
+    """
+    Return means of consecutive poses over a time of nearly constant speed.
+
+    The first and last pose are kept, so that the trajectory covers the same time.
+    """
+    count = int(AVERAGED * (len(t) - 1) / max(t[-1], AVERAGED))
+    if count < 2:
+        return t, values
+    begins = np.array([0, *range(1, len(t) - 1, count), len(t) - 1])
+    number = np.diff([*begins, len(t)])
+    t, values = (np.add.reduceat(v, begins) / number.reshape(-1, *[1] * (v.ndim - 1))
+                 for v in (t, values))
+    return t, values
+
+
 def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     """Return the piece through poses (n, 7) with the knots that predict them best."""
     t = (stamps - stamps[0]) * 1e-9
     values = values.copy()
     turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    t, values = _averaged(t, values)
     spline, best, information = _smoothed(t, values)
     # in units of 1 mm and 5 mrad: smaller residuals are no outliers
     off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
