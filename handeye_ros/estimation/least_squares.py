@@ -157,7 +157,7 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     state, current = start, squares(start)
     # where a start explains most blocks, the few others have little weight from the first step on
-    control, before = min(float(current.max()), 100.0 * believed(current)), np.inf
+    control, before = min(float(current.max()), 10.0 * believed(current)), np.inf
     for _ in range(50):
         spread = believed(current)
         last = max(9.0, 3.0 * spread)  # of mu, a squared whitened residual: 3 sigma

@@ -37,7 +37,7 @@ from handeye_ros.estimation.solve import evaluated, map_solution, Solution
 import numpy as np
 from numpy.typing import NDArray
 
-SUBSETS = 20  # of six stations: if a third are wrong, one subset has no wrong one with p 0.84
+SUBSETS = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
 # Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one
 # that no other can beat; of a station far from it, over the believed quantile (16: 4 sigma).
 # SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a

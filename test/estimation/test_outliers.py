@@ -83,6 +83,17 @@ def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target: str, seed:
     assert_as_good(answer, solve((s for s in made.samples if s.stamp not in bad), made))
 
 
+@pytest.mark.parametrize('seed', [13, 17])
+def test_a_second_plate_that_some_stations_show_does_no_harm(seed: int) -> None:
+    made = cell('plate', seed)
+    bad = {made.samples[i].stamp
+           for i in np.random.default_rng(seed).permutation(len(made.samples))[:4]}
+    T = made.truth.T_base_target
+    step = np.append(T[:3, :3] @ [0.25, 0.05, 0.004], np.zeros(3))
+    answer = solve((moved(s, step) if s.stamp in bad else s for s in made.samples), made)
+    assert rejected(answer) == bad
+
+
 def test_samples_after_the_target_was_pushed_are_left_out_when_they_are_few() -> None:
     made = cell('plate', 3)
     step = np.array([2e-3, -1e-3, 2e-3, 0, 0, 0.01])
