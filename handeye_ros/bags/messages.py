@@ -40,7 +40,7 @@ NEAR = 1e-3
 THICK = 2e-3  # m: largest distance of the points of a profile from its plane
 TILTED, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
 THIN = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
-SURE = 10  # smallest number of returns for a decision on their order
+FEWEST_RETURNS = 10  # smallest number of returns for a decision on their order
 # fraction of backward steps between returns: at most along the line, at least along the range
 LINE_BACK, RANGE_BACK = 0.05, 0.1
 
@@ -367,7 +367,7 @@ def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> A
     steps = np.diff(points[good, 0])
     if not (steps > 0).all() and not (steps < 0).all():
         along, across, _ = _axes(config)
-        if (len(steps) >= SURE and _back(steps) > RANGE_BACK
+        if (len(steps) >= FEWEST_RETURNS and _back(steps) > RANGE_BACK
                 and _back(np.diff(points[good, 1])) < LINE_BACK):
             raise _unusable(f'the points follow each other along {across}, not along {along}: set '
                             f'profile.axes to [{across}, {along}]')

@@ -56,7 +56,7 @@ STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 SUFFIX, LOCK = '.mcap', '.lock'
 STAMP = '%Y-%m-%dT%H%M%SZ'  # names of folders
 NOTHING = Stop(0)
-SOURCE = "the node's parameters"
+PARAMETERS = "the node's parameters"
 
 
 class OutputFolders:
@@ -362,7 +362,7 @@ def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Confi
 
     overrides: settings of the user by key; all others are those of the session. Raises InputError.
     """
-    config = with_values(Config(), overrides, SOURCE)
+    config = with_values(Config(), overrides, PARAMETERS)
     if not config.session:
         return config, None
     if config.session != LAST:
@@ -378,4 +378,4 @@ def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Confi
     if path is None:
         return config, None
     stored = read_session(path)
-    return with_values(stored.config, overrides, SOURCE), stored
+    return with_values(stored.config, overrides, PARAMETERS), stored

@@ -14,10 +14,10 @@ from typing import Any
 from handeye_ros import config as configuration
 from handeye_ros.bags.session import (
     OutputFolders,
+    PARAMETERS,
     read_session,
     resumed,
     SessionFiles,
-    SOURCE,
     Stored,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
@@ -184,7 +184,7 @@ class HandeyeNode(Node):
 
     def _changed(self, changes: Iterable[RosParameter]) -> tuple[Config, bool]:
         """Return the changed settings, and whether they name other topics; raises InputError."""
-        config = configuration.with_values(self.live.config, _values(changes), SOURCE)
+        config = configuration.with_values(self.live.config, _values(changes), PARAMETERS)
         _check_names(config)
         other_topics = self._streams.changes(config)
         if other_topics and any(stop.sample for stop in self.live.copied().stops):
@@ -238,7 +238,7 @@ def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
         if p.name.startswith(EVERY_NODES):
             continue
         if p.name not in keys and not p.name.startswith(RECORD):
-            raise UnknownKeyError(p.name, keys, SOURCE)
+            raise UnknownKeyError(p.name, keys, PARAMETERS)
         # ROS gives an empty list no type, and other lists as arrays
         value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
         values[p.name] = value if isinstance(value, str | int | float) else list(value)

@@ -36,7 +36,7 @@ RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim 
 NORMAL_POINTS = 12
 BLOCKS = 4  # per bin of an arc: their scatter gives the variance of its normal point
 MOST_SCATTER = 2.5  # largest RMS distance of an arc's points from their circle, in sigmas
-BELIEVED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
+EXPECTED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
 SLOWEST = 0.5  # largest share of the normal points in the scatter
 SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
@@ -203,10 +203,10 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
     """
     off, of_bins = off_circle(arc.raw, arc.circle), off_circle(arc.points, arc.circle)
     scatter, slow = float(off @ off) / len(off), float(of_bins @ of_bins) / len(of_bins)
-    white = min(BELIEVED_SCATTER * config.noise.sensor,
+    white = min(EXPECTED_SCATTER * config.noise.sensor,
                 MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
-    believed = math.hypot(white, BELIEVED_SCATTER * config.noise.distortion)
-    return scatter > believed ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
+    expected = math.hypot(white, EXPECTED_SCATTER * config.noise.distortion)
+    return scatter > expected ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
                                         or slow > SLOWEST * scatter)
 
 

@@ -61,7 +61,7 @@ class End:
     """
     The end of a straight piece with the last of its rows, and the frame of the face there.
 
-    The other end is the last one in the reversed profile, which ends_of gives. segments: all of
+    The other end is the last one in the reversed profile, see ends_of_segments. segments: all of
     the profile, in the order of its rows; points: (n, 2) of the profile; returns: (k,) rows with a
     return; near: sign for which near * range is larger for nearer points.
     """
@@ -131,7 +131,7 @@ class End:
         return float(self.near * (z - self.segment.height(x)))
 
 
-def ends_of(segments: Sequence[Segment], points: Array, config: Config
+def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
             ) -> Iterator[tuple[End, End]]:
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
     n, returns, near = len(points), returned(points), -config.profile.range_sign
@@ -327,8 +327,8 @@ def _last_point(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: 
         return edge
     # the end is bent: its last points are the worst
     before = end.segment.rows[-max(2 * len(rows), SHORTEST_ROUNDING):]
-    believed = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
-    bend = rounding_of(*end.outwards_and_below(np.concatenate([before, believed])), place, pitch,
+    inner = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
+    bend = rounding_of(*end.outwards_and_below(np.concatenate([before, inner])), place, pitch,
                        noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)

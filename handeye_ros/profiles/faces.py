@@ -15,7 +15,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edges import edge_at, End, ends_of, smallest_step
+from handeye_ros.profiles.edges import edge_at, End, ends_of_segments, smallest_step
 from handeye_ros.profiles.lines import face_line, on_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
@@ -48,7 +48,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
                            'the profile')
     best, face, edges, reasons = 0.0, segments[0], list[EdgePoint](), list[str]()
     # the longest first: most of the others then cannot be preferred, whatever their edges are
-    for ends in ends_of(segments, points, config):
+    for ends in ends_of_segments(segments, points, config):
         segment = ends[1].segment
         if len(segment.rows) * SURE_EDGE < best:
             break

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 PAIRS, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of a pair
 TRIPLES, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
 VOTERS = 256  # points that vote
-SURE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
+DECISIVE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
 REFIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
 CIRCLES = 8  # circles tried, in the order of their votes
 FEWEST_VOTES = 5
@@ -49,7 +49,7 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
     step = -(-n // VOTERS)
     for voters in (terms[:3, ::4 * step], terms[:3, ::step]):
         votes = _near(lines, voters, 2 * tolerance).sum(axis=1, dtype=np.int16)
-        if votes.max() > SURE * voters.shape[1]:
+        if votes.max() > DECISIVE * voters.shape[1]:
             break
     line = lines[votes.argmax()]
     for width in REFIT_WIDTHS:

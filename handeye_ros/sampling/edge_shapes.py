@@ -11,7 +11,7 @@ from handeye_ros.profiles.edge_rounding import RADII, reach
 import numpy as np
 
 SHARPEST = 2.5e-5  # largest depth of ends that count as sharp (m)
-SURE = 8.0  # largest log odds of one end against a shape
+LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
 SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
 NOTHING = [np.zeros(len(RADII) + 1)]  # no information on the shape
@@ -71,7 +71,7 @@ def _blurred(shapes: Array) -> Array:
     kernel = -0.5 * ((logs[:, None] - logs) / SLANT_STD) ** 2
     radii = np.logaddexp.reduce(kernel + shapes[:-1], axis=1)
     radii += shapes[:-1].max() - radii.max()
-    return np.asarray(np.maximum(np.append(radii, shapes[-1]), -SURE))
+    return np.asarray(np.maximum(np.append(radii, shapes[-1]), -LARGEST_LOG_ODDS))
 
 
 def _radius(log_odds: Array) -> tuple[float, float]:

@@ -266,7 +266,7 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     if good.sum() < LEAST_AGREEING * len(arcs):
         raise _disagreeing('where the sphere is',
                            float(np.linalg.norm(np.ptp(centres, axis=0))))
-    used = [a.raw for a, believed in zip(arcs, good, strict=True) if believed]
+    used = [a.raw for a, agrees in zip(arcs, good, strict=True) if agrees]
     arc = normal_points(np.concatenate(used))
     # for the residuals: 0.8 MB of a sample at most
     rows = np.linspace(0, len(arc.raw) - 1, min(len(arc.raw), 50_000)).astype(int)

@@ -29,7 +29,7 @@ SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 FEWEST = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
 AVERAGED = 0.004  # time over which many poses are averaged (s)
-GROSS = 8.0  # residual, in robust scatters, above which a pose is an outlier
+OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     # in units of 1 mm and 5 mrad: smaller residuals are no outliers
     off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
     usual = 1.4826 * np.median(off, axis=0)
-    good = (off <= np.maximum(GROSS * usual, 1.0)).all(axis=1)
+    good = (off <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
     if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses
         spline, best, information = _smoothed(t[good], values[good])

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
-SOURCES = 64  # per feature, at most
+SOURCES_PER_FEATURE = 64  # per feature, at most
 FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
 
 GRAZING = 0.64  # cosine of the incidence below which the range of a face may be wrong
@@ -141,11 +141,11 @@ class FaceTarget(ProfileTarget):
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of a face line or an edge point."""
         if isinstance(feature, FaceLine):
-            add_face(rows, station, feature, SOURCES * number, number % self.faces)
+            add_face(rows, station, feature, SOURCES_PER_FEATURE * number, number % self.faces)
         elif isinstance(feature, EdgePoint):
             for kind in self.edge_kinds:
                 rows.add(station, self.edge_place(feature), kind, edge_noise(feature),
-                         SOURCES * number, feature)
+                         SOURCES_PER_FEATURE * number, feature)
 
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the point (2,) that is on the edge."""
@@ -153,7 +153,7 @@ class FaceTarget(ProfileTarget):
 
     def pieces(self, observations: Observations) -> NDArray[np.intp]:
         """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
-        return observations.source // (self.faces * SOURCES)
+        return observations.source // (self.faces * SOURCES_PER_FEATURE)
 
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
@@ -230,7 +230,7 @@ class Ends:
         return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
 
 
-def ends_of(obs: Observations) -> Ends:
+def face_ends(obs: Observations) -> Ends:
     """Return the ends of faces among observations."""
     source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
     _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
@@ -245,7 +245,7 @@ def setbacks(linear: Linear) -> Blocks:
     """Yield the blocks of the set-back of faces from their edges, one per kind of end."""
     std, kinds = linear.problem.config.target.setback_std, linear.problem.target.kinds
     obs = linear.problem.observations
-    ends = ends_of(obs)
+    ends = face_ends(obs)
     outwards = ends.outwards(linear)
     # the visible part of a bevel or a blurred step depends on the tilt
     by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
@@ -262,7 +262,7 @@ def edge_shapes(linear: Linear) -> Blocks:
     obs = linear.problem.observations
     if not obs.shape.any():
         return
-    ends = ends_of(obs)
+    ends = face_ends(obs)
     outwards = ends.outwards(linear) * obs.shape
     for kind in sorted({kind for kind, _ in ends.parts}):
         rows = np.any([own for (k, _), own in ends.parts.items() if k == kind], axis=0)

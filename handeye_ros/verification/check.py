@@ -48,7 +48,7 @@ LEVER = 0.1  # m: a scale over it is that of a turn
 SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
 SMOOTHNESS = (1.0, 2.0)  # times as far; bench/verify.py --check: one joint's error reaches further
 ITERATIONS = 6
-SURE = 0.95  # probability with which one cause, or some together, are named
+NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
 STILL = np.zeros(6)  # no move
@@ -325,7 +325,7 @@ def _smallest_shifts(D: Array, unchanged: Array) -> tuple[Array, Array]:
 def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
     """Return verdict and sentence; likeliest: the causes, the most likely first."""
     sums = np.cumsum([odds[cause.name] for cause in likeliest])
-    named = likeliest[:int(np.searchsorted(sums, SURE)) + 1]
+    named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]
     sentence = '; or '.join(cause.sentence for cause in named)
     if len(named) > 1:
         text = ', '.join(f'{cause.name} {odds[cause.name]:.0%}' for cause in named)

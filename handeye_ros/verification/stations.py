@@ -37,7 +37,7 @@ from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
-SURE = 4.0  # sigmas of a change
+SURE_CHANGE = 4.0  # sigmas of a change
 SMALLEST = 1e-4  # s: a smaller change does not matter to a scan
 MOST = 60  # samples of a sweep
 OUTLIER, FOREIGN = 4.0, 20.0  # robust sigmas of the points: left out; of another surface
@@ -239,7 +239,7 @@ def compared(offset: TimeOffset, previous: TimeOffset) -> tuple[bool, str]:
     """Return whether the time offset has changed, and by how much in words."""
     change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
     change_text = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
-    if abs(change) <= max(SURE * std, SMALLEST):
+    if abs(change) <= max(SURE_CHANGE * std, SMALLEST):
         return False, f'the time offset is as it was: {change_text}'
     return True, (f'the time offset has changed by {change_text}: the clock or the delay of '
                   f'sensor or robot is another; set time_offset to {offset.value:.5f}, or '
