@@ -29,7 +29,12 @@ from handeye_ros.node.state import State, state_of, troubles_of, with_trouble
 from handeye_ros.node.streams import Streams
 from handeye_ros.output import folder_name
 from handeye_ros.sampling.session import Session
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -252,11 +257,16 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
     if parameter.choices:
         texts.append('one of ' + ', '.join(map(str, parameter.choices)))
-    if parameter.minimum is not None and parameter.maximum is not None:
-        texts.append(f'from {parameter.minimum:g} to {parameter.maximum:g}')
-    return ParameterDescriptor(description=parameter.description, dynamic_typing=True,
-                               read_only=parameter.key in FIXED,
-                               additional_constraints='; '.join(texts))
+    result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
+                                 read_only=parameter.key in FIXED,
+                                 additional_constraints='; '.join(texts))
+    low, high = parameter.minimum, parameter.maximum
+    if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
+        if isinstance(parameter.default, int):
+            result.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        else:
+            result.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return result
 
 
 def _check_names(config: Config) -> None:
