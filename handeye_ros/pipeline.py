@@ -9,7 +9,7 @@ command line, the node, the review of samples, the guidance and the report all r
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handeye_ros import targets
@@ -29,6 +29,7 @@ from handeye_ros.checks.refusals import (
     require_samples,
     require_tested,
 )
+from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
@@ -178,7 +179,24 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     except DataError as error:
         # 10. Without a certain cause, ask whether other settings or clocks explain the stops.
         refusal = explained(error, session, config) if session else error
+        if session and isinstance(refusal, OtherSurfaceError):
+            others = _without(refusal, session, config)
+            if others.calibration:
+                return others
     return Answer(ordered, solution, fits, calibration, refusal)
+
+
+def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answer:
+    """Return the answer from the stops of a session that do not show another surface."""
+    rejects = [Reject(stamp, f'shows {found.why}') for stamp in found.stamps]
+    rest = answer([sample for sample in session.samples if sample.stamp not in found.stamps],
+                  [*session.rejects, *rejects], config, session.frame_id)
+    if rest.calibration is None:
+        return rest
+    known = rest.calibration.provenance
+    warnings = [*session.warnings, found.left_out, *known.get('warnings', ())]
+    return replace(rest, calibration=replace(
+        rest.calibration, provenance={**known, 'warnings': warnings}))
 
 
 def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:

@@ -79,7 +79,8 @@ def explained(refusal: DataError, session: Session, config: Config) -> DataError
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
 
-    A refusal whose cause is certain stays; an uncertain answer may come from clocks that differ.
+    A refusal whose cause is certain stays; an uncertain answer may come from clocks that differ,
+    and what looks like a move from stops that show another surface.
     Only stops are asked: a pass has many profiles with their own poses, and estimates its clocks.
     """
     if config.sampling.moving:
@@ -87,6 +88,7 @@ def explained(refusal: DataError, session: Session, config: Config) -> DataError
     try:
         if isinstance(refusal, UnexplainedError):
             require_settings(session, config)
+        if isinstance(refusal, UnexplainedError) or refusal.reason == 'moved':
             require_one_surface(session, config)
         if isinstance(refusal, UnexplainedError) or refusal.reason == 'uncertain':
             require_same_clock(session, config)

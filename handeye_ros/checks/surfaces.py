@@ -5,9 +5,12 @@ Whether some stops took the face of a clamp, a second plate or the table for tha
 
 Such ends agree among themselves, so that no consensus of edges stands out. But the stops show the
 face of the plate too, beside the clamp: read for straight pieces only, they agree on one plane.
-They are named only where the other stops agree on the target as it is set.
+They are named only where the other stops agree on the target as it is set, and left out where
+these carry an answer (pipeline.py).
 """
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from handeye_ros.checks.hypotheses import fit_of
 from handeye_ros.checks.settings import changed, thinned
@@ -17,6 +20,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.frames import in_mount
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.se3 import inverse
 import numpy as np
 
@@ -25,8 +29,28 @@ PARALLEL = 0.05  # rad: what is more inclined is no surface of a clamp or plate
 FEWEST = 2  # stops on another surface
 
 
+class OtherSurfaceError(DataError):
+    """
+    Some stops show the edge of another surface.
+
+    stamps: of their samples; why: what they show, in words.
+    """
+
+    def __init__(self, stops: Sequence[Stop], height: float, seen: int, total: int) -> None:
+        """Build the sentence; height (m) over the plane that `seen` of all stops show."""
+        self.stamps = {stop.result.stamp for stop in stops if stop.result}
+        self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above or below the plane '
+                    f'that {seen} of {total} stops show, such as a clamp, a second plate or the '
+                    'table')
+        numbers = ', '.join(str(stop.number) for stop in stops)
+        self.left_out = f'the stops {numbers} show {self.why}: they are left out'
+        super().__init__(f'the stops {numbers} show {self.why}: take them again where the laser '
+                         'crosses the target alone; if it does, check profile.range_sign and '
+                         'profile.axes', reason='surface')
+
+
 def require_one_surface(session: Session, config: Config) -> None:
-    """Raise DataError (surface) where the faces of some stops lie beside the plane of all."""
+    """Raise OtherSurfaceError where the faces of some stops lie beside the plane of all."""
     if config.target.type not in ('plate', 'line'):
         return
     taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
@@ -35,25 +59,20 @@ def require_one_surface(session: Session, config: Config) -> None:
                  as_plane, all_starts=True)
     if fit is None or not fit.believable:
         return
-    estimate = fit.solution.estimate
+    estimate, seen = fit.solution.estimate, np.isfinite(fit.squares)
     T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
         _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)
                 @ estimate.X) for stop in taken if stop.sample])
     beside = np.abs(heights) > BESIDE
-    if beside.sum() < FEWEST:
+    if (beside & seen).sum() < FEWEST:
         return
     others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
                      if other], config, all_starts=True)
-    if others is None or not others.believable:
-        return
-    numbers = ', '.join(str(taken[k].number) for k in np.flatnonzero(beside))
-    raise DataError(
-        f'the stops {numbers} show the edge of another surface, which is '
-        f'{np.median(np.abs(heights[beside])) * 1e3:.1f} mm above or below the plane that all '
-        f'{len(taken)} stops show, such as a clamp, a second plate or the table: take them again '
-        'where the laser crosses the target alone; if it does, check profile.range_sign and '
-        'profile.axes', reason='surface')
+    if others and others.believable:
+        raise OtherSurfaceError([taken[k] for k in np.flatnonzero(beside)],
+                                float(np.median(np.abs(heights[beside]))), int(seen.sum()),
+                                len(taken))
 
 
 def _height(sample: Sample, T_plane_sensor: Array) -> float:

@@ -128,8 +128,7 @@ def samples(
         raise InputError(f'{path} is a table of measured values, without samples')
     stops = [stop for stop in session.stops if stop.sample]
     with doing('comparing the samples'):
-        answer = pipeline.answer(session.samples, session.rejects, session.with_base(settings),
-                                 session.frame_id)
+        answer = pipeline.answer_of(session, settings)
         found = agreements(answer, [o.sample for o in stops if o.sample], settings)
     if answer.refusal:
         typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',

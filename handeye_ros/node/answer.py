@@ -247,11 +247,12 @@ def summary(calibration: Calibration) -> str:
     values = [f'{value} ± {std}' for _, value, std, _ in transform_rows(calibration)]
     moving = calibration.provenance.get('config', {}).get('sampling.mode') == 'moving'
     used = count_of(quality.samples_used, 'profile' if moving else 'sample')
+    warned = ''.join(f'; {text}' for text in calibration.provenance.get('warnings', ()))
     return (f'{calibration.child_frame} in {calibration.parent_frame}: x, y, z = '
             f'{", ".join(values[:3])} mm; roll, pitch, yaw = {", ".join(values[3:])} degrees; '
             f'residual {quality.residual_rms * 1e3:.3f} mm '
             f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
-            f'{quality.samples_rejected} not used; save it with ~/save_calibration')
+            f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
 
 
 def _numbers(session: Session) -> set[int]:
