@@ -48,7 +48,8 @@ def believable_size(agreed: Solution) -> Solution:
     """
     Return the refined consensus with the lengths of a plate estimated, if the stated are wrong.
 
-    Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length.
+    Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length: they
+    are estimated too where such a scale is seen with the stated lengths alone.
     """
     config, problem = agreed.whole.config, agreed.problem
     stated = config.target.size_std
@@ -57,10 +58,12 @@ def believable_size(agreed: Solution) -> Solution:
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
     other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
         agreed.linear, problem=replace(problem, config=free))))
-    found = parameters(other.conservative or other)
+    found, before = (parameters(one.conservative or one) for one in (other, agreed))
     lengths = [found[name] for name in ('size_p', 'size_q') if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
-    return other if wrong else agreed
+    scales = [each['scale'] for each in (before, found) if 'scale' in each]
+    seen = [abs(one.value) > FREED_FROM * one.std for one in scales]
+    return other if wrong or seen == [True, False] else agreed
 
 
 def scale_error(solution: Solution) -> tuple[float, float, float]:

@@ -75,6 +75,13 @@ def test_lengths_that_are_both_wrong_are_not_taken_for_a_scale(off: float, seed:
     assert error < 1e-4
 
 
+@pytest.mark.parametrize('seed', [25, 42, 52])
+def test_a_scale_that_only_stated_lengths_show_is_not_believed(seed: int) -> None:
+    size = [length + 0.3e-3 for length in SCENARIOS['plate'].target.size]
+    _, error = solved(replace(SCENARIOS['plate'], wrong_edges=6), seed, target__size=size)
+    assert error < 1e-4
+
+
 def test_a_size_given_the_other_way_round_is_the_same_plate() -> None:
     length, width = SCENARIOS['plate'].target.size
     for size in ([length, width], [width, length]):
