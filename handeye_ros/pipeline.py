@@ -199,7 +199,7 @@ def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answ
         rest.calibration, provenance={**known, 'warnings': warnings}))
 
 
-def at_stops(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
+def at_fixed_poses(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
     """Return the samples that answer uses, and their problem with constant poses."""
     ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples

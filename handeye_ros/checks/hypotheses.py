@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 RARE = 1e-5  # probability of naming a wrong cause
 DECISIVE = -2 * math.log(RARE)  # twice the log of a Bayes factor of these odds
-GROSS, FLOOR = 64.0, 0.01  # variance factors: of a stop that is not explained, the least
+UNEXPLAINED, FLOOR = 64.0, 0.01  # variance factors: of a stop that is not explained, the least
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +167,8 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
 def deviance(q: Array, conditions: int) -> float:
     """Return the deviance of an explanation, (13); q: (n,) of its stops, inf: not explained."""
     good = np.isfinite(q)
-    v = float(np.clip(q[good].mean() if good.any() else GROSS, FLOOR, GROSS))
-    return float(conditions * np.minimum(math.log(v) + q / v, math.log(GROSS) + 1).sum())
+    v = float(np.clip(q[good].mean() if good.any() else UNEXPLAINED, FLOOR, UNEXPLAINED))
+    return float(conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED) + 1).sum())
 
 
 @dataclass(frozen=True, eq=False)

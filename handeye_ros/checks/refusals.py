@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
 FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
 CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
-SURE = 0.99  # the same if several stations were dropped and similar surfaces may be confused
+SURELY = 0.99  # the same where several stations were dropped and similar surfaces may be confused
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -135,7 +135,7 @@ def require_tested(solution: Solution) -> None:
             f'least {needed} are needed: take more samples at new poses', reason='few')
     each = int(solution.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
-    not_all_found = solution.contaminated > SURE and dropped > 1 and solution.whole.ambiguous
+    not_all_found = solution.contaminated > SURELY and dropped > 1 and solution.whole.ambiguous
     if not_all_found or (solution.contaminated > CONTAMINATED and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '

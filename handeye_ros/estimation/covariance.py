@@ -25,7 +25,7 @@ import numpy as np
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
 ONE_WRONG, ARM = 'one station wrong', 'corrected arm'  # names of added parts in a budget
 WRONG = 0.05  # prior odds of a station being wrong against all being right
-SURE = 100.0  # posterior odds of one station being wrong, from which it is dropped
+SURE_ODDS = 100.0  # posterior odds of one station being wrong, from which it is dropped
 EXPLAINED = 0.2  # p-value of the other squares below which more than one is wrong
 
 
@@ -65,7 +65,7 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     worst = int(np.argmax(probability))
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     rest = chi2_sf(max(configured.squares - explained[worst], 0.0), freedom)
-    sure = probability[worst] > SURE * (1 - probability[worst]) and rest > EXPLAINED
+    sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and rest > EXPLAINED
     return replace(solution, added={ONE_WRONG: np.tensordot(probability, squares, 1)},
                    contaminated=float(probability.sum()), wrong=worst if sure else None)
 

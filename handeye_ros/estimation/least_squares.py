@@ -30,9 +30,9 @@ T = TypeVar('T')
 P = ParamSpec('P')
 
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
-BELIEVED_SHARE = 0.65  # of the blocks that a good answer must explain
+TYPICAL_SHARE = 0.65  # of the blocks that a good answer must explain
 MORE = 30.0  # factor of the damping after a refused step; its square divides it after a good one
-GROSS = 64.0  # squared residual over the believed quantile (8 sigma): dropped at once
+GROSS = 64.0  # squared residual over the typical one (8 sigma): dropped at once
 FALSE_ALARM = 1e-3  # probability that good data lose one block
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
@@ -157,9 +157,9 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     state, current = start, squares(start)
     # where a start explains most blocks, the few others have little weight from the first step on
-    control, before = min(float(current.max()), 10.0 * believed(current)), np.inf
+    control, before = min(float(current.max()), 10.0 * typical(current)), np.inf
     for _ in range(50):
-        spread = believed(current)
+        spread = typical(current)
         last = max(9.0, 3.0 * spread)  # of mu, a squared whitened residual: 3 sigma
         if control <= last and spread > 0.99 * before:
             break
@@ -169,9 +169,9 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     return state
 
 
-def believed(squares: Array) -> float:
-    """Return the BELIEVED_SHARE quantile of squared residuals."""
-    return float(np.quantile(squares, BELIEVED_SHARE))
+def typical(squares: Array) -> float:
+    """Return the TYPICAL_SHARE quantile of squared residuals."""
+    return float(np.quantile(squares, TYPICAL_SHARE))
 
 
 def groups(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
@@ -302,7 +302,7 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
 
     near = graduated(start, squares, system.reweighted)
     current = squares(near)
-    good = np.flatnonzero(current <= GROSS * max(1.0, believed(current)))
+    good = np.flatnonzero(current <= GROSS * max(1.0, typical(current)))
     return agreeing(good, n, minimum, fitted, judged)[0]
 
 

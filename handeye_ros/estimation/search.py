@@ -22,7 +22,6 @@ from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.covariance import contaminated
 from handeye_ros.estimation.least_squares import (
     agreeing,
-    believed,
     graduated,
     GROSS,
     many_least_squares,
@@ -30,6 +29,7 @@ from handeye_ros.estimation.least_squares import (
     shared_scale,
     States,
     System,
+    typical,
 )
 from handeye_ros.estimation.noise import Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem, UNUSED
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 SUBSETS = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
 # Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one
-# that no other can beat; of a station far from it, over the believed quantile (16: 4 sigma).
+# that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
 # SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
 # fifth of a sigma are distinguished from fits to a half.
 CONVINCING, UNRIVALLED, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
@@ -80,7 +80,7 @@ def without_outliers(solution: Solution) -> Solution:
     # least squares could move to a fit between the target and another surface
     limit = LARGEST_SQUARE if solution.whole.ambiguous else GROSS
     squares = station_squares(solution)
-    good = squares <= limit * max(1.0, believed(squares))
+    good = squares <= limit * max(1.0, typical(squares))
     good[np.argsort(squares, kind='stable')[:solution.whole.target.minimum]] = True
     near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
 
@@ -151,7 +151,7 @@ def _undetermined(solution: Solution) -> bool:
 
 def misfit(solution: Solution) -> float:
     """Return the square that most stations are below; large if a direction is undetermined."""
-    spread = believed(station_squares(solution))
+    spread = typical(station_squares(solution))
     return max(spread, 2 * LARGEST_SQUARE) if _undetermined(solution) else spread
 
 
@@ -173,7 +173,7 @@ def accepted(solution: Solution) -> bool:
     on another near surface also fits within such errors.
     """
     squares = station_squares(solution)
-    far = squares > LARGEST_SQUARE * max(1.0, believed(squares))
+    far = squares > LARGEST_SQUARE * max(1.0, typical(squares))
     unused = solution.whole.shows_essential & ~solution.problem.shows_essential
     enough = UNRIVALLED if solution.whole.ambiguous else CONVINCING
     return misfit(solution) <= enough and bool((far | unused).mean() <= 0.1)

@@ -183,8 +183,8 @@ class Solution:
         gain = (J.reshape(-1, J.shape[2]) @ self.covariance).reshape(J.shape)
         return np.asarray(gain @ np.swapaxes(J, 1, 2))
 
-    def factors(self, believed: Array | float = 1.0) -> Array:
-        """Return the variance factors (5,) from residuals, and a prior at believed, (7)."""
+    def factors(self, stated: Array | float = 1.0) -> Array:
+        """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
         sums = np.zeros((len(MAP_FACTORS), 2))
         every = -(-len(self.problem.poses) // MANY)
         for stations, whole in zip(self.problem.stations, self.whitening.factors, strict=True):
@@ -197,7 +197,7 @@ class Solution:
             sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
         before = self.noise.factors
         sums *= before[:, None]
-        after = before * (sums[:, 0] + PRIOR_FREEDOM * believed / before) / (
+        after = before * (sums[:, 0] + PRIOR_FREEDOM * stated / before) / (
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 

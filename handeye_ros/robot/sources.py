@@ -59,7 +59,7 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
                      robot_effector_frame=arm.flange)
     require_enough(len(session.samples))
     assert read.joints is not None
-    samples, problem = pipeline.at_stops(session.samples, config)
+    samples, problem = pipeline.at_fixed_poses(session.samples, config)
     q = _joints_at(samples, read, read.joints)
     warnings = (*read.warnings, *session.warnings, *joint_notes(arm, read.joints))
     return Source(session, samples, replace(problem, poses=in_mount(arm.forward(q), config)), q,

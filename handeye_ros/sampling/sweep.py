@@ -22,7 +22,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Pass, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.least_squares import believed, graduated, Rows, System
+from handeye_ros.estimation.least_squares import graduated, Rows, System, typical
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
 from handeye_ros.estimation.search import CONVINCING, mean_squares, relabelled, white_at
@@ -213,7 +213,7 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
             found = _refined(shifted, start)
             loss = float(np.log1p(mean_squares(found)).mean())
             best = (loss, found) if best is None or loss < best[0] else best
-        if best and believed(mean_squares(best[1])) < CONVINCING:
+        if best and typical(mean_squares(best[1])) < CONVINCING:
             break
     assert best is not None
     return best[1]

@@ -10,7 +10,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, TooFewError
-from handeye_ros.estimation.least_squares import adjust, BELIEVED_SHARE, Rows, System
+from handeye_ros.estimation.least_squares import adjust, Rows, System, TYPICAL_SHARE
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.values import Index, Input, Lists, rms, TableAnswer
@@ -54,7 +54,7 @@ class Pairs(Lists):
         every = np.arange(len(self))
         # the best start leaves out one point: in a few points a wrong one bends that of all
         start = min((self.subset(np.delete(every, k)).rigid() for k in every),
-                    key=lambda T: np.quantile(self.residuals(T, every, every), BELIEVED_SHARE))
+                    key=lambda T: np.quantile(self.residuals(T, every, every), TYPICAL_SHARE))
         fit = adjust(System(rows, se3.perturb, np.repeat(every, 3)), start, MINIMUM)
         off, left_out = (SIGMA * np.linalg.norm(values, axis=1)
                          for values in (fit.residuals, fit.left_out))
