@@ -224,8 +224,9 @@ def compare(
             comparison = comparing.compare_files(given.table, T_true, progress=update)
         else:
             assert given.session
-            comparison = comparing.compare(given.session.samples, given.session.rejects,
-                                           given.settings, T_true, progress=update)
+            comparison = comparing.compare(
+                given.session.samples, given.session.rejects, given.settings, T_true,
+                progress=update, session=given.session)
     show(comparing.tables(comparison))
     if comparison.refusal:
         raise comparison.refusal

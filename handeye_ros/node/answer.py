@@ -70,7 +70,7 @@ def review_of(session: Session, config: Config, seen: Array, refused: Sequence[A
     """
     Return what follows from the samples of a session.
 
-    seen, refused: see advise; asked: whether somebody waits for the answer: then the
+    seen, refused: see advise; asked: whether somebody waits for the answer, or has one: then the
     cause of a refusal is searched in the stops.
     """
     answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
@@ -189,7 +189,7 @@ class LiveAnswer:
         refused = [T for began, T in live.refused.items() if began not in sampled]
         return live.compute(
             COMPUTED if asked else '', partial(self._put, self._basis(), session, asked),
-            review_of, session, config, self.seen, refused, asked)
+            review_of, session, config, self.seen, refused, asked or self.calibration is not None)
 
     def _put(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
              ) -> str:

@@ -16,6 +16,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.published.estimators import Estimator, ESTIMATORS, Given, Stations
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.truth_file import errors_against
+from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.values import Input, rms, solve
 import numpy as np
 from rich import box
@@ -77,27 +78,28 @@ class Comparison:
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
             T_true: Array | None = None, folds: int = FOLDS,
-            progress: Progress = lambda doing: None) -> Comparison:
+            progress: Progress = lambda doing: None, session: Session | None = None
+            ) -> Comparison:
     """
     Return the rows of all estimators for the target, from samples in any order.
 
     rejects: stations that gave no sample; T_true: T_flange_sensor (4, 4), where it is known;
     folds: how many parts of the stations are left out in turn, 0 for none; progress: receives
-    what is being done. All estimators are given the stations that the target's own method
-    believes. Raises DataError where it believes none, BadValueError for a target or method that
-    does not exist.
+    what is being done; session: as in pipeline.answer. All estimators are given the stations
+    that the target's own method believes. Raises DataError where it believes none, BadValueError
+    for a target or method that does not exist.
     """
     targets.target_for(config)
     config = replace(config, method='auto')
     progress(config.target.type)
     start = time.perf_counter()
-    answer = pipeline.answer(samples, rejects, config)
+    answer = pipeline.answer(samples, rejects, config, session=session)
     solution = answer.consensus()
     seconds = time.perf_counter() - start
     # the others know no motion
     used = tuple(replace(answer.samples[i], motion=None) for i in solution.used)
     given = Stations(used, config, solution.problem, solution.estimate, solution.noise)
-    rejected = len(answer.samples) + len(rejects) - len(used)
+    rejected = len(samples) + len(rejects) - len(used)
     return _compared(given, solution.estimate.X, answer.refusal, seconds, rejected, T_true, folds,
                      progress)
 
