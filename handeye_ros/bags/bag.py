@@ -8,6 +8,7 @@ file, from which it is read again when a stop uses it.
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -31,7 +32,15 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.sampling.stream import by_stamp, fitting, in_order, LAST, two_frames
+from handeye_ros.sampling.stream import (
+    by_stamp,
+    FEW,
+    FEW_SHARE,
+    fitting,
+    in_order,
+    LAST,
+    two_frames,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -282,10 +291,15 @@ def _pose_source(config: Config, arm: Arm | None
 
 def _of_topic(topic: _Topic, reader: Reader) -> Poses:
     poses = topic.ordered(reader)
-    frames = dict.fromkeys(pose.parent_frame for pose in topic.items)
-    if len(frames) > 1:
-        raise two_frames('pose', *list(frames)[:2])
-    return poses, None
+    (frame, most), *others = Counter(pose.parent_frame for pose in poses).most_common()
+    strays = len(poses) - most
+    if strays:
+        if strays > max(FEW, FEW_SHARE * len(poses)) or 2 * strays >= len(poses):
+            raise two_frames('pose', frame, others[0][0])
+        names = ', '.join(f'"{other}"' for other, _ in others[:3])
+        reader.warnings.append(f'{strays} of {len(poses)} messages on {topic.name} were left out: '
+                               f'their frame is {names}, not "{frame}"')
+    return [pose for pose in poses if pose.parent_frame == frame], None
 
 
 def _of_tree(config: Config, moving: _Topic, static: _Topic, reader: Reader) -> Poses:

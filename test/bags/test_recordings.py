@@ -365,8 +365,16 @@ def test_strays_of_another_frame_and_two_sensors(tmp_path):
     assert 'dropped a profile of frame "other" (1 times)' in session.warnings
     with pytest.raises(InputError, match='"laser" and "other"'):
         gathered('two', PROFILES[:5] + profiles(9, frame_id='other')[5:])
-    two = [replace(pose, parent_frame='map') if i % 2 else pose for i, pose in enumerate(STILL)]
-    refused('two frames, "base" and "map"', written(tmp_path, poses=two, name='poses'))
+    first, *others = STILL
+    few = [replace(first, parent_frame='map'), *others]
+    recording = bag.read(written(tmp_path, poses=few, name='few'), CONFIG)
+    assert [pose.stamp for pose in recording.poses] == [pose.stamp for pose in others]
+    assert recording.warnings == ['1 of 100 messages on /flange_pose were left out: their frame '
+                                  'is "map", not "base"']
+    for name, every in (('half', 2), ('some', 10)):
+        mixed = [replace(pose, parent_frame='map') if i % every == 1 else pose
+                 for i, pose in enumerate(STILL)]
+        refused('two frames, "base" and "map"', written(tmp_path, poses=mixed, name=name))
 
 
 # -- transforms
