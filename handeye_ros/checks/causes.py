@@ -11,13 +11,11 @@ named (hypotheses).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
 
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_errors, orientations_scatter
-from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
-from handeye_ros.checks.measures import require_not_only_scale
+from handeye_ros.checks.hypotheses import Explanation, require_stated
+from handeye_ros.checks.measures import other_scale
 from handeye_ros.checks.moved import moved_between
 from handeye_ros.checks.refusals import (
     contradiction,
@@ -25,9 +23,9 @@ from handeye_ros.checks.refusals import (
     require_certain,
     UnexplainedError,
 )
-from handeye_ros.checks.settings import require_settings
+from handeye_ros.checks.settings import other_sign, require_settings
 from handeye_ros.checks.surfaces import require_one_surface
-from handeye_ros.config import Config, flipped_range
+from handeye_ros.config import Config
 from handeye_ros.data import Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
@@ -47,7 +45,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     stated, refusal = Explanation.of_all(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
-        require_stated(stated, [_other_sign(samples, problem.config, stated)])
+        require_stated(stated, [other_sign(samples, problem.config, stated)])
     if refusal or solution.variance_factor >= MISFITTING:
         require_stated(stated, convention_errors(problem, stated))
     if refusal and orientations_scatter(problem.poses):
@@ -59,20 +57,9 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
         require_certain(solution.reported, problem.config,
                         missing_motion(solution, problem.config))
         require_stated(stated, moved_between(problem))
-    require_not_only_scale(solution)
+    require_stated(stated, other_scale(solution))
     if refusal:
         raise refusal
-
-
-def _other_sign(samples: Sequence[Sample], config: Config, stated: Explanation) -> Hypothesis:
-    """Return the hypothesis of the opposite profile.range_sign."""
-    flipped = flipped_range(config)
-    others = [replace(s, features=s.flipped) if s.flipped else None for s in samples]
-
-    def refusal(fit: Explanation) -> DataError:
-        change = f'profile.range_sign {flipped.profile.range_sign}'
-        return DataError(f'{fit.compared(stated, change)}: set it', reason='settings')
-    return Hypothesis(partial(fit_of, others, flipped), refusal)
 
 
 def explained(refusal: DataError, session: Session, config: Config) -> DataError:

@@ -17,53 +17,26 @@ from handeye_ros.checks.hypotheses import Explanation, Hypothesis
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.solve import Solution
+from handeye_ros.frames import in_mount
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-INVERSE = 'inverse poses'
-
 
 def convention_errors(problem: Problem, stated: Explanation) -> list[Hypothesis]:
     """Return the hypotheses that the poses contain one of the known errors."""
-    return [_undone(problem, name, T, advice, stated) for name, undo, advice in CONVENTION_ERRORS
+    other = 'eye_on_base' if problem.in_hand else 'eye_in_hand'
+
+    def undone(name: str, T: Array, advice: str) -> Hypothesis:
+        """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
+        return Hypothesis(
+            partial(Explanation.of, replace(problem, poses=in_mount(T, problem.config))),
+            lambda fit: DataError(
+                'the poses contradict the samples: '
+                f'{fit.compared(stated, f"{name} undone".format(other=other))}; '
+                f'{advice.format(other=other)}', reason='convention'))
+    return [undone(name, T, advice) for name, undo, advice in CONVENTION_ERRORS
             for T in undo(problem.robot_poses)]
-
-
-def _undone(problem: Problem, name: str, T: Array, advice: str, stated: Explanation) -> Hypothesis:
-    """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
-    on_base = not problem.in_hand
-
-    def refusal(fit: Explanation) -> DataError:
-        remedy = advice
-        if name == INVERSE:
-            other = 'eye_in_hand' if on_base else 'eye_on_base'
-            if _mounted_on_base(fit.parts[0]) != on_base:
-                where, on = (('on the flange', 'base') if on_base else
-                             ('beside the robot', 'flange'))
-                return DataError(
-                    f'{fit.compared(stated, f"calibration_type {other}")}: set it if the sensor '
-                    f'is fixed {where} and the target in the frame of the {on}; otherwise the '
-                    'poses are published inverted', reason='settings')
-            remedy += f'; or set calibration_type to {other}, if the sensor is mounted so'
-        return DataError(f'the poses contradict the samples: '
-                         f'{fit.compared(stated, f"{name} undone")}; {remedy}',
-                         reason='convention')
-    undone = replace(problem, poses=se3.inverse(T) if on_base else T)
-    return Hypothesis(partial(Explanation.of, undone), refusal)
-
-
-def _mounted_on_base(agreed: Solution) -> bool:
-    """
-    Return whether the sensor appears to be fixed to the base instead of the flange.
-
-    The observed points are nearer to the flange than to the base, for either mounting.
-    """
-    problem, X = agreed.problem, agreed.estimate.X
-    seen = problem.observations.points @ X[:3, [0, 2]].T + X[:3, 3]
-    other = problem.points_in_base(X)
-    return bool(np.linalg.norm(seen, axis=1).mean() > np.linalg.norm(other, axis=1).mean())
 
 
 def orientations_scatter(poses: Array) -> bool:
@@ -142,8 +115,9 @@ def _two_ways(T: Array, R: Array, valid: NDArray[np.bool_] | None = None) -> lis
 
 # Name, function that undoes it, and what to do.
 CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
-    (INVERSE, lambda T: [se3.inverse(T)],
-     'publish the pose of the flange in the base (p_base = T p_flange), not its inverse'),
+    ('calibration_type {other} or inverse poses', lambda T: [se3.inverse(T)],
+     'set calibration_type to {other} if the sensor is mounted so; otherwise publish the pose of '
+     'the flange in the base (p_base = T p_flange), not its inverse'),
     ('quaternions read as w x y z', _wxyz,
      'fill x, y, z, w of the message by name, not in the order w x y z'),
     ('positions in millimetres', lambda T: [se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e-3)],

@@ -4,19 +4,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import math
 
-from handeye_ros.checks.hypotheses import Explanation, RARE
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis
 from handeye_ros.checks.moved import moved_slightly
-from handeye_ros.data import Array
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.least_squares import covariance_of
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING, robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.frames import in_mount
 from handeye_ros.notes import CONTRADICTION, parameters
 import numpy as np
-from scipy.special import fdtrc
 
 VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
 FREED_SIZE = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
@@ -66,27 +65,36 @@ def believable_size(agreed: Solution) -> Solution:
     return other if wrong or seen == [True, False] else agreed
 
 
-def scale_error(solution: Solution) -> tuple[float, float, float]:
+def scale_error(solution: Solution) -> tuple[float, float]:
     """
-    Return robot scale over sensor scale less 1, its 1 sigma, and the squares without it.
+    Return robot scale over sensor scale less 1, and its 1 sigma.
 
     One more unknown is solved for at the solution, to first order. The target's stated measures
     are unknown too, so that a wrong measure is not taken for a scale error.
     """
-    problem = solution.problem
+    problem, white = solution.problem, whitening(solution.linear, solution.noise)
     positions = problem.robot_poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
     measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    white = whitening(solution.linear, solution.noise)
-    column: Array = white(by_scale)
-    Q, _ = np.linalg.qr(np.column_stack([solution.columns, white(measures)]))
-    free = column - Q @ (Q.T @ column)
-    rest = solution.white - Q @ (Q.T @ solution.white)
-    information = float(free @ free)
-    if information < 1e-12 * float(column @ column):
-        return 0.0, math.inf, float(rest @ rest)
-    return float(free @ rest) / information, information ** -0.5, float(rest @ rest)
+    J = np.column_stack([white(np.column_stack([by_scale, measures])), solution.columns])
+    covariance = covariance_of(J)
+    return float(covariance[0] @ (J.T @ solution.white)), float(covariance[0, 0]) ** 0.5
+
+
+def other_scale(agreed: Solution) -> list[Hypothesis]:
+    """Return the hypothesis that a small error of scale is most of the residuals, if it may be."""
+    scale, std = scale_error(agreed)
+    if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
+        return []
+    problem, T = agreed.whole, agreed.whole.robot_poses.copy()
+    T[:, :3, 3] /= 1 + scale
+
+    def refit() -> Explanation | None:
+        fit = Explanation.of(replace(problem, poses=in_mount(T, problem.config)))
+        return fit if fit and fit.variance_factor < 0.5 * agreed.variance_factor else None
+    return [Hypothesis(refit, lambda fit: _scales_differ(
+        abs(scale), std * fit.variance_factor ** 0.5))]
 
 
 def require_one_scale(agreed: Solution) -> None:
@@ -100,24 +108,6 @@ def require_one_scale(agreed: Solution) -> None:
             SMALLEST_SCALE_ERROR, CONTRADICTION * scale.std):
         moved_slightly(agreed)
         raise _scales_differ(abs(scale.value), scale.std)
-
-
-def require_not_only_scale(solution: Solution) -> None:
-    """
-    Raise DataError where a small scale error explains most of the residuals.
-
-    Uses an F-test. Other nuisance parameters can absorb much of the scale error; the answer is
-    then wrong by that fraction of the lever arm.
-    """
-    scale, std, total = scale_error(solution)
-    explained, freedom = (scale / std) ** 2, max(solution.redundancy, 1)
-    left = max(total - explained, 0.0)
-    if explained < 0.5 * total or not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
-        return
-    # the probability itself: scipy 1.11 inverts it wrongly where it is small
-    if left <= 0.0 or fdtrc(1, freedom, explained * freedom / left) < RARE:
-        raise _scales_differ(abs(scale),
-                             std * (left / max(solution.degrees_of_freedom, 1)) ** 0.5)
 
 
 def _scales_differ(scale: float, std: float) -> DataError:

@@ -8,13 +8,14 @@ the same stops again.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
 from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
-from handeye_ros.config import Config, with_assignments
+from handeye_ros.config import Config, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.edge_shapes import with_common_shape
@@ -51,27 +52,32 @@ def require_settings(session: Session, config: Config) -> None:
                 fit = replace(fit, beside=edges)
             return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
 
-        def refusal(fit: Explanation) -> DataError:
-            named = ' and '.join(f'{key} {value}' for key, value in values.items())
-            return DataError(f'{fit.compared(stated, named)}: set {_advice(values, fit)}',
-                             reason='settings')
         # the sign of the range is often free, and then no part of the cause
         simpler = hypothesis({key: value for key, value in values.items() if key != SIGN},
                              all_starts=True) if len(values) > 1 else None
-        return Hypothesis(refit, refusal, len(values), simpler)
+        return Hypothesis(refit, partial(to_set, values, stated), len(values), simpler)
 
     require_stated(stated, [hypothesis(values) for values in _changes(config)])
 
 
-def _advice(values: dict[str, str], fit: Explanation) -> str:
-    """Return in words which values to set, as the fit shows them."""
+def to_set(values: dict[str, str], stated: Explanation | None, fit: Explanation) -> DataError:
+    """Return the refusal that names the settings with which the stops fit."""
+    named = ' and '.join(f'{key} {value}' for key, value in values.items())
+    to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if values == {'target.radius': '0'}:
         radius = float(fit.solution.estimate.state[-1])
-        return f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
-    to = ' and '.join(f'{key} to {value}' for key, value in values.items())
+        to = f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
     if values == {'target.type': 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
-    return to
+    return DataError(f'{fit.compared(stated, named)}: set {to}', reason='settings')
+
+
+def other_sign(samples: Sequence[Sample], config: Config, stated: Explanation) -> Hypothesis:
+    """Return the hypothesis of the opposite profile.range_sign, of stations in order."""
+    others = [replace(s, features=s.flipped) if s.flipped else None for s in samples]
+    flipped = flipped_range(config)
+    values = {SIGN: str(flipped.profile.range_sign)}
+    return Hypothesis(partial(fit_of, others, flipped), partial(to_set, values, stated))
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:

@@ -120,7 +120,7 @@ def test_the_wrong_calibration_type_names_the_key(target: str, right: str) -> No
     wrong = 'eye_on_base' if right == 'eye_in_hand' else 'eye_in_hand'
     made = cell(replace(SCENARIOS[target], calibration_type=right), 1)
     config = with_values(made.config, {'calibration_type': wrong}, 'test')
-    with pytest.raises(DataError, match=f'with calibration_type {right}, '):
+    with pytest.raises(DataError, match=f'with calibration_type {right} or inverse'):
         pipeline.solve(made.samples, [], config, 'laser')
 
 

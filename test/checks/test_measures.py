@@ -147,7 +147,7 @@ def test_lengths_of_the_robot_that_explain_the_residuals_are_measured(name: str)
     T = problem.robot_poses.copy()
     T[:, :3, 3] *= 1.004
     poses = T if problem.in_hand else se3.inverse(T)
-    scale, std, _ = scale_error(found(replace(problem, poses=poses)))
+    scale, std = scale_error(found(replace(problem, poses=poses)))
     assert scale == pytest.approx(0.004, abs=2 * std)
     assert scale > 4 * std
 
