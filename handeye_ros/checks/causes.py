@@ -43,7 +43,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     samples: in the order of the stations of the problem. Too little rotation of the poses is
     reported before a move, since it can look like one.
     """
-    stated, refusal = Explanation.of_all(solution), contradiction(solution)
+    stated, refusal = Explanation.of(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
         require_stated(stated, [other_sign(samples, problem.config, stated)])
     if refusal or solution.variance_factor >= MISFITTING:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
 from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
-from handeye_ros.checks.settings import FEWEST_CONDITIONS
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
@@ -124,11 +123,10 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
 
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
-    def refit() -> Explanation | None:
-        fit = fit_of([replace(still.sample, T_base_flange=stills[k - behind].pose)
-                      if 0 <= k - behind < len(stills) else None
-                      for k, still in enumerate(stills) if still.sample], config)
-        return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
+    def refit() -> Explanation:
+        return fit_of([replace(still.sample, T_base_flange=stills[k - behind].pose)
+                       if 0 <= k - behind < len(stills) else None
+                       for k, still in enumerate(stills) if still.sample], config)
 
     def refusal(fit: Explanation) -> DataError:
         late = _offset(stills, behind)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros import se3
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refitted
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
@@ -30,7 +30,7 @@ def convention_errors(problem: Problem, stated: Explanation) -> list[Hypothesis]
     def undone(name: str, T: Array, advice: str) -> Hypothesis:
         """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
         return Hypothesis(
-            partial(Explanation.of, replace(problem, poses=in_mount(T, problem.config))),
+            partial(refitted, replace(problem, poses=in_mount(T, problem.config))),
             lambda fit: DataError(
                 'the poses contradict the samples: '
                 f'{fit.compared(stated, f"{name} undone".format(other=other))}; '

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refitted
 from handeye_ros.checks.moved import moved_slightly
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import covariance_of
@@ -38,7 +38,7 @@ def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generato
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
-    fit, stated_fit = Explanation.of_all(other), Explanation.of_all(agreed)
+    fit, stated_fit = Explanation.of(other), Explanation.of(agreed)
     complete = fit.believable and other.explained - agreed.explained > 0.1 * len(problem.poses)
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
@@ -90,9 +90,10 @@ def other_scale(agreed: Solution) -> list[Hypothesis]:
     problem, T = agreed.whole, agreed.whole.robot_poses.copy()
     T[:, :3, 3] /= 1 + scale
 
-    def refit() -> Explanation | None:
-        fit = Explanation.of(replace(problem, poses=in_mount(T, problem.config)))
-        return fit if fit and fit.variance_factor < 0.5 * agreed.variance_factor else None
+    def refit() -> Explanation:
+        fit = refitted(replace(problem, poses=in_mount(T, problem.config)))
+        most = fit.variance_factor < 0.5 * agreed.variance_factor
+        return fit if most else Explanation.nothing(len(T))
     return [Hypothesis(refit, lambda fit: _scales_differ(
         abs(scale), std * fit.variance_factor ** 0.5))]
 

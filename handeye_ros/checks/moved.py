@@ -12,9 +12,8 @@ moves in any order.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+import math
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import DECISIVE, Explanation, Hypothesis, RARE
@@ -50,11 +49,11 @@ def moved_between(problem: Problem) -> list[Hypothesis]:
 def _parted(problem: Problem, k: int) -> Hypothesis:
     """Return the hypothesis that something moved before station k."""
     n = len(problem.poses)
-    parts = np.split(np.arange(n), [k])
 
-    def refit() -> Explanation | None:
-        first, second = (first_guesses(problem.subset(part)) for part in parts)
-        return Explanation((first, second), tuple(parts), n) if first and second else None
+    def refit() -> Explanation:
+        first, second = (first_guesses(problem.subset(part))
+                         for part in np.split(np.arange(n), [k]))
+        return Explanation.of(first, second) if first and second else Explanation.nothing(n)
 
     def refusal(fit: Explanation) -> DataError:
         first, second = (part.estimate.X for part in fit.parts)
@@ -80,84 +79,55 @@ def moved_slightly(agreed: Solution) -> str:
     """
     Return a warning on a small move and its time, '' if there is none.
 
+    The likeliest move of either and the noise with it are estimated in turn, until it stays.
     Raises DataError (moved) where the evidence is decisive.
     """
-    found = likeliest_move(agreed)
-    if found is None:
+    n, reported, config = len(agreed.used), agreed.conservative or agreed, agreed.whole.config
+    if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
         return ''
-    move, p_value = found
-    config = agreed.whole.config
-    what, frame = (('sensor', mount_frame(config)) if move.sensor else
-                   ('target', target_frame(config)))
+    few = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
+    changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
+    first = _Steps.of(reported, changes).gains()
+    if first.max() < -STRONG:  # evidence against a move
+        return ''
+
+    def at_noise_of(moved: Solution) -> _Steps:
+        return _Steps.of(evaluated(agreed.problem, agreed.estimate, moved.noise), changes)
+
+    unmoved, tried = reestimated(reported).deviance, dict[tuple[int, int], Solution]()
+    for kind, gains in enumerate(first):
+        while (one := (kind, int(np.argmax(gains)))) not in tried:
+            tried[one] = reestimated(reported, _blocks(reported, kind, int(changes[one[1]])))
+            # noise and scales estimated with the move do not absorb it: its time is clearer
+            gains = at_noise_of(tried[one]).gains()[kind]
+    (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
+    evidence = unmoved - moved.deviance
+    step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
+    shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
+    smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
+    # a smaller one may be part of the robot's smooth error
+    clear = evidence > DECISIVE or math.hypot(shift, TURN_LENGTH * turn) > LARGE * smooth
+    if evidence < STRONG or not clear or (p_value := at_noise_of(moved).p_value) >= RARELY:
+        return ''
+    what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
-        f'after the first {agreed.used[move.station]} of {len(agreed.whole.poses)} samples the '
-        f'{what} seems to have moved in {frame} by about '
-        f'{mm(float(np.linalg.norm(move.step[:3])))} and '
-        f'{degrees(float(np.linalg.norm(move.step[3:])))}, or the tool or base of the robot was '
-        'switched: check that it is fixed firmly, and take all samples again')
-    if move.evidence > DECISIVE and p_value < HARDLY_EVER:
+        f'after the first {agreed.used[changes[k]]} of {len(agreed.whole.poses)} samples the '
+        f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or the '
+        'tool or base of the robot was switched: check that it is fixed firmly, and take all '
+        'samples again')
+    if evidence > DECISIVE and p_value < HARDLY_EVER:
         raise DataError(sentence, reason='moved')
     return sentence
 
 
-class Move(NamedTuple):
+def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock, ...]:
     """
-    A move of sensor or target between two stations.
+    Return two blocks of nuisance parameters: translation (m) and rotation vector of a move.
 
-    sensor: True: the sensor moved, False: the target; station: the first one after the move; step:
-    (6,) translation (m) and rotation vector (rad) in the mount or the base; evidence: twice the
-    log Bayes factor against no move.
+    kind: 0 of the sensor, in the mount, 1 of the target, in the base; station: the first after it.
     """
-
-    sensor: bool
-    station: int
-    step: Array
-    evidence: float
-
-
-def likeliest_move(solution: Solution) -> tuple[Move, float] | None:
-    """
-    Return the most likely move at a solution, None if nothing indicates one.
-
-    And the p-value: the share of random orders of the stations with at least as clear a move.
-    """
-    n, reported = len(solution.problem.poses), solution.conservative or solution
-    few = 2 if solution.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
-    changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
-    if n < solution.problem.target.minimum + 4:  # too few to tell a move from an outlier
-        return None
-    steps = _Steps.of(reported, changes)
-    if next(steps.peaks()).evidence < -STRONG:  # evidence against a move
-        return None
-    unmoved, tried, smooth = reestimated(reported).deviance, set[tuple[bool, int]](), 0.0
-    best = Move(False, 0, np.zeros(6), -np.inf)
-    # each try estimates noise and scales again: 3 tries, 10 once one has positive evidence
-    while len(tried) < (10 if best.evidence > 0 else 3):
-        one = next((peak for peak in steps.peaks() if peak[:2] not in tried), None)
-        if one is None:
-            break
-        tried.add(one[:2])
-        moved = reestimated(reported, _blocks(reported, one))
-        evidence = unmoved - moved.deviance
-        if evidence > best.evidence:
-            step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
-            smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-            best = one._replace(step=step, evidence=evidence)
-            # noise and scales estimated with the move do not absorb it: its time is clearer
-            steps = _Steps.of(evaluated(solution.problem, solution.estimate, moved.noise), changes)
-    size = np.hypot(np.linalg.norm(best.step[:3]), TURN_LENGTH * np.linalg.norm(best.step[3:]))
-    # a smaller one may be part of the robot's smooth error
-    clear = best.evidence > DECISIVE or size > LARGE * smooth
-    if best.evidence < STRONG or not clear:
-        return None
-    p_value = steps.p_value
-    return (best, p_value) if p_value < RARELY else None
-
-
-def _blocks(solution: Solution, move: Move) -> tuple[ParameterBlock, ...]:
-    """Return two blocks of nuisance parameters: translation and rotation of a move."""
-    columns = _by_steps(solution)[:, :6] if move.sensor else _by_steps(solution)[:, 6:]
-    columns[solution.problem.observations.station < move.station] = 0.0
+    columns = np.hsplit(_by_steps(solution), 2)[kind]
+    columns[solution.problem.observations.station < station] = 0.0
     return tuple(ParameterBlock(name, columns[:, part], float(STEP[part][0]), largest=1.0)
                  for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
@@ -180,7 +150,6 @@ class _Steps:
     cross: (k + 1, q, 12) C^(1/2) A'D; slope: (k + 1, 12) D'e.
     """
 
-    changes: NDArray[np.intp]
     own: Array
     cross: Array
     slope: Array
@@ -194,43 +163,32 @@ class _Steps:
             solution.problem.observations.station, changes))
         values, axes = np.linalg.eigh(solution.covariance)
         root = (axes * np.sqrt(np.maximum(values, 0.0))).T
-        return cls(changes, np.array([D[part].T @ D[part] for part in rows]),
+        return cls(np.array([D[part].T @ D[part] for part in rows]),
                    np.array([root @ (J[part].T @ D[part]) for part in rows]),
                    np.array([solution.white[part] @ D[part] for part in rows]))
 
-    def gains(self, order: NDArray[np.intp]) -> tuple[Array, Array]:
+    def gains(self, order: NDArray[np.intp] | None = None) -> Array:
         """
-        Return 2 log Bayes factors (2, k) of moves, (14), and the moves (2, k, 6).
+        Return 2 log Bayes factors (2, k) of moves of sensor and target, (14).
 
-        order: (k + 1,) of the parts. The first axis of the results: sensor, target.
+        order: (k + 1,) of the parts, None: that of time.
         """
+        order = np.arange(len(self.own)) if order is None else order
         own, cross, slope = (np.cumsum(part[order[::-1]], axis=0)[-2::-1]
                              for part in (self.own, self.cross, self.slope))
         both = own - np.swapaxes(cross, 1, 2) @ cross
         inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
         slopes = np.stack([slope[:, :6], slope[:, 6:]])
-        gains = np.full(slopes.shape[:2], -np.inf)
-        steps = np.zeros(slopes.shape)
+        found = []
         for size in SIZES:
             information = np.eye(6) + size ** 2 * inside
             step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
-            gain = (slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1]
-            steps = np.where((gain > gains)[..., None], -step * STEP, steps)
-            gains = np.maximum(gains, gain)
-        return gains - 2 * np.log(len(SIZES)), steps
-
-    def peaks(self) -> Iterator[Move]:
-        """Yield moves that are local maxima of likelihood over time, the most likely first."""
-        gains, steps = self.gains(np.arange(len(self.own)))
-        around = np.pad(gains, ((0, 0), (1, 1)), constant_values=-np.inf)
-        peak = (gains >= around[:, :-2]) & (gains >= around[:, 2:])
-        for gain, kind, k in sorted(zip(gains[peak], *np.nonzero(peak), strict=True),
-                                    reverse=True):
-            yield Move(bool(kind == 0), int(self.changes[k]), steps[kind, k], float(gain))
+            found.append((slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1])
+        return np.asarray(np.max(found, axis=0) - 2 * np.log(len(SIZES)))
 
     @property
     def p_value(self) -> float:
         """Return the share of random orders of the parts with at least as clear a move."""
-        rng, every = np.random.default_rng(0), np.arange(len(self.own))
-        random = [self.gains(rng.permutation(every))[0].max() for _ in range(200)]
-        return float(np.mean(random >= self.gains(every)[0].max()))
+        rng = np.random.default_rng(0)
+        random = [self.gains(rng.permutation(len(self.own))).max() for _ in range(200)]
+        return float(np.mean(random >= self.gains().max()))

@@ -25,7 +25,6 @@ from handeye_ros.sampling.stops import evenly, Stop
 import numpy as np
 
 MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
-FEWEST_CONDITIONS = 6  # smallest redundancy of a hypothesis
 SIGN = 'profile.range_sign'
 
 
@@ -39,33 +38,29 @@ def require_settings(session: Session, config: Config) -> None:
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
     stated = fit_of(results, config, all_starts=True)  # as a solve starts
 
-    def hypothesis(values: dict[str, str], all_starts: bool = False) -> Hypothesis:
-        """Return the hypothesis that settings have other values."""
-        def refit() -> Explanation | None:
-            as_changed = changed(config, values)
-            glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
-                      for stop in stops]
-            if 2 * sum(isinstance(result, Sample) for result in glance) < len(stops):
-                return None  # most stops show nothing with this change: read no more of them
-            fit = fit_of([result_of(stop, as_changed) for stop in stops], as_changed, all_starts)
-            if fit and as_changed.target.type == 'plane':  # it explains no edge that is seen now
-                fit = replace(fit, beside=edges)
-            return fit if fit and fit.solution.redundancy >= FEWEST_CONDITIONS else None
+    def refit(values: dict[str, str]) -> Explanation:
+        """Return the fit of the stops, read with other values of settings."""
+        as_changed = changed(config, values)
+        glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
+                  for stop in stops]
+        if 2 * sum(isinstance(result, Sample) for result in glance) < len(stops):
+            return Explanation.nothing(len(stops))  # most show nothing: read no more of them
+        fit = fit_of([result_of(stop, as_changed) for stop in stops], as_changed)
+        if as_changed.target.type == 'plane':  # it explains no edge that is seen now
+            fit = replace(fit, q=np.where(edges, np.inf, fit.q))
+        return fit
 
-        # the sign of the range is often free, and then no part of the cause
-        simpler = hypothesis({key: value for key, value in values.items() if key != SIGN},
-                             all_starts=True) if len(values) > 1 else None
-        return Hypothesis(refit, partial(to_set, values, stated), len(values), simpler)
-
-    require_stated(stated, [hypothesis(values) for values in _changes(config)])
+    require_stated(stated, [
+        Hypothesis(partial(refit, values), partial(to_set, values, stated), len(values))
+        for values in _changes(config)])
 
 
-def to_set(values: dict[str, str], stated: Explanation | None, fit: Explanation) -> DataError:
+def to_set(values: dict[str, str], stated: Explanation, fit: Explanation) -> DataError:
     """Return the refusal that names the settings with which the stops fit."""
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if values == {'target.radius': '0'}:
-        radius = float(fit.solution.estimate.state[-1])
+        radius = float(fit.parts[0].estimate.state[-1])
         to = f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
     if values == {'target.type': 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'

@@ -57,9 +57,9 @@ def require_one_surface(session: Session, config: Config) -> None:
     as_plane = changed(config, {'target.type': 'plane'})
     fit = fit_of([result_of(thinned(stop, config), as_plane) for stop in taken],
                  as_plane, all_starts=True)
-    if fit is None or not fit.believable:
+    if not fit.believable:
         return
-    estimate, seen = fit.solution.estimate, np.isfinite(fit.squares)
+    estimate, seen = fit.parts[0].estimate, np.isfinite(fit.q)
     T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
         _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)
@@ -69,7 +69,7 @@ def require_one_surface(session: Session, config: Config) -> None:
         return
     others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
                      if other], config, all_starts=True)
-    if others and others.believable:
+    if others.believable:
         raise OtherSurfaceError([taken[k] for k in np.flatnonzero(beside)],
                                 float(np.median(np.abs(heights[beside]))), int(seen.sum()),
                                 len(taken))
