@@ -12,6 +12,9 @@ conditions a stop, the deviance of an explanation is, (13),
 
 A stop that an explanation leaves out, or whose edge it leaves out, counts as one that is off by 8
 sigma. A difference of 23 is odds of 10^5 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90:773).
+
+The sigmas are those of the features, which each explanation reads for itself: a stranger's edge is
+uncertain, and therefore fits. So the same must also hold in metres, in one unit for both.
 """
 from __future__ import annotations
 
@@ -43,8 +46,8 @@ class Explanation:
     """
     What an explanation makes of some stops: one consensus, or those of two parts of them.
 
-    parts: none where nothing fits; q: (n,) of (13), of the stops that are compared, inf for one
-    that is not explained.
+    parts: none where nothing fits; q: (2, n) of (13), in sigmas and in metres, of the stops that
+    are compared, inf for one that is not explained.
     """
 
     parts: tuple[Solution, ...]
@@ -53,12 +56,12 @@ class Explanation:
     @classmethod
     def of(cls, *parts: Solution) -> Explanation:
         """Return the explanation whose stations, those of each part in turn, are the stops."""
-        return cls(parts, np.concatenate([_squares(part) for part in parts]))
+        return cls(parts, np.hstack([_squares(part) for part in parts]))
 
     @classmethod
     def nothing(cls, total: int) -> Explanation:
         """Return the explanation that explains none of a number of stops."""
-        return cls((), np.full(total, np.inf))
+        return cls((), np.full((2, total), np.inf))
 
     @property
     def variance_factor(self) -> float:
@@ -71,21 +74,23 @@ class Explanation:
         """Return whether most stops fit, about as well as the configured noise predicts."""
         redundancy = sum(part.redundancy for part in self.parts)
         return bool(redundancy >= FEWEST_CONDITIONS and self.variance_factor < CONVINCING
-                    and self.explained > (1 - LARGEST_DROPPED_SHARE) * len(self.q))
+                    and self.explained > (1 - LARGEST_DROPPED_SHARE) * self.q.shape[1])
 
     @property
     def explained(self) -> int:
         """Return the number of stops that fit."""
-        return int(np.isfinite(self.q).sum())
+        return int(np.isfinite(self.q[0]).sum())
 
     def evidence_against(self, stated: Explanation) -> float:
         """Return twice the log of the odds for this fit against the stated one."""
         if self.explained < 0.9 * stated.explained:  # the stops that stay may fit by chance
             return -math.inf
+        fits = [fit for fit in (self, stated) if fit.parts]
         # the fewer conditions of a stop, typically
-        m = min(int(np.median(np.concatenate([part.ranks for part in fit.parts])))
-                for fit in (self, stated) if fit.parts)
-        return deviance(stated.q, m) - deviance(self.q, m)
+        m = min(int(np.median(np.concatenate([p.ranks for p in fit.parts]))) for fit in fits)
+        unit = min(fit.parts[0].expected_rms for fit in fits) ** 2
+        return min(deviance(before / one, m) - deviance(after / one, m)
+                   for before, after, one in zip(stated.q, self.q, (1.0, unit), strict=True))
 
     def compared(self, stated: Explanation, change: str) -> str:
         """Return in words what fits as set, and what with a change."""
@@ -96,14 +101,18 @@ class Explanation:
         if not self.parts:
             return 'no stop fits'
         rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
-        return f'{self.explained} of {len(self.q)} stops fit ({mm(rms)} RMS)'
+        return f'{self.explained} of {self.q.shape[1]} stops fit ({mm(rms)} RMS)'
 
 
 def _squares(found: Solution) -> Array:
-    """Return q of (13), (n,), of all stations of a solution."""
-    q = np.full(len(found.whole.poses), np.inf)
-    q[found.used], _ = found.left_out()
-    q[found.unused] = np.inf
+    """Return q of (13), (2, n), of all stations of a solution."""
+    station, n = found.problem.observations.station, len(found.used)
+    white, metres = (np.bincount(station, r ** 2, minlength=n)
+                     for r in (found.white, found.linear.residuals))
+    q = np.full((2, len(found.whole.poses)), np.inf)
+    q[:, found.used] = found.left_out()[0] * np.stack(
+        [np.ones(n), metres / np.maximum(white, 1e-300)])
+    q[:, found.unused] = np.inf
     return q
 
 
@@ -129,11 +138,12 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     """
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
+    every = Explanation.nothing(len(results))
     if len(ordered) < target_for(config).minimum:
-        return Explanation.nothing(len(results))
-    fit, q = refitted(problem_at_poses(ordered, config), all_starts), np.full(len(results), np.inf)
-    q[[number[sample.stamp] for sample in ordered]] = fit.q
-    return replace(fit, q=q)
+        return every
+    fit = refitted(problem_at_poses(ordered, config), all_starts)
+    every.q[:, [number[sample.stamp] for sample in ordered]] = fit.q
+    return replace(every, parts=fit.parts)
 
 
 def deviance(q: Array, conditions: int) -> float:

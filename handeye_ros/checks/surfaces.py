@@ -59,7 +59,7 @@ def require_one_surface(session: Session, config: Config) -> None:
                  as_plane, all_starts=True)
     if not fit.believable:
         return
-    estimate, seen = fit.parts[0].estimate, np.isfinite(fit.q)
+    estimate, seen = fit.parts[0].estimate, np.isfinite(fit.q[0])
     T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
         _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)

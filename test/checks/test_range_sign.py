@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from cells import cell
 from handeye_ros import pipeline
-from handeye_ros.checks.hypotheses import deviance, Explanation
+from handeye_ros.checks.hypotheses import deviance, Explanation, refitted
 from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import DataError
@@ -45,9 +45,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        fit = Explanation.of(problem_at_poses(samples, made.config))
-        assert fit
-        return fit
+        return refitted(problem_at_poses(samples, made.config))
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor
