@@ -25,8 +25,9 @@ from handeye_ros.estimation.search import relabelled
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.pipeline import Answer
-from handeye_ros.results.calibration_file import config_of
-from handeye_ros.results.evidence import Evidence, recording_of, StopSnapshot
+from handeye_ros.results.calibration_file import config_of, input_values
+from handeye_ros.results.report import Evidence
+from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import Pairing, passes_expanded, problem_at_poses
@@ -67,6 +68,29 @@ def evidence(calibration: Calibration, bag: Path | None, folder: Path = Path()) 
         return Evidence(missing=missing)
     session = session_of(bag, config)
     return evidence_of(session, pipeline.answer_of(session, config), config)
+
+
+def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, str]:
+    """
+    Return the recording or session that a calibration names, or None and why it is missing.
+
+    folder: of the calibration's file; a relative path is looked for from here, from there and
+    from the folders above it.
+    """
+    advice = 'so its stops are not shown: name the recording with --bag'
+    for item in calibration.provenance.get('inputs', ()):
+        name = item.get('path') or item.get('session')
+        if not name:
+            continue
+        absolute = folder.absolute()
+        places = [place / name for place in (Path(), absolute, *absolute.parents)]
+        path = next((place for place in places if place.exists()), None)
+        if path is None:
+            return None, f'{name} is not there, {advice}'
+        if path.is_file() and input_values(path)['sha256'] != item.get('sha256'):
+            return None, f'{path} has changed since it was solved, {advice}'
+        return path, ''
+    return None, f'the calibration names no recording, {advice}'
 
 
 def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:

@@ -13,7 +13,7 @@ PAGE = Path(__file__).parents[1] / 'docs' / 'reference.md'
 HEAD = """\
 # Every key of the configuration
 
-Made from `handeye_ros/config/` by `make figures`. A key is a parameter of the node (`ros2 param
+Made from `handeye_ros/config.py` by `make figures`. A key is a parameter of the node (`ros2 param
 describe /handeye KEY`), a key of the YAML files in `config/`, and one of `--set KEY=VALUE` on the
 command line. Metres, radians and seconds throughout.
 """

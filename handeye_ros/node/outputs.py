@@ -32,8 +32,15 @@ from handeye_ros.node.state import (
     WITHDRAWN,
 )
 from handeye_ros.node.streams import TFMessage
-from handeye_ros.results.evidence import in_plane, StopSnapshot
-from handeye_ros.results.scene import FLANGE, in_sensor, LASER, scene, SEEN
+from handeye_ros.results.scene import (
+    FLANGE,
+    in_plane,
+    in_sensor,
+    LASER,
+    scene,
+    SEEN,
+    StopSnapshot,
+)
 from handeye_ros.sampling.stops import Stop
 import numpy as np
 from numpy.typing import NDArray

@@ -8,19 +8,41 @@ The file is complete: it opens without a network.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+import math
 from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
+from handeye_ros.errors import mm
 from handeye_ros.output import figure, image, page, style
 from handeye_ros.results import exports, table, verification_file
 from handeye_ros.results.calibration_file import config_of
-from handeye_ros.results.evidence import Evidence, in_plane, StopSnapshot, verdict
-from handeye_ros.results.scene import in_sensor, profile_picture, scene
+from handeye_ros.results.scene import in_plane, in_sensor, profile_picture, scene, StopSnapshot
+from handeye_ros.results.truth_file import FIELD, field_points
 import numpy as np
 
 BLUE, ORANGE = '#1f6fb4', '#e07b00'
+MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
+SAME = 0.1  # sigmas: two answers of the same recording agree so well
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """
+    The stops of a recording, and its answer.
+
+    calibration: None where the recording is refused; refusal: the reason for it. missing: why
+    there is no recording to show. sweep: (n, 3) of the samples of a robot that moved: time since
+    the first (s), RMS residual (m), speed of the flange (m/s).
+    """
+
+    stops: tuple[StopSnapshot, ...] = ()
+    calibration: Calibration | None = None
+    refusal: str = ''
+    missing: str = ''
+    sweep: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def html(calibration: Calibration, evidence: Evidence,
@@ -48,6 +70,67 @@ def html(calibration: Calibration, evidence: Evidence,
                 for item in calibration.provenance.get('inputs', ())],
         uses=[('URDF or xacro', exports.joint(calibration)),
               ('ROS 2, shell', exports.command(calibration))])
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A sentence, and remarks, one sentence each; good: nothing is wrong."""
+
+    good: bool
+    sentence: str
+    remarks: tuple[str, ...]
+
+
+def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Verdict:
+    """Return the verdict; visible: points (k, 3) in the sensor frame, may be empty."""
+    remarks = tuple(_remarks(calibration, evidence))
+    if wrong := _wrong(calibration, evidence):
+        return Verdict(False, f'Do not rely on this calibration: {wrong}', remarks)
+    points, region = (visible, 'the points that were seen') if len(visible) else (
+        field_points(), FIELD)
+    return Verdict(
+        True, f'Good for mapping points of {calibration.child_frame} into '
+        f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in space, '
+        f'over {region}).', remarks)
+
+
+def _wrong(calibration: Calibration, evidence: Evidence) -> str:
+    """Return why the recording contradicts the calibration, '' if it does not."""
+    if evidence.refusal:
+        return f'the recording is refused now: {evidence.refusal}'
+    if evidence.calibration:
+        delta = se3.difference(calibration.T_flange_sensor, evidence.calibration.T_flange_sensor)
+        # the same data give the same answer: their noise explains no difference
+        if (np.abs(delta) > SAME * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
+            return ('the recording gives another answer than the one saved, '
+                    f'{np.linalg.norm(delta[:3]) * 1e3:.3f} mm and '
+                    f'{math.degrees(np.linalg.norm(delta[3:])):.4f} degrees away: is it the '
+                    'recording that was solved, with the same configuration?')
+    return ''
+
+
+def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
+    quality = calibration.quality
+    if 'note' in calibration.target:
+        yield str(calibration.target['note'])
+    if quality.holdout_rms > MUCH_WORSE * quality.residual_rms:
+        yield (f'stops that are left out are predicted {mm(quality.holdout_rms)} RMS off, those '
+               f'in the fit {mm(quality.residual_rms)}: a few stops carry the answer; add more')
+    yield from map(str, calibration.provenance.get('warnings', ()))
+    if evidence.missing:
+        yield evidence.missing
+
+
+def mapped_std(calibration: Calibration, points: Array) -> float:
+    """
+    Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame.
+
+    A point moves with the perturbation (dt, dr) by dt + dr x (R p).
+    """
+    arms = points @ calibration.T_flange_sensor[:3, :3].T
+    J = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -se3.skew(arms)], axis=2)
+    variances = np.einsum('kij,jl,kil->k', J, calibration.covariance, J)
+    return float(np.sqrt(variances.mean()))
 
 
 def _rms_text(stop: StopSnapshot) -> str:

@@ -1,21 +1,21 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Drawings: the scene of the report, the shape of an estimated target, a profile with its features.
+Stops, and drawings of them: the scene of the report, the shape of a target, a profile.
 
 The scene is polylines and points, which a small script turns; every target is lines and balls.
 """
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+import math
 from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Feature
+from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
 from handeye_ros.frames import sensor_axes, target_frame
-from handeye_ros.results.evidence import drawn, in_plane, StopSnapshot
 import numpy as np
 
 FLANGE, SENSOR, LASER, UNUSED = '#555555', '#6a1b9a', '#e53935', '#bdbdbd'
@@ -26,6 +26,34 @@ MOST_POINTS = 60  # of a laser line in the scene
 MOST_OF_PROFILE = 400  # points: about the pixels of a tablet
 EDGE = 0.1  # m of an edge that is drawn when its length is unknown
 TURN = np.linspace(0, 2 * np.pi, 49)
+
+
+@dataclass(frozen=True, eq=False)
+class StopSnapshot:
+    """
+    A stop of the robot.
+
+    number: counted from 1; T_mount: (4, 4) pose of the mount of the sensor in the frame where the
+    target is fixed; points: (n, 2) of one of its profiles, in the sensor plane; features: of the
+    profiles; reason: why it was not used, empty if it was. residuals, left_out: (k,) of its
+    measured points (metres), with and without it in the fit; empty where it was not used. samples:
+    stamps of its samples, many where the robot moved; of a reject its own.
+    """
+
+    number: int
+    stamp: int
+    T_mount: Array
+    points: Array
+    features: tuple[Feature, ...] = ()
+    reason: str = ''
+    residuals: Array = field(default_factory=lambda: np.empty(0))
+    left_out: Array = field(default_factory=lambda: np.empty(0))
+    samples: tuple[int, ...] = ()
+
+    @property
+    def used(self) -> bool:
+        """Return whether it is part of the answer."""
+        return not self.reason
 
 
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
@@ -75,6 +103,25 @@ def in_sensor(plane: Array, config: Config) -> Array:
 def rounded(values: Array | Sequence[float]) -> Any:
     """Return lengths (m) or directions as lists, with six decimals."""
     return np.round(values, 6).tolist()
+
+
+def in_plane(features: Iterable[Feature]) -> Array:
+    """Return points (k, 2) of the sensor plane that represent features: ends, edges, arcs."""
+    lines, spots = drawn(features)
+    return np.concatenate([np.empty((0, 2)), *lines, *spots])
+
+
+def drawn(features: Iterable[Feature]) -> tuple[list[Array], list[Array]]:
+    """Return the lines (n, 2) and the single points (1, 2) of features in the sensor plane."""
+    lines, spots = [], []
+    for f in features:
+        if isinstance(f, FaceLine):  # of evenly spread points the ends are sqrt(3) spreads away
+            lines.append(f.centre + np.outer([-1, 0, 1], math.sqrt(3) * f.spread * f.direction))
+        elif isinstance(f, Arc):
+            lines.append(f.points)
+        elif isinstance(f, EdgePoint):
+            spots.append(f.point[None])
+    return lines, spots
 
 
 def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any]:

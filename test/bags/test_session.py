@@ -32,7 +32,7 @@ from handeye_ros.errors import InputError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.results.evidence import verdict
+from handeye_ros.results.report import verdict
 from live_sessions import changed, computed, Inline, new, update
 import numpy as np
 import pytest

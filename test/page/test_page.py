@@ -13,7 +13,7 @@ from command import chromium, complaints, PATIENCE
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import report, table
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
-from handeye_ros.results.evidence import Evidence
+from handeye_ros.results.report import Evidence
 from handeye_ros.results.truth_file import true_transform
 import numpy as np
 import pytest

@@ -14,7 +14,7 @@ from handeye_ros import config, se3
 from handeye_ros.agreement import evidence
 from handeye_ros.data import Calibration
 from handeye_ros.results import calibration_file, report
-from handeye_ros.results.evidence import Evidence, mapped_std, verdict
+from handeye_ros.results.report import Evidence, mapped_std, verdict
 import numpy as np
 import pytest
 
