@@ -146,11 +146,10 @@ class ProfileConfig(Section, prefix='profile.'):
 
     unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
     axes: tuple[str, ...] = key(
-        ('x', 'z'), 'Two signed axes of the message that span the sensor plane: along the laser '
-        'line, and range.', choices=SIGNED_AXES, length=(2,))
+        ('x', 'z'), 'Two signed axes of the message: along the laser line, and range.',
+        choices=SIGNED_AXES, length=(2,))
     range_sign: int = key(
-        1, '1 if the range grows away from the sensor, -1 if it grows towards it.', -1, 1,
-        choices=(1, -1))
+        1, '1 if the range grows away from the sensor, -1 if towards it.', -1, 1, choices=(1, -1))
     rows: str = key(
         'auto', 'What the rows of a message (its height) are: points of one profile, or '
         'profiles; auto: profiles where each runs along the whole line.',
@@ -159,11 +158,9 @@ class ProfileConfig(Section, prefix='profile.'):
         0.0, 'Time between the profiles of one message (s); 0: unknown, and only those messages '
         'are used during which the robot stood still.', 0.0, 60.0)
     exposure: float = key(
-        0.0, 'Time that one profile averages over (s), of a robot that moves (sampling.mode '
-        'moving).', 0.0, 0.1)
-    stamp: str = key(
-        'first', 'Which profile of a message its stamp belongs to.',
-        choices=('first', 'middle', 'last'))
+        0.0, 'Time that one profile averages over (s), with sampling.mode moving.', 0.0, 0.1)
+    stamp: str = key('first', 'Which profile of a message its stamp belongs to.',
+                     choices=('first', 'middle', 'last'))
     invalid: tuple[float, ...] = key(
         (), 'Ranges that mean no return, in the unit of the message, such as 0 or -327.68.',
         -1e9, 1e9, length=(0, 1, 2, 3, 4))
@@ -180,27 +177,24 @@ class TargetConfig(Section, prefix='target.'):
     """The target that the laser line crosses."""
 
     type: str = key(  # noqa: A003
-        'plate', 'The target: plate, line, plane, sphere or wedge; from files: points, hand_eye '
-        'or tracker.')
+        'plate', 'plate, line, plane, sphere or wedge; from files: points, hand_eye or tracker.')
     radius: float = key(0.0, 'Radius of the sphere in m; 0: unknown, estimated.', 0.0, 10.0)
     size: tuple[float, ...] = key(
-        (), 'Lengths of the plate along its edges p and q in m; empty: unknown, and only the '
-        'two edges that meet in the corner are used.', 0.0, 10.0, length=(0, 2))
-    radius_std: float = key(5e-5, '1 sigma of the stated radius of the sphere (m).', 0.0, 0.1)
-    size_std: float = key(
-        1e-4, '1 sigma of each of the stated lengths of the plate (m).', 0.0, 0.1)
+        (), 'Lengths of the plate along its edges p and q in m; empty: unknown, only the two '
+        'edges that meet in the corner are used.', 0.0, 10.0, length=(0, 2))
+    radius_std: float = key(5e-5, '1 sigma of the radius of the sphere (m).', 0.0, 0.1)
+    size_std: float = key(1e-4, '1 sigma of each length of the plate (m).', 0.0, 0.1)
     edge_angle_std: float = key(
         3e-4, '1 sigma of the angle between the edges of the plate (rad).', 0.0, 0.1)
     setback_std: float = key(
         3e-5, '1 sigma of how far the seen end of a face lies inside its sharp edge: deburring, '
         'smoothing (m).', 0.0, 0.01)
     edge_angle_free: bool = key(
-        False, 'Estimate the angle between the edges of the plate instead of taking it as a '
-        'right angle.')
+        False, 'Estimate the angle between the edges of the plate; otherwise a right angle.')
     angles: str = key(
-        '', 'How a table of poses writes orientations, such as kuka-abc, fanuc-wpr, '
-        'abb-quaternion, ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion '
-        'x y z w, or roll pitch yaw, as its columns say.')
+        '', 'How a table of poses writes orientations: kuka-abc, fanuc-wpr, abb-quaternion, '
+        'ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion x y z w, or roll '
+        'pitch yaw, as its columns say.')
     use_face: bool = key(
         False, 'Use the face beside the straight edge (line) too; it must be flat.')
 
@@ -210,9 +204,9 @@ class SamplingConfig(Section, prefix='sampling.'):
     """When the robot counts as standing still, and which part of a stop is used."""
 
     mode: str = key(
-        'still', 'When a sample is taken: automatically at every stop of the robot (still), '
-        'when asked by ~/take_sample or ~/take (manual), or of single profiles while the robot '
-        'moves (moving).', choices=('still', 'manual', 'moving'))
+        'still', 'When a sample is taken: automatically at every stop (still), when asked by '
+        '~/take_sample or ~/take (manual), or of single profiles while the robot moves (moving).',
+        choices=('still', 'manual', 'moving'))
     still_time: float = key(
         0.5, 'The robot stands still when its pose has not changed for this long (s).', 0.05, 60.0)
     still_translation: float = key(
@@ -223,17 +217,16 @@ class SamplingConfig(Section, prefix='sampling.'):
         0.1, 'Profiles this soon after the robot stopped, or this shortly before it starts, are '
         'left out (s).', 0.0, 10.0)
     max_pose_gap: float = key(
-        0.5, 'Poses further apart than this around a profile are too sparse to interpolate (s).',
-        1e-3, 60.0)
+        0.5, 'Poses further apart than this around a profile are too sparse (s).', 1e-3, 60.0)
     min_points: int = key(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
     min_crossing_angle: float = key(
         0.44, 'A laser line that crosses an edge at a smaller angle is not used (rad).', 0.0, 1.5)
     new_translation: float = key(
         8e-3, 'A stop nearer than this to an earlier one (m), and turned by less than '
-        'new_rotation, brings nothing new and is not used; 0: every stop is used.', 0.0, 1.0)
+        'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0)
     new_rotation: float = key(
         0.05, 'A stop turned by less than this against an earlier one (rad), and nearer than '
-        'new_translation, brings nothing new and is not used; 0: every stop is used.', 0.0, 3.15)
+        'new_translation, is not used; 0: every stop is used.', 0.0, 3.15)
 
     @property
     def by_itself(self) -> bool:
@@ -251,8 +244,8 @@ class SamplesConfig(Section, prefix='samples.'):
     """The samples used for the answer."""
 
     exclude: tuple[int, ...] = key(
-        (), 'Numbers of the samples that are left out; taking a number away brings it back.', 1,
-        10**6, whole=True)
+        (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6,
+        whole=True)
 
 
 @dataclass(frozen=True)
@@ -262,8 +255,8 @@ class TrackerConfig(Section, prefix='tracker.'):
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
     noise: float = key(2e-5, 'Noise of a reflector centre, each axis (m).', 1e-9, 0.01)
     h0: float = key(NOT_SET, 'Height of the reflector above the top of P3 (m).', -10.0, 10.0)
-    h1: float = key(
-        NOT_SET, 'Height of the top of P3 above the origin of frame 2 (m).', -10.0, 10.0)
+    h1: float = key(NOT_SET, 'Height of the top of P3 above the origin of frame 2 (m).',
+                    -10.0, 10.0)
     first_reading: float = key(
         NOT_SET, 'Reading of P3 at the first pose of the bag (m).', -100.0, 100.0)
     direction: tuple[float, ...] = key(
@@ -276,8 +269,7 @@ class NoiseConfig(Section, prefix='noise.'):
     """Prior noise, 1 sigma; the data correct it."""
 
     sensor: float = key(3e-5, 'Range noise of one profile point (m).', 1e-9, 0.01)
-    distortion: float = key(
-        2e-5, "Smooth error of the sensor's field, its linearity (m).", 0.0, 0.01)
+    distortion: float = key(2e-5, "Smooth error of the sensor's field (m).", 0.0, 0.01)
     line_bend: float = key(
         1e-4, 'Bend of the laser line out of its plane, at its ends (m).', 0.0, 0.01)
     flatness: float = key(
@@ -289,12 +281,11 @@ class NoiseConfig(Section, prefix='noise.'):
     stamps: float = key(
         1e-4, 'Jitter of the stamps of profiles, of a robot that moves (s).', 0.0, 0.1)
     robot_smooth: float = key(
-        1.5e-4, 'Error of the robot that varies smoothly over its workspace, each axis (m); the '
-        'data corrects it.', 0.0, 0.01)
+        1.5e-4, 'Error of the robot that varies smoothly over its workspace, each axis (m).',
+        0.0, 0.01)
     robot_class: str = key(
         '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
-        'unknown; sets robot_smooth where that is not given with it; empty: as robot_smooth '
-        'says.', choices=('', *ROBOT_CLASSES))
+        'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
     robot_scale: float = key(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
 
 
@@ -303,16 +294,15 @@ class LimitsConfig(Section, prefix='limits.'):
     """Largest uncertainty and inconsistency of a trusted answer."""
 
     translation: float = key(
-        5e-3, 'Largest 1-sigma of the translation in its worst direction (m).', 0.0, 1.0)
+        5e-3, 'Largest 1 sigma of the translation in its worst direction (m).', 0.0, 1.0)
     rotation: float = key(
-        2e-2, 'Largest 1-sigma of the rotation about its worst axis (rad).', 0.0, 1.0)
-    points: float = key(2e-3, 'Largest 1-sigma of where the points that the samples show lie in '
-                        'the frame of the result, on average and in the worst direction (m).',
-                        0.0, 1.0)
+        2e-2, 'Largest 1 sigma of the rotation about its worst axis (rad).', 0.0, 1.0)
+    points: float = key(
+        2e-3, 'Largest 1 sigma of the points that the samples show, in the frame of the result, '
+        'on average and in the worst direction (m).', 0.0, 1.0)
     scatter: float = key(
-        8.0, 'Largest RMS residual of a trusted answer, as a multiple of what the configured '
-        'noise makes.', 1.0, 1e6)
-    residual: float = key(1e-3, 'Largest RMS residual of a trusted answer (m).', 0.0, 1.0)
+        8.0, 'Largest RMS residual, as a multiple of what the configured noise makes.', 1.0, 1e6)
+    residual: float = key(1e-3, 'Largest RMS residual (m).', 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -320,31 +310,30 @@ class SaveConfig(Section, prefix='save.'):
     """The files written for an answer."""
 
     formats: tuple[str, ...] = key(
-        ('yaml',), 'The forms in which an answer is saved; calibration.yaml is always among '
-        'them.', choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
+        ('yaml',), 'The forms in which an answer is saved; calibration.yaml always is.',
+        choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
 
 
 @dataclass(frozen=True)
 class GuidanceConfig(Section, prefix='guidance.'):
-    """The accuracy wanted, and the limits of proposed poses."""
+    """The accuracy wanted, and the limits of proposed poses against the first sample."""
 
     accuracy: float = key(
-        3e-4, 'Wanted 1 sigma of points that the transform maps, over the field of view (m): '
-        'with it, the samples are enough.', 1e-6, 0.1)
+        3e-4, 'Wanted 1 sigma of mapped points over the field of view (m): with it, the samples '
+        'are enough.', 1e-6, 0.1)
     reach: float = key(
-        0.3, 'Largest distance of a proposed position of the flange from that of the first '
-        'sample (m).', 0.0, 5.0)
+        0.3, 'Largest distance of a proposed flange position from the first sample (m).', 0.0, 5.0)
     tilt: float = key(
-        0.44, 'Largest tilt of the viewing direction of a proposed pose, from that of the first '
-        'sample (rad).', 0.05, 1.2)
+        0.44, 'Largest tilt of the proposed viewing direction, from the first sample (rad).',
+        0.05, 1.2)
     turn: float = key(
-        1.75, 'Largest turn of a proposed pose about the viewing direction, from the first '
-        'sample (rad).', 0.0, 3.15)
+        1.75, 'Largest proposed turn about the viewing direction, from the first sample (rad).',
+        0.0, 3.15)
 
 
 @dataclass(frozen=True)
 class VerifyConfig(Section, prefix='verify.'):
-    """The artefact of the node's verification."""
+    """The artefact of a verification."""
 
     routine: str = key(
         '', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, step, square '
@@ -356,8 +345,8 @@ class VerifyConfig(Section, prefix='verify.'):
         'height of the teeth (m).', 1e-6, 10.0)
     radius: float = key(0.0, 'Nominal radius of the balls (m); 0: unknown.', 0.0, 10.0)
     reference: tuple[float, ...] = key(
-        (), 'The point as a tip of the robot touched it (m, base); empty: not touched.', -50.0,
-        50.0, length=(0, 3))
+        (), 'The point as a tip of the robot touched it (m, base); empty: not touched.',
+        -50.0, 50.0, length=(0, 3))
     aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma (m).', 0.0, 0.1)
     flank: float = key(
         0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.", 0.0, 1.0)
@@ -378,19 +367,17 @@ class PageConfig(Section, prefix='page.'):
 
     port: int = key(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
     address: str = key(
-        '127.0.0.1', 'Address that the page is served on: 127.0.0.1 for this machine alone, '
-        '0.0.0.0 for all that can reach it; these need the token that is printed at the start.')
+        '127.0.0.1', 'Address of the page: 127.0.0.1 for this machine alone, 0.0.0.0 for all that '
+        'can reach it; these need the token that is printed at the start.')
 
 
 @dataclass(frozen=True)
 class Config(Section):
     """All settings."""
 
-    name: str = key(
-        '', 'Name of the calibration, and of the folder it is saved in; empty: the type of the '
-        'target.')
+    name: str = key('', 'Name of the calibration and of its folder; empty: the target type.')
     output_dir: str = key(
-        '', 'Folder in which results and sessions get their folder, called by the name; empty: '
+        '', 'Folder of the folders of results and sessions, each called by the name; empty: '
         '$ROS_HOME/handeye_ros (~/.ros/handeye_ros where ROS_HOME is not set) and the namespace '
         'of the node, out of the command line.')
     calibration_type: str = key(
@@ -402,27 +389,25 @@ class Config(Section):
     sensor_frame: str = key(
         'camera', 'Frame id of a sensor whose files name none (points, hand_eye).')
     pose_source: str = key(
-        'topic', 'Where the flange poses come from: PoseStamped messages (topic) or the '
-        'transform tree (tf).', choices=('topic', 'tf'))
+        'topic', 'Where flange poses come from: PoseStamped messages (topic) or the transform '
+        'tree (tf).', choices=('topic', 'tf'))
     pose_topic: str = key('flange_pose', 'Topic of the flange poses.')
     profile_topic: str = key('profile', 'Topic of the laser profiles.')
     joint_topic: str = key('joint_states', 'Topic of the joint values (sensor_msgs/JointState).')
     kinematics: str = key(
-        '', 'A kinematics.yaml, made by handeye kinematics: the flange poses are those of its '
-        'corrected arm at the joint values of joint_topic; empty: the poses of the controller.')
+        '', 'A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm '
+        'at the joint values of joint_topic; empty: those of the controller.')
     time_offset: float = key(
-        0.0, "Added to the profiles' stamps (s), for a sensor whose clock or whose driver is "
-        'late or early.', -10.0, 10.0)
+        0.0, "Added to the profiles' stamps (s), for a sensor that stamps late or early.",
+        -10.0, 10.0)
     time_offset_std: float = key(
-        0.05, 'How well time_offset is known (s, 1 sigma), where it is estimated (sampling.mode '
-        'moving).', 1e-6, 1.0)
+        0.05, 'How well time_offset is known (s, 1 sigma), with sampling.mode moving.', 1e-6, 1.0)
     rotation_lag_std: float = key(
         1e-3, 'By how much later than its position the robot may report its rotation (s, 1 '
-        'sigma), where it is estimated (sampling.mode moving); 0: not at all.', 0.0, 0.1)
+        'sigma), with sampling.mode moving; 0: not at all.', 0.0, 0.1)
     clock_drift_std: float = key(
         1e-4, 'By how much faster the clock of the profiles may run than that of the poses (1 '
-        'sigma, seconds per second), where it is estimated (sampling.mode moving); 0: not at all.',
-        0.0, 0.01)
+        'sigma, seconds per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     method: str = key('auto', 'The estimator; auto: the one of the target.')

@@ -13,10 +13,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('tf2_msgs', reason='tf2_msgs is not built: make tf2_msgs')
 import ament_index_python  # noqa: E402, I100
-from geometry_msgs.msg import TransformStamped  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosbags.typesys import get_typestore, Stores  # noqa: E402
-from tf2_msgs.msg import TFMessage  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -38,15 +35,3 @@ def test_type_hash_is_that_of_jazzy() -> None:
     hashes = {item['type_name']: item['hash_string'] for item in description['type_hashes']}
     assert hashes[TYPE] == JAZZY
     assert get_typestore(Stores.ROS2_JAZZY).hash_rihs01(TYPE) == JAZZY
-
-
-def test_messages_are_serialised_as_everywhere() -> None:
-    message = TFMessage(transforms=[TransformStamped(child_frame_id='laser')])
-    message.transforms[0].header.frame_id = 'flange'
-    message.transforms[0].transform.translation.z = 0.25
-    data = serialize_message(message)
-    elsewhere = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, TYPE)
-    assert elsewhere.transforms[0].header.frame_id == 'flange'
-    assert elsewhere.transforms[0].child_frame_id == 'laser'
-    assert elsewhere.transforms[0].transform.translation.z == 0.25
-    assert deserialize_message(data, TFMessage) == message

@@ -90,17 +90,13 @@ def test_what_is_no_code_is_installed(workspace: Path) -> None:
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
-    return tmp_path / 'log'
-
-
-@pytest.fixture
-def node(workspace: Path, sourced: dict[str, str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+def node(workspace: Path, sourced: dict[str, str], tmp_path: Path
+         ) -> Iterator[subprocess.Popen[bytes]]:
     """Start the node from the workspace; its output goes to log."""
     config = share(workspace) / 'config' / 'plate.yaml'
     command = [executable(workspace, 'calibrate'), '--ros-args', '--params-file', config]
-    with (log.open('w', encoding='utf-8') as output,
-          running(command, signal.SIGINT, cwd=log.parent, env=sourced, stdout=output,
+    with ((tmp_path / 'log').open('w', encoding='utf-8') as output,
+          running(command, signal.SIGINT, cwd=tmp_path, env=sourced, stdout=output,
                   stderr=subprocess.STDOUT) as process):
         yield process
 

@@ -77,11 +77,7 @@ def calibrations(draw):
 def test_any_calibration_is_read_back_equal(tmp_path_factory, calibration):
     path = tmp_path_factory.mktemp('any') / 'calibration.yaml'
     calibration_file.write_calibration(calibration, path)
-    again = calibration_file.read_calibration(path)
-    assert equal(again, calibration)
-    for other in ({'name': f'{again.name}2'}, {'covariance': again.covariance + 1},
-                  {'time_offset': TimeOffset(1.0, 1.0)}):
-        assert not equal(replace(again, **other), calibration)
+    assert equal(calibration_file.read_calibration(path), calibration)
 
 
 @pytest.mark.parametrize('keys', [
@@ -111,6 +107,7 @@ def test_damage_is_named(path, keys, damage):
     ('covariance: [', 'covariance: [1.0, ', 'covariance does not hold 36 numbers'),
     ('covariance: [', 'covariance: [[', 'not valid YAML'),
     ('rpy: [', 'rpy: [0.0, ', 'rpy does not hold 3 numbers'),
+    ('rpy: [-0.88', 'rpy: [-0.78', r'rpy and transform.rotation differ by 5\.73'),
 ])
 def test_damaged_values(path, old, new, reason):
     calibration_file.write_calibration(CALIBRATION, path)
@@ -163,11 +160,3 @@ def test_errors_of_known_differences():
     # turned about y, a point moves by its distance times the angle
     assert errors.mapped_points == pytest.approx(0.01 * math.sqrt(0.175 ** 2 + (
         0.02 ** 2 + 0.015 ** 2) / 3), rel=3e-3)
-
-
-def test_angles_edited_beside_the_quaternion_are_refused(path):
-    values = content_of(CALIBRATION, path)
-    values['rpy'][2] += 0.01  # the last turn: the difference is as large
-    path.write_text(yaml.safe_dump(values))
-    with pytest.raises(InputError, match=r'rpy and transform.rotation differ by 0\.573'):
-        calibration_file.read_calibration(path)

@@ -114,18 +114,16 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, fo
     assert 'Stop 3:\nnot used: no edge' in text
 
 
-def test_another_answer_is_reported(calibration: Calibration, found: Evidence) -> None:
+def test_a_recording_that_says_something_else_is_reported(calibration: Calibration,
+                                                           found: Evidence) -> None:
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
     said = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
     assert not said.good
     assert said.sentence.startswith('Do not rely on this calibration: the recording gives another '
                                     'answer than the one saved, 1.000 mm')
-
-
-def test_a_recording_that_is_refused_is_reported(calibration: Calibration) -> None:
-    found = evidence(calibration, ROOT / 'bags' / 'one_orientation')
-    text = report.html(calibration, found)
-    assert 'Do not rely on this calibration: the recording is refused now: all poses share' in text
+    refused = evidence(calibration, ROOT / 'bags' / 'one_orientation')
+    assert ('Do not rely on this calibration: the recording is refused now: all poses share'
+            in report.html(calibration, refused))
 
 
 def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -> None:
@@ -137,24 +135,22 @@ def test_mapped_points_are_as_uncertain_as_draws_say(calibration: Calibration) -
     assert mapped_std(calibration, points) == pytest.approx(rms, rel=0.05)
 
 
-def test_a_recording_of_a_relative_path_is_found_from_another_folder(
+def test_the_recording_is_found_from_another_folder_and_shown_only_unchanged(
         calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def named(path: str) -> Calibration:
+        inputs = [{**calibration.provenance['inputs'][0], 'path': path}]
+        return replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
+
     (tmp_path / 'bag').symlink_to(BAG)
     file = next(path for path in (tmp_path / 'bag').iterdir() if path.suffix == '.mcap')
-    inputs = [{**calibration.provenance['inputs'][0], 'path': f'bag/{file.name}'}]
-    relative = replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
+    relative = named(f'bag/{file.name}')
     monkeypatch.chdir('/')
     found = evidence(relative, None, tmp_path / 'out' / 'plate')
     assert not found.missing and len(found.stops) == len(calibration.samples)
     assert 'is not there' in evidence(relative, None, Path('/')).missing
-
-
-def test_a_recording_that_has_changed_is_not_shown(calibration: Calibration, tmp_path: Path
-                                                   ) -> None:
     (tmp_path / 'plate.mcap').write_text('another')
-    inputs = [{**calibration.provenance['inputs'][0], 'path': str(tmp_path / 'plate.mcap')}]
-    changed = replace(calibration, provenance={**calibration.provenance, 'inputs': inputs})
-    assert 'has changed since it was solved' in evidence(changed, None).missing
+    changed = evidence(named(str(tmp_path / 'plate.mcap')), None)
+    assert 'has changed since it was solved' in changed.missing
 
 
 def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> None:
