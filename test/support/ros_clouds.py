@@ -12,9 +12,8 @@ import numpy as np
 METRES = ProfileConfig()
 
 
-def header(stamp=1_700_000_000_000_000_001, frame_id='laser'):
-    sec, nanosec = divmod(stamp, 1_000_000_000)
-    return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame_id)
+def header():
+    return SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=1), frame_id='laser')
 
 
 def field(name, offset, datatype=7, count=1):
@@ -40,14 +39,6 @@ def cloud(columns, layout, point_step, *, height=1, row_padding=0, bigendian=Fal
     return SimpleNamespace(header=header(), height=height, width=width, fields=fields,
                            is_bigendian=bigendian, point_step=point_step, row_step=row_step,
                            data=data, is_dense=True)
-
-
-def pose(position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0), frame_id='base'):
-    """Return a PoseStamped."""
-    names = SimpleNamespace
-    return names(header=header(frame_id=frame_id), pose=names(
-        position=names(**dict(zip('xyz', position, strict=True))),
-        orientation=names(**dict(zip('xyzw', orientation, strict=True)))))
 
 
 def read(msg):
