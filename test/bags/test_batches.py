@@ -16,7 +16,7 @@ from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
-from recordings import poses, rewrite
+from recordings import cloud_message, poses, rewrite
 from recordings import TYPES as STORE
 from ros_clouds import cloud, points, read
 
@@ -32,11 +32,9 @@ def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> by
     made = cloud({'x': np.tile(X, rows), 'y': 1e-3 * number, 'z': 0.2 + 1e-5 * number}, LAYOUT,
                  12, height=rows)
     height, width = (rows * len(X), 1) if gocator else (rows, len(X))
-    fields = [STORE.types['sensor_msgs/msg/PointField'](**vars(f)) for f in made.fields]
-    time = STORE.types['builtin_interfaces/msg/Time'](*divmod(stamp, 1_000_000_000))
-    return bytes(STORE.serialize_cdr(STORE.types[CLOUD](
-        STORE.types['std_msgs/msg/Header'](time, 'laser'), height, width, fields, False, 12,
-        12 * width, made.data, True), CLOUD))
+    if gocator:
+        made.height, made.width, made.row_step = rows * len(X), 1, 12
+    return bytes(STORE.serialize_cdr(cloud_message(made, stamp), CLOUD))
 
 
 def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfile]:

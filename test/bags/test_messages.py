@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
-from types import SimpleNamespace
 
 from command import ROOT
 from handeye_ros import config as configs
@@ -25,8 +24,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from recordings import cloud_message, header, new, transform
 from recordings import TYPES as STORE
-from ros_clouds import cloud, expected, field, header, points, profile, read
+from ros_clouds import cloud, expected, field, points, profile, read
 
 CLOUD, POSE = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
@@ -41,25 +41,15 @@ Z = np.array([0.171, 0.172, np.nan, 0.174, np.inf, -np.inf])
 # -- serialised
 
 
-def new(kind: str, *values: object) -> object:
-    return STORE.types[kind if '/' in kind else f'geometry_msgs/msg/{kind}'](*values)
-
-
 def serialised(msg: object, kind: str = CLOUD, little_endian: bool = True) -> bytes:
     return bytes(STORE.serialize_cdr(msg, kind, little_endian=little_endian))
-
-
-def head(frame_id: str) -> object:
-    time = new('builtin_interfaces/msg/Time', *divmod(STAMP, 1_000_000_000))
-    return new('std_msgs/msg/Header', time, frame_id)
 
 
 def message(frame_id: str = 'laser') -> object:
     columns = {'x': np.linspace(-0.02, 0.02, 50), 'a long name': np.zeros(50),
                'z': np.full(50, 0.17)}
     made = cloud(columns, {'x': (0, F32), 'a long name': (4, U8), 'z': (8, F32)}, 12)
-    fields = [new('sensor_msgs/msg/PointField', *vars(f).values()) for f in made.fields]
-    return new(CLOUD, head(frame_id), 1, 50, fields, False, 12, 600, made.data, True)
+    return cloud_message(made, STAMP, frame_id)
 
 
 QUATERNION = (0.0, 0.6, 0.0, -0.8)
@@ -67,13 +57,13 @@ QUATERNION = (0.0, 0.6, 0.0, -0.8)
 
 def pose(position: object = (1.0, -2.0, 3.0), quaternion: object = QUATERNION,
          frame_id: str = 'base') -> object:
-    return new(POSE, head(frame_id), new(
-        'Pose', new('Point', *position), new('Quaternion', *quaternion)))
+    return new(POSE, header(STAMP, frame_id), new(
+        'geometry_msgs/msg/Pose', new('geometry_msgs/msg/Point', *position),
+        new('geometry_msgs/msg/Quaternion', *quaternion)))
 
 
-def transform(child: str, quaternion: object = QUATERNION) -> object:
-    return new('TransformStamped', head('/base'), child, new(
-        'Transform', new('Vector3', 1.0, -2.0, 3.0), new('Quaternion', *quaternion)))
+def placed(child: str, quaternion: object = QUATERNION) -> object:
+    return transform(STAMP, '/base', child, (1.0, -2.0, 3.0), quaternion)
 
 
 @pytest.mark.parametrize('little_endian', [True, False])
@@ -84,10 +74,10 @@ def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
     np.testing.assert_allclose(got.points, expected(np.linspace(-0.02, 0.02, 50), np.full(
         50, 0.17)), rtol=1e-6)
     posed = pose_from_cdr(serialised(pose(frame_id=frame_id), POSE, little_endian))
-    both = new(TF, [transform(frame_id), transform('other')])
+    both = new(TF, [placed(frame_id), placed('other')])
     found = transforms_from_cdr(serialised(both, TF, little_endian))
     assert [child for child, _ in found] == [frame_id.lstrip('/'), 'other']
-    for one in (posed, *(placed for _, placed in found)):
+    for one in (posed, *(other for _, other in found)):
         assert one.stamp == STAMP
         np.testing.assert_array_equal(one.translation, [1.0, -2.0, 3.0])
         np.testing.assert_allclose(one.quaternion, [0.0, -0.6, 0.0, 0.8], rtol=1e-15)
@@ -104,8 +94,8 @@ def test_malformed_poses(position: object, quaternion: object, reason: str) -> N
 
 
 def test_an_invalid_transform_does_not_affect_the_others() -> None:
-    bad = transform('camera', (0.0, 0.0, 0.0, 0.0))
-    found = transforms_from_cdr(serialised(new(TF, [bad, transform('flange')]), TF))
+    bad = placed('camera', (0.0, 0.0, 0.0, 0.0))
+    found = transforms_from_cdr(serialised(new(TF, [bad, placed('flange')]), TF))
     assert [child for child, _ in found] == ['flange']
     with pytest.raises(UnusableMessageError, match='TransformStamped .* quaternion of length 0'):
         transforms_from_cdr(serialised(new(TF, [bad]), TF))
@@ -126,7 +116,7 @@ def test_any_pose_is_unit_or_refused(values: list[float]) -> None:
 @given(st.binary(max_size=300), st.integers(0, 300), st.booleans())
 def test_any_bytes_are_a_message_or_refused(junk: bytes, keep: int, known: bool) -> None:
     reader, goods = ProfileReader(METRES), [
-        serialised(message()), serialised(pose(), POSE), serialised(new(TF, [transform('a')]), TF)]
+        serialised(message()), serialised(pose(), POSE), serialised(new(TF, [placed('a')]), TF)]
     if known:
         reader.take(goods[0])
     for good, take in zip(goods, (lambda d: reader.take(d).read(), pose_from_cdr,
@@ -231,8 +221,8 @@ garbage_fields = st.builds(field, st.sampled_from(['x', 'y', 'z', '', 'X']), siz
        unit=st.sampled_from(['m', 'mm']))
 def test_garbage_raises_message_error_and_nothing_else(unit: str, bigendian: bool, height: int,
                                                        width: int, **content: object) -> None:
-    made = SimpleNamespace(header=header(), height=height, width=width, is_bigendian=bigendian,
-                           is_dense=False, **content)
+    made = cloud({'x': X, 'z': Z}, XZ, 12)
+    vars(made).update(height=height, width=width, is_bigendian=bigendian, **content)
     try:
         got = points(made, ProfileConfig(unit=unit))
     except UnusableMessageError as error:
@@ -289,8 +279,8 @@ def test_wrong_axes_are_named(columns: tuple, axes: tuple[str, str], advice: str
 
 def test_what_lost_points_hold_does_not_matter() -> None:
     lost = np.isnan(LOST)
-    empty = SimpleNamespace(header=header(), height=1, width=0, fields=[], is_bigendian=False,
-                            point_step=0, row_step=0, data=b'', is_dense=True)
+    empty = layered(LINE, LOST)
+    vars(empty).update(width=0, fields=[], point_step=0, row_step=0, data=b'')
     assert points(empty).shape == (0, 2)
     for x, z, y in ((np.where(lost, 0, LINE), np.where(lost, 0, LOST), 0 * LINE),  # the origin
                     (LINE, LOST, np.where(lost, 7.0, 0.012))):

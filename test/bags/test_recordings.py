@@ -33,6 +33,7 @@ from recordings import (
     scan,
     split,
     START,
+    transform,
     TYPES,
     with_messages,
     written,
@@ -378,16 +379,6 @@ def test_strays_of_another_frame_and_two_sensors(tmp_path):
 
 
 # -- transforms
-
-
-def transform(stamp, parent, child, translation, quaternion=(0.0, 0.0, 0.0, 1.0)):
-    def new(kind, *values):
-        return TYPES.types[kind](*values)
-    time = new('builtin_interfaces/msg/Time', *divmod(stamp, SECOND))
-    return new('geometry_msgs/msg/TransformStamped', new('std_msgs/msg/Header', time, parent),
-               child, new('geometry_msgs/msg/Transform',
-                          new('geometry_msgs/msg/Vector3', *map(float, translation)),
-                          new('geometry_msgs/msg/Quaternion', *quaternion)))
 
 
 def tf_bag(folder, tmp_path, moving, static=()):

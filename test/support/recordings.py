@@ -166,3 +166,27 @@ def with_messages(folder, tmp_path, change, types=None):
     changed = [change(raw) for raw in scan(folder)[1]]
     return rewrite(folder, tmp_path / 'changed.mcap', [raw for raw in changed if raw],
                    types=types)
+
+
+def new(kind, *values):
+    """Return a message of a type of the typestore."""
+    return TYPES.types[kind](*values)
+
+
+def header(stamp, frame_id):
+    time = new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    return new('std_msgs/msg/Header', time, frame_id)
+
+
+def transform(stamp, parent, child, translation, quaternion=(0.0, 0.0, 0.0, 1.0)):
+    return new('geometry_msgs/msg/TransformStamped', header(stamp, parent), child,
+               new('geometry_msgs/msg/Transform',
+                   new('geometry_msgs/msg/Vector3', *map(float, translation)),
+                   new('geometry_msgs/msg/Quaternion', *quaternion)))
+
+
+def cloud_message(made, stamp, frame_id='laser'):
+    """Return a cloud of ros_clouds as a message that can be serialised."""
+    fields = [new('sensor_msgs/msg/PointField', *vars(f).values()) for f in made.fields]
+    return new('sensor_msgs/msg/PointCloud2', header(stamp, frame_id), made.height, made.width,
+               fields, False, made.point_step, made.row_step, made.data, True)

@@ -12,10 +12,6 @@ import numpy as np
 METRES = ProfileConfig()
 
 
-def header():
-    return SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=1), frame_id='laser')
-
-
 def field(name, offset, datatype=7, count=1):
     return SimpleNamespace(name=name, offset=offset, datatype=datatype, count=count)
 
@@ -36,7 +32,8 @@ def cloud(columns, layout, point_step, *, height=1, row_padding=0, bigendian=Fal
         view = np.ndarray((height, width), dtype, data, offset, (row_step, point_step))
         view[:] = np.asarray(values).reshape(height, width)
     fields = [field(name, *layout[name]) for name in columns]
-    return SimpleNamespace(header=header(), height=height, width=width, fields=fields,
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=1), frame_id='laser')
+    return SimpleNamespace(header=header, height=height, width=width, fields=fields,
                            is_bigendian=bigendian, point_step=point_step, row_step=row_step,
                            data=data, is_dense=True)
 
