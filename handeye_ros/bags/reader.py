@@ -102,12 +102,13 @@ class Reader:
             reason = '; '.join(self.warnings) or 'the recording was stopped before it began'
             raise InputError(f'{self.path}: holds no messages ({reason}): record again')
 
-    def wants(self, topic: str, kind: str, encoding: str) -> bool:
-        """Take note of a topic and its type; return whether its messages are requested."""
+    def wanted(self, topic: str, kind: str, encoding: str) -> str:
+        """Take note of a topic and its type; return its name, '' if it is not requested."""
+        topic = full_name(topic)
         package, _, name = kind.partition('/')  # some write it as ROS 1 did
         kind = kind if not name or '/' in name else f'{package}/msg/{name}'
         self.types[topic] = kind if encoding == 'cdr' else f'{kind} in {encoding}'
-        return self._topics is None or topic in self._topics
+        return topic if self._topics is None or topic in self._topics else ''
 
     def advanced(self, position: int) -> None:
         """Tell how many bytes of the file were read; of a compressed file that is a guess."""
@@ -208,7 +209,7 @@ class _Mcap:
         """name: for the warnings."""
         self._path, self._name, self._reader = path, name, reader
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, str] = {}  # of the requested topics
+        self._channels: dict[int, str] = {}  # '': not requested
         # a reference to this file, and to its temporary folder, is kept by each message
         self._records_at = lru_cache(CHUNKS)(self._read_again)
 
@@ -255,11 +256,9 @@ class _Mcap:
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
             return
-        topic = full_name(record.topic)
         kind = self._schemas.get(record.schema_id, 'of unknown type')
-        self._channels.pop(record.id, None)
-        if self._reader.wants(topic, kind, record.message_encoding):
-            self._channels[record.id] = topic
+        self._channels[record.id] = self._reader.wanted(record.topic, kind,
+                                                        record.message_encoding)
 
     def _fetch(self, start: int, index: int) -> bytes:
         try:
@@ -331,12 +330,9 @@ class _Sqlite:
         count = position = 0
         try:
             with closing(self._connected()) as database:
-                names = {}
-                for key, name, kind, encoding in database.execute(
-                        'SELECT id, name, type, serialization_format FROM topics'):
-                    topic = full_name(str(name))
-                    if self._reader.wants(topic, str(kind), str(encoding)):
-                        names[key] = topic
+                names = {key: topic for key, *of in database.execute(
+                    'SELECT id, name, type, serialization_format FROM topics')
+                    if (topic := self._reader.wanted(*map(str, of)))}
                 marks = ', '.join('?' * len(names))
                 for key, number, time, data in database.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages '
