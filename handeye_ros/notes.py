@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -53,7 +53,7 @@ def parameters(solution: Solution) -> dict[str, Parameter]:
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
-    every = parameters(solution.conservative or solution).values()
+    every = parameters(solution.for_report).values()
     for one in every:
         if one.block.report and one.block.count == 1:
             report |= {one.block.report: one.block.origin + one.value,
@@ -75,7 +75,7 @@ def _clocks(solution: Solution, name: str) -> TimeOffset | None:
     best = parameters(solution).get(name)
     if best is None:
         return None
-    wide = parameters(solution.conservative or solution)[name]
+    wide = parameters(solution.for_report)[name]
     return TimeOffset(best.value, math.hypot(wide.std, wide.value - best.value))
 
 
@@ -110,7 +110,7 @@ def offset_notes(solution: Solution) -> list[str]:
 
 def _bend_notes(solution: Solution) -> Iterator[str]:
     """Yield the note on a laser line that is bent out of its plane, if the data show that."""
-    bend = parameters(solution.conservative or solution).get(LINE_BEND)
+    bend = parameters(solution.for_report).get(LINE_BEND)
     if bend and abs(bend.evidence) > CONTRADICTION and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
@@ -119,24 +119,25 @@ def _bend_notes(solution: Solution) -> Iterator[str]:
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
-    problem, target = solution.problem, solution.estimate.state
-    stated, labels = replace(problem, config=config).tolerances, problem.target.labels
+    target, state = solution.problem.target, solution.estimate.state
+    stated, used = target.stated(config), target.stated(solution.problem.config)
     best = parameters(solution)
-    for name, one in parameters(solution.conservative or solution).items():
+    for name, one in parameters(solution.for_report).items():
         k = one.block.parameter
         if k is None or one.block.count > 1:
             continue
-        freed, estimated = problem.tolerances[k] > stated[k], float(target[k - len(labels)])
+        freed, estimated = used[name][1] > stated[name][1], float(state[k - len(target.labels)])
         if freed or abs(one.contradiction) > NOTED_CONTRADICTION:
             first = min(config.target.size, key=lambda size: abs(size - estimated)) if (
                 freed) else estimated - best[name].value
             yield _measure_note(name, first, estimated, one.std)
-    given_up = problem.target.free(problem.config) & ~problem.target.free(config)
-    for i in np.flatnonzero(given_up).tolist():  # to make the stations agree
-        first, estimated = float(problem.target.configured(config)[i]), target[i - len(labels)]
-        std = float(solution.target_std[i])
-        if abs(estimated - first) > NOTED_CONTRADICTION * math.hypot(std, stated[i]):
-            yield _measure_note(labels[i], first, float(estimated), std)
+    for label, (first, tolerance) in stated.items():
+        if label in used:
+            continue  # others were given up, to make the stations agree
+        k = target.labels.index(label) - len(target.labels)
+        estimated, std = float(state[k]), float(solution.target_std[k])
+        if abs(estimated - first) > NOTED_CONTRADICTION * math.hypot(std, tolerance):
+            yield _measure_note(label, first, estimated, std)
 
 
 def _measure_note(label: str, stated: float, estimated: float, std: float) -> str:

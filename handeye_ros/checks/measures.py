@@ -25,16 +25,17 @@ SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another
 
 def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generator) -> Solution:
     """Return the consensus, with free target measures if only these make the stations agree."""
-    config = problem.target.relax(problem.config)
+    target, stated_config = problem.target, problem.config
+    config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
     poor = (agreed.dropped or len(agreed.unused)
             or agreed.variance_factor > CONVINCING)
-    if config is None or not poor:
+    if config == stated_config or not poor:
         return agreed
     try:
         other = robust_solution(replace(problem, config=config), rng)
     except DataError:
         return agreed
-    stated = float(problem.target.configured(problem.config)[-1])
+    stated, _ = target.stated(stated_config)[target.labels[-1]]
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
@@ -57,7 +58,7 @@ def believable_size(agreed: Solution) -> Solution:
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
     other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
         agreed.linear, problem=replace(problem, config=free))))
-    found, before = (parameters(one.conservative or one) for one in (other, agreed))
+    found, before = (parameters(one.for_report) for one in (other, agreed))
     lengths = [found[name] for name in ('size_p', 'size_q') if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
     scales = [each['scale'] for each in (before, found) if 'scale' in each]
@@ -104,7 +105,7 @@ def require_one_scale(agreed: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = parameters(agreed.conservative or agreed).get('scale')
+    scale = parameters(agreed.for_report).get('scale')
     if scale and abs(scale.contradiction) > CONTRADICTION and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, CONTRADICTION * scale.std):
         moved_slightly(agreed)

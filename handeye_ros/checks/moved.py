@@ -82,7 +82,7 @@ def moved_slightly(agreed: Solution) -> str:
     The likeliest move of either and the noise with it are estimated in turn, until it stays.
     Raises DataError (moved) where the evidence is decisive.
     """
-    n, reported, config = len(agreed.used), agreed.conservative or agreed, agreed.whole.config
+    n, reported, config = len(agreed.used), agreed.for_report, agreed.whole.config
     if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
         return ''
     few = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples

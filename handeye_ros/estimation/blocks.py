@@ -93,14 +93,14 @@ def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
 
 def stated_measures(linear: Linear) -> Blocks:
     """Yield the blocks of the target's stated measures."""
-    problem, state = linear.problem, linear.estimate.state
-    target, stds = problem.target, problem.tolerances
-    for i in np.flatnonzero(stds).tolist():
-        std, at = float(stds[i]), i - len(stds)  # the last of the target's values
-        stated = target.configured(problem.config)[i]
-        yield ParameterBlock(target.labels[i], linear.jacobian[:, 6 + i:7 + i] * std, std,
-                             parameter=i, value=state[at:at + 1 or None] - stated,
-                             largest=1e8)  # a stated measure may be plainly wrong
+    target, state = linear.problem.target, linear.estimate.state
+    for label, (stated, std) in target.stated(linear.problem.config).items():
+        i = target.labels.index(label)
+        own = state[[i - len(target.labels)]]  # the measures are the last of its values
+        if std > 0:
+            yield ParameterBlock(label, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
+                                 value=own - stated,
+                                 largest=1e8)  # a stated measure may be plainly wrong
 
 
 def robot_scale(linear: Linear) -> Blocks:

@@ -44,7 +44,7 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
-    for at in configured.problem.stations:
+    for at in configured.problem.groups:
         i = configured.problem.observations.station[at.rows[:, 0]]
         K, J = wrong[at.rows], configured.columns[at.rows]
         across = np.swapaxes(J, 1, 2) @ K
@@ -103,12 +103,12 @@ def budget(solution: Solution) -> Budget:
     block's parameters, of unit covariance, give C_xn C_nx. Then what (8), (10) and a corrected arm
     add to it.
     """
-    wide = solution.conservative or solution
+    wide = solution.for_report
     parts = _of_noise(wide)
     for block, own in slices(wide.blocks, wide.unknowns):
         gain = wide.covariance[:6, own]
         parts[block.name] = gain @ gain.T
-    away, inside = solution.moved_by_report, wide.covariance[:6, :6]
+    away, inside = solution.shift_of_report, wide.covariance[:6, :6]
     parts |= {'scales of the estimate': np.outer(away, away), **solution.added}
     parts['best fit'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
                          - sum(solution.added.values()))
@@ -120,7 +120,7 @@ def budget(solution: Solution) -> Budget:
 def _of_noise(wide: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    for at, root in zip(wide.problem.stations, wide.whitening.factors, strict=True):
+    for at, root in zip(wide.problem.groups, wide.whitening.factors, strict=True):
         V = covariances(wide.linear, at)
         V = V * wide.noise.factors[:len(V), None, None, None]
         gain = (wide.columns[at.rows] @ wide.covariance[:, :6]).swapaxes(1, 2) @ root

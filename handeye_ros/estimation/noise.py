@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import eigen, inverse_roots
-from handeye_ros.estimation.problem import Linear, Stations
+from handeye_ros.estimation.problem import Linear, StationGroup
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,7 +76,7 @@ class Whitening:
         return white
 
 
-def covariances(linear: Linear, at: Stations) -> Array:
+def covariances(linear: Linear, at: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
@@ -96,7 +96,7 @@ def covariances(linear: Linear, at: Stations) -> Array:
     return np.array(parts)
 
 
-def total_covariance(linear: Linear, at: Stations, noise: Noise) -> Array:
+def total_covariance(linear: Linear, at: StationGroup, noise: Noise) -> Array:
     """Return the covariance (stations, c, c), (3), including the blocks if they are lumped."""
     problem, config = linear.problem, linear.problem.config.noise
     parts = covariances(linear, at)
@@ -118,9 +118,9 @@ def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
 
 def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
-    stations = linear.problem.stations
-    return Whitening(tuple(at.rows for at in stations), tuple(
-        inverse_roots(total_covariance(linear, at, noise)) for at in stations))
+    groups = linear.problem.groups
+    return Whitening(tuple(at.rows for at in groups), tuple(
+        inverse_roots(total_covariance(linear, at, noise)) for at in groups))
 
 
 def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,

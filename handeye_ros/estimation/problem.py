@@ -9,10 +9,10 @@ satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -83,8 +83,8 @@ class PoseModel:
     evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists (N, 6, k),
     their derivatives by the values: translation, and rotation vector about the flange's origin,
     both in the base frame. names, counts, stds: of the blocks of parameters in order, stds: 1
-    sigma of the prior about 0. white: (k,) 1 sigma of independent errors of the values at each
-    station, such as stamp jitter; None: none. stations: indices of the problem's stations among
+    sigma of the prior about 0. jitter: (k,) 1 sigma of independent errors of the values at each
+    station, as of stamps; None: none. stations: indices of the problem's stations among
     the N, None: all. least: see ParameterBlock. blocks: source of further blocks for such poses,
     or None.
     """
@@ -96,7 +96,7 @@ class PoseModel:
     stations: NDArray[np.intp] | None = None
     least: float = 0.0
     blocks: Any = None
-    white: Array | None = None
+    jitter: Array | None = None
 
     def at(self, values: Array) -> tuple[Array, Array]:
         """Return the poses (n, 4, 4) and twists (n, 6, k) of the stations of a problem."""
@@ -132,16 +132,20 @@ class Target(ABC):
     One target: what it shows, its conditions and its start; the solver is the same for all.
 
     There are m observations of points p (..., m, 3) in the base, a state (..., s) of the target,
-    and k parameters of it. kinds: names of the conditions; labels: names of the parameters;
+    and k parameters of it. extract(points (n, 2), config): the features of one profile; raises
+    FeatureError without them. kinds: names of the conditions; labels: names of the parameters;
     essential: kinds of which a station must use one, if it shows any; minimum: fewest samples;
-    one_axis: what rotations about one axis alone leave undetermined, in words.
+    free_shape: settings of the target with which its shape (the last parameter) is unknown, where
+    it has one; one_axis: what rotations about one axis alone leave undetermined, in words.
     """
 
     name: str
+    extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
     kinds: tuple[str, ...]
     labels: tuple[str, ...]
     essential: tuple[str, ...] = ()
     minimum = 6
+    free_shape: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
 
     @property
@@ -152,10 +156,6 @@ class Target(ABC):
     def one_view(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words how the views of the target are too much alike, '' if they are not."""
         return ''
-
-    @abstractmethod
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
 
     @abstractmethod
     def observe(self, samples: Sequence[Sample]) -> Observations:
@@ -188,16 +188,6 @@ class Target(ABC):
         stated = self.stated(config)
         return np.array([label not in stated for label in self.labels])
 
-    def tolerances(self, config: Config) -> Array:
-        """Return 1 sigma (k,) of the stated parameters, 0 of others."""
-        stated = self.stated(config)
-        return np.array([stated.get(label, (0.0, 0.0))[1] for label in self.labels])
-
-    def configured(self, config: Config) -> Array:
-        """Return the stated values (k,) of the parameters, 0 for others."""
-        stated = self.stated(config)
-        return np.array([stated.get(label, (0.0, 0.0))[0] for label in self.labels])
-
     def relabel(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
@@ -206,10 +196,6 @@ class Target(ABC):
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
         return False
-
-    def relax(self, config: Config) -> Config | None:
-        """Return the configuration with the shape (the last parameter) unknown, None if it is."""
-        return None
 
     @abstractmethod
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
@@ -234,7 +220,7 @@ class Target(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Stations:
+class StationGroup:
     """
     s stations with c observations each.
 
@@ -248,14 +234,14 @@ class Stations:
     shared: Array
     components: Array
 
-    def every(self, step: int) -> Stations:
+    def every(self, step: int) -> StationGroup:
         """Return every step-th of the stations."""
-        return Stations(self.rows[::step], self.near[::step], self.shared[::step],
-                        self.components[:, ::step])
+        return StationGroup(self.rows[::step], self.near[::step], self.shared[::step],
+                            self.components[:, ::step])
 
 
 @lru_cache(maxsize=8)  # an estimation asks for those of one problem again and again
-def stations_of(observations: Observations) -> tuple[Stations, ...]:
+def station_groups(observations: Observations) -> tuple[StationGroup, ...]:
     """Return the stations of observations, grouped by their number of observations."""
     grouped = []
     for rows in groups(observations.station):
@@ -266,7 +252,7 @@ def stations_of(observations: Observations) -> tuple[Stations, ...]:
         near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
         shared = (source[:, :, None] == source[:, None, :]).astype(float)
         pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
-        grouped.append(Stations(rows, near, shared, np.array(pairs, dtype=float)))
+        grouped.append(StationGroup(rows, near, shared, np.array(pairs, dtype=float)))
     return tuple(grouped)
 
 
@@ -312,9 +298,9 @@ class Problem:
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @property
-    def stations(self) -> tuple[Stations, ...]:
-        """Return the observations by station, grouped by their number."""
-        return stations_of(self.observations)
+    def groups(self) -> tuple[StationGroup, ...]:
+        """Return the stations, grouped by their number of observations."""
+        return station_groups(self.observations)
 
     @cached_property
     def distinct(self) -> list[int]:
@@ -349,7 +335,8 @@ class Problem:
     @property
     def tolerances(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
-        return self.target.tolerances(self.config)
+        stated = self.target.stated(self.config)
+        return np.array([stated.get(label, (0.0, 0.0))[1] for label in self.target.labels])
 
     @property
     def shows_essential(self) -> NDArray[np.bool_]:
@@ -424,9 +411,9 @@ class Linear:
     def by_values(self) -> Array | None:
         """Return derivatives (m, k) by 1 sigma of the white errors of pose values, or None."""
         model = self.problem.pose_model
-        if model is None or model.white is None:
+        if model is None or model.jitter is None:
             return None
-        return self.by_twists(model.at(self.problem.pose_values)[1] * model.white)
+        return self.by_twists(model.at(self.problem.pose_values)[1] * model.jitter)
 
     @cached_property
     def by_point(self) -> Array:

@@ -111,14 +111,14 @@ def with_blocks(solution: Solution) -> Solution:
         part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
         start, noise = near.estimate, None
         if before is not None and len(used) > MANY:
-            found = before.conservative or before  # a few of very many hardly move the solution
+            found = before.for_report  # a few of very many hardly move the solution
             start, noise = found.estimate, found.noise
             part = part.with_pose_values(found.problem.pose_values)
         return contaminated(map_solution(part, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = agreeing(
         near.used, len(whole.poses), whole.target.minimum, fitted,
-        lambda found: (found.conservative or found).left_out(), lambda found: found.wrong)
+        lambda found: found.for_report.left_out(), lambda found: found.wrong)
     return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
 

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 CONVERGED = 0.1  # sigmas: the last step of the unknowns; one more follows with the final scales
 LAST_STEPS = 3  # iterations of variance factors and scales after it
-MAP_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
+PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +185,10 @@ class Solution:
 
     def factors(self, stated: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
-        sums = np.zeros((len(MAP_FACTORS), 2))
+        sums = np.zeros((len(PRIOR_FACTORS), 2))
         every = -(-len(self.problem.poses) // MANY)
-        for stations, whole in zip(self.problem.stations, self.whitening.factors, strict=True):
-            at, root = stations.every(every), whole[::every]
+        for group, roots in zip(self.problem.groups, self.whitening.factors, strict=True):
+            at, root = group.every(every), roots[::every]
             V = covariances(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
             r = self.white[at.rows]
@@ -232,6 +232,11 @@ class Solution:
             found = found.with_variances(variances)
         return found
 
+    @property
+    def for_report(self) -> Solution:
+        """Return the solution at the conservative scales, itself where it is that."""
+        return self.conservative or self
+
     @cached_property
     def reported(self) -> Array:
         """
@@ -239,26 +244,26 @@ class Solution:
 
         It covers the errors of both the mount's transform and the best-fit transform.
         """
-        wide = self.conservative
-        if wide is None:
-            return self.covariance[:self.unknowns, :self.unknowns]
-        reported, away = wide.reported.copy(), self.moved_by_report
+        reported = self.for_report.covariance[:self.unknowns, :self.unknowns].copy()
+        if self.conservative is None:
+            return reported
+        away = self.shift_of_report
         reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away), self._best_fit)
         reported[:6, :6] += sum(self.added.values())
         return reported
 
     @property
-    def moved_by_report(self) -> Array:
+    def shift_of_report(self) -> Array:
         """Return d (6,): how far the conservative scales would move the estimate, (8)."""
-        return se3.difference((self.conservative or self).estimate.X, self.estimate.X)
+        return se3.difference(self.for_report.estimate.X, self.estimate.X)
 
     @property
     def _best_fit(self) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
-        wide = self.conservative or self
+        wide = self.for_report
         moving = best_fit_motions(wide.linear, wide.blocks)
         columns = np.hstack([np.eye(6, wide.unknowns), moving])
-        away = self.moved_by_report + moving @ wide.nuisance
+        away = self.shift_of_report + moving @ wide.nuisance
         return np.asarray(columns @ wide.covariance @ columns.T + np.outer(away, away))
 
     @cached_property
@@ -278,7 +283,7 @@ class Solution:
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
         J = self.A[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-        for at in self.problem.stations:
+        for at in self.problem.groups:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
             # smaller singular values are repeated information with other noise
             ranks[station[at.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
@@ -302,12 +307,10 @@ class Solution:
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
-        if self.conservative is not None:
-            return self.conservative.target_std
-        std = np.zeros(len(self.problem.target.labels))
-        variances = np.diag(self.covariance)
+        std, wide = np.zeros(len(self.problem.target.labels)), self.for_report
+        variances = np.diag(wide.covariance)
         std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
-        for block, own in slices(self.blocks, self.unknowns):
+        for block, own in slices(wide.blocks, self.unknowns):
             if block.parameter is not None:
                 std[block.parameter] = block.std * variances[own][0] ** 0.5
         return std
@@ -330,7 +333,7 @@ class Solution:
     def expected_rms(self) -> float:
         """Return the expected RMS (m) of residuals for configured noise and nuisances."""
         total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, Noise())))
-                    for at in self.problem.stations)
+                    for at in self.problem.groups)
         return float((total / len(self.linear.residuals)) ** 0.5)
 
     @property
@@ -384,7 +387,7 @@ class Solution:
         """
         station, n = self.problem.observations.station, len(self.problem.poses)
         statistic, count = np.zeros(n), np.bincount(station, minlength=n)
-        for at in self.problem.stations:
+        for at in self.problem.groups:
             r = self.white[at.rows]
             left_out = leave_own_out(self.predicted_covariance(at.rows), r)
             statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
@@ -465,7 +468,7 @@ def _answer(found: Solution) -> Solution:
         for_estimate, for_report = wide.prior_scales()
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
-        best = best.with_factors(best.factors(MAP_FACTORS))
+        best = best.with_factors(best.factors(PRIOR_FACTORS))
     return _reported(Solution.at(best.stepped(), best.noise), found.noise, LAST_STEPS)
 
 

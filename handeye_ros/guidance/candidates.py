@@ -280,7 +280,7 @@ def expected(solution: Solution, mapped: MappedPoints, one: Problem) -> float:
 
     one: the problem of that station alone. Here all blocks are shared with the others.
     """
-    wide = solution.conservative or solution
+    wide = solution.for_report
     problem = wide.problem
     more = replace(one.observations, station=one.observations.station + len(problem.poses))
     both = replace(problem, poses=np.concatenate([problem.poses, one.poses]),

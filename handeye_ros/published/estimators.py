@@ -28,7 +28,7 @@ from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, z
 from handeye_ros.results.truth_file import FIELD, field_points
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.values import solve, Values
-from handeye_ros.targets import line, plate
+from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
 from numpy.typing import NDArray
 
@@ -171,6 +171,7 @@ def _park(views: Views) -> Array:
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
+    **{name: (Estimator(name, _by_method(name)),) for name in TARGETS},  # and with others:
     'plate': (
         Estimator('plate', _by_method('plate')),
         Estimator('plane, the face lines alone', _by_method('plane')),
@@ -191,8 +192,6 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('line', _by_method('line')),
         Estimator('Zheng 2018', _zheng, refit=False),
     ),
-    'plane': (Estimator('plane', _by_method('plane')),),
-    'wedge': (Estimator('wedge', _by_method('wedge')),),
     'points': (
         Estimator('points', _from_files),
         Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(

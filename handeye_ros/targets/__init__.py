@@ -13,7 +13,7 @@ from handeye_ros.targets.sphere import SPHERE
 from handeye_ros.targets.wedge import WEDGE
 
 TARGETS: dict[str, Target] = {
-    'plate': PLATE, 'line': LINE, 'plane': PLANE, 'sphere': SPHERE, 'wedge': WEDGE}
+    target.name: target for target in (PLATE, LINE, PLANE, SPHERE, WEDGE)}
 FROM_FILES = ('points', 'hand_eye', 'tracker')  # see tabulated/
 
 

@@ -129,7 +129,7 @@ class Line(FaceTarget):
     name = 'line'
     kinds = KINDS
     labels, moves = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
-    features = staticmethod(face_features)
+    extract = staticmethod(face_features)
     essential = ('edge',)
     minimum = MINIMUM
     edge_kinds = (EDGE_Y, EDGE_Z)

@@ -89,7 +89,7 @@ class Plane(FaceTarget):
     kinds = ('face',)
     many = True
     labels, moves = ('z', 'rx', 'ry'), (2, 3, 4)
-    features = staticmethod(plane_features)
+    extract = staticmethod(plane_features)
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
                 'all of the position and part of the rotation')
 

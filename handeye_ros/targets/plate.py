@@ -170,8 +170,9 @@ class Plate(FaceTarget):
     kinds = KINDS
     labels = LABELS
     moves = range(6)
-    features = staticmethod(face_features)
+    extract = staticmethod(face_features)
     essential = KINDS[1:]
+    free_shape = {'edge_angle_free': True}
     edge_kinds = (P,)  # until an edge is found for it
 
     def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
@@ -240,12 +241,6 @@ class Plate(FaceTarget):
         return {'pose': {'translation': xyz(T[:3, 3]),
                          'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
-
-    def relax(self, config: Config) -> Config | None:
-        """Return the configuration with a free edge angle, None if it is free already."""
-        if config.target.edge_angle_free:
-            return None
-        return replace(config, target=replace(config.target, edge_angle_free=True))
 
     def elsewhere(self, observations: Observations, p: Array, state: Array, config: Config
                   ) -> str:

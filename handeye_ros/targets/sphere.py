@@ -120,7 +120,8 @@ class Sphere(ProfileTarget):
     name = 'sphere'
     kinds = ('arc',)
     labels = ('x', 'y', 'z', 'radius')
-    features = staticmethod(arc_features)
+    free_shape = {'radius': 0.0}
+    extract = staticmethod(arc_features)
 
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of the normal points of an arc."""
@@ -172,12 +173,6 @@ class Sphere(ProfileTarget):
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
         return {'centre': xyz(state[:3]), 'radius': float(state[3]), 'radius_std': float(std[3])}
-
-    def relax(self, config: Config) -> Config | None:
-        """Return the configuration with a free radius, None if it is free already."""
-        if config.target.radius <= 0:
-            return None
-        return replace(config, target=replace(config.target, radius=0.0))
 
 
 SPHERE = Sphere()

@@ -98,17 +98,7 @@ def xyz(point: Array) -> dict[str, float]:
 
 
 class ProfileTarget(Target):
-    """
-    A target that single profiles show.
-
-    features(points (n, 2), config): what a profile shows of it; raises FeatureError.
-    """
-
-    features: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
-
-    def extract(self, points: Array, config: Config) -> tuple[Feature, ...]:
-        """Return the features of one profile (n, 2); raises FeatureError without them."""
-        return type(self).features(points, config)
+    """A target of which each feature that a profile shows gives conditions."""
 
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples; labels are assigned later."""

@@ -154,7 +154,7 @@ class Wedge(FaceTarget):
     name = 'wedge'
     kinds = KINDS
     labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
-    features = staticmethod(corner_features)
+    extract = staticmethod(corner_features)
     minimum = MINIMUM
     faces, many = 2, True
 

@@ -206,7 +206,7 @@ class _Comparison:
             problem = replace(problem, poses=se3.inverse(moved) @ problem.poses)
         linear = linearise(problem, at)
         noise = np.zeros((len(linear.residuals),) * 2)
-        for stops in problem.stations:
+        for stops in problem.groups:
             noise[stops.rows[:, :, None], stops.rows[:, None]] = (
                 self.noise_scale ** 2 * covariances(linear, stops).sum(axis=0))
         # the set-backs of the ends of each kind at each edge

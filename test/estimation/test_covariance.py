@@ -43,7 +43,7 @@ def test_the_noise_of_a_station_is_positive_whatever_its_size(
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
     linear = replace(solution.linear, problem=problem)
-    for stations in problem.stations:
+    for stations in problem.groups:
         noise = np.tensordot(factors, covariances(linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
         assert np.linalg.eigvalsh(noise).min() > 0
