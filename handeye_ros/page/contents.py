@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
@@ -27,6 +27,10 @@ from handeye_ros.results.scene import profile_picture, rounded, shape
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
+if TYPE_CHECKING:
+    from handeye_ros.node.live import LiveSession
+    from handeye_ros.node.node import HandeyeNode
+
 # buttons that call the service of their name
 SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
             'verify_start', 'verify_result')
@@ -36,7 +40,6 @@ SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise
             'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
             'verify.tolerance')
 
-Live = Any  # the session of the node, handeye_ros.node.live.LiveSession
 State = Mapping[str, Any]  # of handeye_ros.node.state
 Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
 Read = Callable[[Mapping[str, str]], Any]
@@ -57,32 +60,7 @@ class Source:
     reads: Mapping[str, Read] = field(default_factory=dict)
 
 
-class Served(Protocol):
-    """Interface of the node that the page needs."""
-
-    live: Live
-
-    @property
-    def state(self) -> State:
-        """Return the current state of the session."""
-
-    def topics_of(self, kind: str) -> list[str]:
-        """Return the topics with publishers of a message type."""
-
-    def call_service(self, name: str) -> tuple[bool, str]:
-        """Return whether a service succeeds, and its message."""
-
-    def open_session(self, name: str) -> str:
-        """Continue a previous session; return the message. Raises HandeyeError."""
-
-    def set_values(self, values: Mapping[str, Any]) -> str:
-        """Set parameters by key; return why one is refused, '' if all are set."""
-
-    def get_logger(self) -> Any:
-        """Return the log."""
-
-
-def source(node: Served) -> Source:
+def source(node: HandeyeNode) -> Source:
     """Return content and actions of the page for a node."""
     services: dict[str, Act] = {
         name: lambda values, name=name: node.call_service(name)  # type: ignore[misc]
@@ -97,7 +75,7 @@ def source(node: Served) -> Source:
          'file': lambda values: _file(node.live, values.get('name', ''))})
 
 
-def _remove_last(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Remove the last sample; number: of that which the person has seen as the last."""
     last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
     if values.get('number', last) != last:
@@ -105,7 +83,7 @@ def _remove_last(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
     return node.call_service('remove_last_sample')
 
 
-def _exclude(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Leave out a sample, or bring it back."""
     number, out = values.get('number'), values.get('out') is True
     if type(number) is not int or number not in {s['number'] for s in node.state['samples']}:
@@ -116,7 +94,7 @@ def _exclude(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
         f'sample {number} is left out' if out else f'sample {number} is back')
 
 
-def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
+def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Set parameters given as YAML: all or none."""
     config = node.live.config
     for key, text in values.items():
@@ -128,7 +106,7 @@ def _set(node: Served, values: Mapping[str, Any]) -> tuple[bool, str]:
     return not refusal, refusal or ', '.join(f'{key} is {after[key]}' for key in values)
 
 
-def _cell(node: Served) -> dict[str, Any]:
+def _cell(node: HandeyeNode) -> dict[str, Any]:
     """
     Return the settings with their choices, and the names of the sessions, the newest first.
 
@@ -151,7 +129,7 @@ def _cell(node: Served) -> dict[str, Any]:
                 'choices': choices.get(key, list(parameters[key].choices))} for key in SETTINGS]}
 
 
-def _file(live: Live, name: str) -> tuple[str, str]:
+def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     calibration = calibration_file.dated(live.answer.required())
     if name == exports.REPORT:
@@ -167,7 +145,7 @@ def _report(calibration: Calibration, session: str) -> str:
     return html(calibration, evidence(calibration, Path(session) if session else None))
 
 
-def contents(state: State, live: Live) -> dict[str, Any]:
+def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
     config, current, verifying = live.config, live.current(), live.verification.session
     profile = current and {**profile_picture(current.points, current.features),
@@ -191,7 +169,7 @@ def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str
     yield 'samples used', str(quality.samples_used), '', ''
 
 
-def stop_profile(live: Live, number: int) -> dict[str, Any]:
+def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for stop in live.copied().stops:
         if stop.number == number:
@@ -200,7 +178,7 @@ def stop_profile(live: Live, number: int) -> dict[str, Any]:
     raise InputError(f'there is no stop {number}')
 
 
-def _edges(live: Live) -> dict[int, str]:
+def _edges(live: LiveSession) -> dict[int, str]:
     """Return the edges of the target crossed by each used sample, by its number."""
     answer, edges = live.answer.review.answer, dict[int, str]()
     if answer is None or answer.solution is None:
@@ -216,7 +194,7 @@ def _edges(live: Live) -> dict[int, str]:
     return edges
 
 
-def _scene(live: Live, current: Any) -> dict[str, Any]:
+def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     """
     Return poses (rows of T (3, 4)) in the frame of the fixed target, and the target.
 

@@ -27,17 +27,19 @@ from pathlib import Path
 import secrets
 import socket
 import threading
+from typing import TYPE_CHECKING
 
 from aiohttp import web
 from handeye_ros.errors import HandeyeError, InputError
-from handeye_ros.page.contents import plain, Served, Source, source
+from handeye_ros.page.contents import plain, Source, source
+
+if TYPE_CHECKING:
+    from handeye_ros.node.node import HandeyeNode
 
 RATE = 5.0  # events a second, at most
 WORKERS = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
-LONGEST_BODY = 5.0  # s until the body of a request must be there
 PATIENCE = 10.0  # s until a client must accept an event, and the server must start
-LONGEST_REST = 1.0  # s until the rest of a body that nobody waits for must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
 KINDS = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
@@ -51,7 +53,7 @@ HEADERS = {
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-def serve(node: Served) -> None:
+def serve(node: HandeyeNode) -> None:
     """Serve the page of a node; a warning in the log if it cannot be served."""
     config, log = node.live.config, node.get_logger()
     try:
@@ -65,7 +67,7 @@ def serve(node: Served) -> None:
 
 
 class PageServer:
-    """The server of a page, from its construction until stop; token: '' where none is needed."""
+    """Serves a page until the process ends; token: '' where none is needed."""
 
     def __init__(self, source: Source, address: str, port: int,
                  token_file: Path | None = None) -> None:
@@ -86,12 +88,11 @@ class PageServer:
         self._pool = ThreadPoolExecutor(WORKERS, 'page')
         self._clients, self._event = 0, ''
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name='page', daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._loop.run_forever, name='page', daemon=True).start()
         try:
             asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(PATIENCE)
         except OSError as error:
-            self._end_loop()
+            self._loop.call_soon_threadsafe(self._loop.stop)
             raise InputError(f'there is no page: {address}:{port} cannot be served '
                              f'({error.strerror or error}); set page.port to another one, or to '
                              '0 for no page') from error
@@ -105,36 +106,17 @@ class PageServer:
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     async def _start(self) -> None:
-        self._changed, self._ending = asyncio.Condition(), False
+        self._changed = asyncio.Condition()
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
         app.router.add_get('/read/{name}', self._read)
         app.router.add_get('/{name}', self._file)
         app.router.add_post('/act/{name}', self._act)
-        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=15.0,
-                                     lingering_time=LONGEST_REST)
-        await self._runner.setup()
-        await web.TCPSite(self._runner, self._address, self.port).start()
-        self._gathering = self._loop.create_task(self._gather())
-
-    def stop(self) -> None:
-        """End all connections, and the thread."""
-        with suppress(TimeoutError):
-            asyncio.run_coroutine_threadsafe(self._stop(), self._loop).result(PATIENCE)
-        self._end_loop()
-
-    async def _stop(self) -> None:
-        self._ending = True
-        self._gathering.cancel()
-        async with self._changed:  # end the streams of events: cleanup waits for them
-            self._changed.notify_all()
-        await self._runner.cleanup()
-
-    def _end_loop(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(PATIENCE)
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        runner = web.AppRunner(app, access_log=None)
+        await runner.setup()
+        await web.TCPSite(runner, self._address, self.port).start()
+        self._gathering = self._loop.create_task(self._gather())  # kept: a loop holds it weakly
 
     async def _gather(self) -> None:
         """Gather the state while a browser is connected."""
@@ -193,7 +175,7 @@ class PageServer:
         with suppress(TimeoutError, ConnectionError):
             try:
                 await response.prepare(request)
-                while not self._ending:
+                while True:
                     async with self._changed:
                         await self._changed.wait()
                     await asyncio.wait_for(response.write(f'data: {self._event}\n\n'.encode()),
@@ -234,9 +216,7 @@ class PageServer:
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
-            values = json.loads(await asyncio.wait_for(request.read(), LONGEST_BODY) or b'{}')
-        except TimeoutError:
-            return _sentence(408, 'the request was not complete in time')
+            values = json.loads(await request.read() or b'{}')
         except (ValueError, RecursionError):
             values = None
         if not isinstance(values, dict):
@@ -249,11 +229,7 @@ class PageServer:
 
 
 def _sentence(status: int, text: str) -> web.Response:
-    answer = web.json_response({'success': False, 'message': text}, status=status,
-                               headers=HEADERS)
-    if status == 408:
-        answer.force_close()
-    return answer
+    return web.json_response({'success': False, 'message': text}, status=status, headers=HEADERS)
 
 
 def _static(name: str, status: int = 200) -> web.Response:
