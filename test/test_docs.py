@@ -65,8 +65,8 @@ def runs() -> list[object]:
     for page in PAGES:
         own = []
         for text in dict.fromkeys(commands(page)):
-            if PROGRAM.match(text)[1] == 'handeye' and not (  # type: ignore[index]
-                    text.startswith(ELSEWHERE) or 'path/to/sphere' in text):
+            if PROGRAM.match(text)[1] == 'handeye' and (  # type: ignore[index]
+                    not text.startswith(ELSEWHERE)):
                 arguments = tuple(words(text.partition('# exit code ')[0], 'handeye'))
                 if arguments not in printed:
                     own.append(text)
