@@ -33,6 +33,8 @@ from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import Pairing, passes_expanded, problem_at_poses
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
 
 TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
 
@@ -241,6 +243,29 @@ def _with(problem: Problem, kind: int) -> list[int]:
 
 
 NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
+
+
+def samples_table(session: Session, answer: Answer, config: Config) -> Table:
+    """Return the table of the stops of a session, the worst left-out residual first."""
+    samples = {stop.number: stop.sample for stop in session.stops if stop.sample}
+    found = dict(zip(samples, agreements(answer, [*samples.values()], config), strict=True))
+
+    def order(stop: Stop) -> tuple[float, int]:
+        agreement = found.get(stop.number)
+        return -agreement.left_out if agreement else 1.0, stop.number
+
+    table = Table('number', 'residual', 'left out', '', '', box=SIMPLE_HEAD, pad_edge=False)
+    for column in table.columns[:3]:
+        column.justify = 'right'
+    for stop in sorted(session.stops, key=order):
+        agreement = found.get(stop.number)
+        residuals = (agreement.residual, agreement.left_out) if agreement else (None, None)
+        state = ('no sample' if stop.sample is None else 'left out' if session.excludes(stop) else
+                 'not believed' if agreement and not agreement.used else '')
+        table.add_row(
+            str(stop.number), *('' if r is None else f'{r * 1e3:.3f} mm' for r in residuals),
+            state, sample_summary(stop.result))
+    return table
 
 
 def sample_summary(sample: Sample | Reject) -> str:

@@ -109,11 +109,3 @@ def page(template: str, **values: Any) -> str:
     pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
     return pages.get_template(template).render(
         version=__version__, now=datetime.now(UTC).isoformat(timespec='seconds'), **values)
-
-
-def save(drawing: Any, path: Path) -> None:
-    """Write a figure; the ending of the file says its form. Raises UnwritableError."""
-    try:
-        drawing.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UnwritableError(path, str(error)) from error

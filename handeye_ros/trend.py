@@ -9,7 +9,7 @@ from pathlib import Path
 
 from handeye_ros import output, se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.verification.verify import time_of
@@ -132,7 +132,10 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
             plot.axvline(change, color='tab:red', linestyle='--')
         plot.set_xticks(index, [e.recorded[:16] or e.path.parent.name for e in entries],
                         rotation=20, ha='right', fontsize=8)
-    output.save(drawing, path)
+    try:
+        drawing.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise UnwritableError(path, str(error)) from error
 
 
 def csv_text(entries: Sequence[Entry]) -> str:

@@ -119,35 +119,18 @@ def samples(
 ) -> None:
     """Show the samples of a session, the worst first."""
     from handeye_ros import pipeline
-    from handeye_ros.agreement import agreements, sample_summary
-    from rich import box
-    from rich.table import Table
+    from handeye_ros.agreement import samples_table
     given = opened(path, config, assignments)
     settings, session = given.settings, given.session
     if session is None:
         raise InputError(f'{path} is a table of measured values, without samples')
-    stops = [stop for stop in session.stops if stop.sample]
     with doing('comparing the samples'):
         answer = pipeline.answer_of(session, settings)
-        found = agreements(answer, [o.sample for o in stops if o.sample], settings)
+        rows = samples_table(session, answer, settings)
     if answer.refusal:
         typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',
                    err=True)
-    residuals = {o.number: (a.residual, a.left_out, a.used)
-                 for o, a in zip(stops, found, strict=True) if a}
-
-    table = Table('number', 'residual', 'left out', '', '', box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in table.columns[:3]:
-        column.justify = 'right'
-    for stop in sorted(session.stops, key=lambda o: (
-            -residuals.get(o.number, (0.0, -1.0))[1], o.number)):
-        residual, left_out, used = residuals.get(stop.number, (None, None, True))
-        state = 'left out' if session.excludes(stop) else '' if used else 'not believed'
-        table.add_row(
-            str(stop.number), *('' if value is None else f'{value * 1e3:.3f} mm'
-                                   for value in (residual, left_out)),
-            'no sample' if stop.sample is None else state, sample_summary(stop.result))
-    show(table)
+    show(rows)
 
 
 @app.command()

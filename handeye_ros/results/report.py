@@ -60,7 +60,9 @@ def html(calibration: Calibration, evidence: Evidence,
         facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
-        plots=plots, stops=[(stop, _rms_text(stop)) for stop in evidence.stops],
+        plots=plots, stops=[
+            (stop, f'{1e3 * _rms(stop.residuals):.3f} mm' if len(stop.residuals) else 'used')
+            for stop in evidence.stops],
         profiles=[profile_picture(stop.points, stop.features) for stop in evidence.stops],
         refused=[report for report in calibration.samples if not report.used],
         settings=configuration.flatten(config).items(), verified=verified,
@@ -131,10 +133,6 @@ def mapped_std(calibration: Calibration, points: Array) -> float:
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -se3.skew(arms)], axis=2)
     variances = np.einsum('kij,jl,kil->k', J, calibration.covariance, J)
     return float(np.sqrt(variances.mean()))
-
-
-def _rms_text(stop: StopSnapshot) -> str:
-    return f'{1e3 * _rms(stop.residuals):.3f} mm' if len(stop.residuals) else 'used'
 
 
 def _rms(values: Array) -> float:
