@@ -257,17 +257,13 @@ class Frame:
         return np.asarray(in_frame[..., ['xyz'.index(axis) for axis in self.axes]])
 
 
-def _turned(x_axis: Sequence[int], y_axis: Sequence[int], z_axis: Sequence[int],
-            x: float = 0.0, z: float = 0.0) -> Array:
-    """Return T_standard_sensor (4, 4) of a frame with such axes, its origin at (x, 0, z)."""
-    return se3.transform(np.array([x_axis, y_axis, z_axis], float).T, np.array([x, 0.0, z]))
-
-
+Z_UP = np.diag([1.0, -1.0, -1.0])
 FRAMES = {
     'standard': Frame(np.eye(4)),
-    'z_up': Frame(_turned((1, 0, 0), (0, -1, 0), (0, 0, -1), z=0.2), range_sign=-1),
+    'z_up': Frame(se3.transform(Z_UP, np.array([0, 0, 0.2])), range_sign=-1),
     # zero in the middle of the range, which is counted upwards, and at the left of a wide field
-    'off_centre': Frame(_turned((1, 0, 0), (0, -1, 0), (0, 0, -1), -0.07, 0.275), range_sign=-1),
-    'x_reversed': Frame(_turned((-1, 0, 0), (0, -1, 0), (0, 0, 1))),
-    'y_along_line': Frame(_turned((0, -1, 0), (1, 0, 0), (0, 0, 1)), axes=('y', 'z')),
+    'off_centre': Frame(se3.transform(Z_UP, np.array([-0.07, 0, 0.275])), range_sign=-1),
+    'x_reversed': Frame(se3.transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))),
+    'y_along_line': Frame(se3.transform(np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+                                        np.zeros(3)), axes=('y', 'z')),
 }
