@@ -239,11 +239,11 @@ def _pose(translation: Array, quaternion: Array) -> Any:
                 _new('geometry_msgs/msg/Quaternion', *map(float, quaternion)))
 
 
-def write_path(path: Path, T: Array, frame_id: str, stamp: int, force: bool = False) -> None:
+def write_path(path: Path, T: Array, frame_id: str, stamp: int) -> None:
     """
-    Write poses (n, 4, 4) on the topics /seam/path and /seam/poses.
+    Write poses (n, 4, 4) on the topics /seam/path and /seam/poses; an existing bag is replaced.
 
-    stamp: of the messages (ns). Raises InputError if the path exists, UnwritableError.
+    stamp: of the messages (ns). Raises InputError if the path is no bag, UnwritableError.
     """
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
@@ -252,7 +252,7 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int, force: bool = Fa
                 '/seam/poses': _new(POSE_ARRAY, header, poses)}
     write_folder(path, {}, lambda folder: _write_bag(
         folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
-        [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force)
+        [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force=True)
 
 
 def write_folder(path: Path, texts: Mapping[str, str],

@@ -120,7 +120,7 @@ def seam(
         import time
 
         from handeye_ros.bags.bag_write import write_path
-        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns(), force=True)
+        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns())
     for sentence in sentences(result, frames):
         typer.echo(sentence)
     typer.echo(f'wrote {out.absolute()}')
