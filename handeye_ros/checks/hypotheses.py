@@ -108,7 +108,7 @@ def _squares(found: Solution) -> Array:
     """Return q of (13), (2, n), of all stations of a solution."""
     station, n = found.problem.observations.station, len(found.used)
     white, metres = (np.bincount(station, r ** 2, minlength=n)
-                     for r in (found.white, found.linear.residuals))
+                     for r in (found.whitened, found.linear.residuals))
     q = np.full((2, len(found.whole.poses)), np.inf)
     q[:, found.used] = found.left_out()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])

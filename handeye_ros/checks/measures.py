@@ -80,7 +80,7 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
     J = np.column_stack([white(np.column_stack([by_scale, measures])), solution.columns])
     covariance = covariance_of(J)
-    return float(covariance[0] @ (J.T @ solution.white)), float(covariance[0, 0]) ** 0.5
+    return float(covariance[0] @ (J.T @ solution.whitened)), float(covariance[0, 0]) ** 0.5
 
 
 def other_scale(agreed: Solution) -> list[Hypothesis]:

@@ -165,7 +165,7 @@ class _Steps:
         root = (axes * np.sqrt(np.maximum(values, 0.0))).T
         return cls(np.array([D[part].T @ D[part] for part in rows]),
                    np.array([root @ (J[part].T @ D[part]) for part in rows]),
-                   np.array([solution.white[part] @ D[part] for part in rows]))
+                   np.array([solution.whitened[part] @ D[part] for part in rows]))
 
     def gains(self, order: NDArray[np.intp] | None = None) -> Array:
         """

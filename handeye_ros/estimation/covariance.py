@@ -50,7 +50,7 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
         across = np.swapaxes(J, 1, 2) @ K
         moved = configured.covariance @ across
         inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
-        slope = np.einsum('sci,sc->si', K, configured.white[at.rows])
+        slope = np.einsum('sci,sc->si', K, configured.whitened[at.rows])
         size = np.linalg.solve(inside, slope[..., None])
         explained[i] = (slope * size[..., 0]).sum(axis=1)
         log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2

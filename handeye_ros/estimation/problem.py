@@ -9,7 +9,7 @@ satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Self
@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
-from handeye_ros.estimation.basis import farthest_points, pose_features, process_root
+from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.least_squares import groups
 import numpy as np
 from numpy.typing import NDArray
@@ -167,8 +167,8 @@ class Target(ABC):
         return points, kind
 
     @abstractmethod
-    def guess(self, problem: Any, rng: np.random.Generator) -> Iterable[Estimate]:
-        """Yield estimates to start from, best first."""
+    def guess(self, problem: Any, rng: np.random.Generator) -> Iterator[Estimate]:
+        """Yield estimates to start from, best first, computed on demand."""
 
     @abstractmethod
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
@@ -303,11 +303,6 @@ class Problem:
         return station_groups(self.observations)
 
     @cached_property
-    def distinct(self) -> list[int]:
-        """Return the stations of distinct poses, at most MANY."""
-        return farthest_points(pose_features(self.poses), MANY)
-
-    @cached_property
     def ambiguous(self) -> bool:
         """Return whether stations show several similar surfaces; only one is the target."""
         return self.target.ambiguous(self.observations)
@@ -344,10 +339,6 @@ class Problem:
         obs, shows = self.observations, np.zeros(len(self.poses), dtype=bool)
         shows[obs.station[np.isin(obs.kind, self.target.essential_kinds)]] = True
         return shows
-
-    def guesses(self, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Return an iterator over starts, best first, computed on demand."""
-        return iter(self.target.guess(self, rng))
 
     def points_in_base(self, X: Array) -> Array:
         """Return the observed points (m, 3) in the base."""

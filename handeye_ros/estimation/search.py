@@ -56,7 +56,8 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     """
     if start is not None:
         return without_outliers(refined(problem, start))
-    starts = chain(problem.guesses(rng), subset_starts(problem, SUBSETS * subsets, rng))
+    starts = chain(problem.target.guess(problem, rng),
+                   subset_starts(problem, SUBSETS * subsets, rng))
     best = refined(problem, next(starts))
     while not accepted(best) and (other := next(starts, None)):
         best = min(best, refined(problem, other), key=loss)
@@ -66,7 +67,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 def first_guesses(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits."""
     try:
-        for start in islice(problem.guesses(np.random.default_rng(0)), 2):
+        for start in islice(problem.target.guess(problem, np.random.default_rng(0)), 2):
             trial = refined(problem, start)
             if misfit(trial) < LARGEST_SQUARE:
                 return without_outliers(trial)
@@ -183,8 +184,8 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
     """Yield the first start of each of count random subsets of the stations."""
     n, size = len(problem.poses), max(6, problem.target.minimum)
     for _ in range(count if n > size else 0):
-        chosen = np.sort(rng.permutation(n)[:size])
-        yield next(problem.subset(chosen).guesses(rng))
+        part = problem.subset(np.sort(rng.permutation(n)[:size]))
+        yield next(part.target.guess(part, rng))
 
 
 def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
@@ -195,8 +196,7 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
-    labelled = problem.target.relabel(problem.observations, p, estimate.state,
-                                               problem.config)
+    labelled = problem.target.relabel(problem.observations, p, estimate.state, problem.config)
     used = labelled.select(labelled.kind != UNUSED)
     for earlier in (problem, before):
         if earlier and used.same(earlier.observations):

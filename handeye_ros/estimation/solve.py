@@ -20,6 +20,7 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.data import Array
+from handeye_ros.estimation.basis import farthest_points, pose_features
 from handeye_ros.estimation.blocks import (
     best_fit_motions,
     blocks_at,
@@ -151,7 +152,7 @@ class Solution:
         return self.A * self.scales
 
     @cached_property
-    def white(self) -> Array:
+    def whitened(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
         return np.asarray(self.r + self.A @ (self.scales * self._solved[0]))
 
@@ -191,7 +192,7 @@ class Solution:
             at, root = group.every(every), roots[::every]
             V = covariances(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
-            r = self.white[at.rows]
+            r = self.whitened[at.rows]
             left = np.eye(r.shape[1]) - self.predicted_covariance(at.rows)
             both = r[:, :, None] * r[:, None]
             sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
@@ -292,7 +293,7 @@ class Solution:
     @property
     def squares(self) -> float:
         """Return the sum of squares of residuals and nuisance parameters."""
-        return float(self.white @ self.white + self.nuisance @ self.nuisance)
+        return float(self.whitened @ self.whitened + self.nuisance @ self.nuisance)
 
     @property
     def variance_factor(self) -> float:
@@ -322,7 +323,8 @@ class Solution:
 
         A repeated pose adds no information; of very many poses only some are counted.
         """
-        return int(self.ranks[self.problem.distinct].sum()) - self.unknowns
+        distinct = farthest_points(pose_features(self.problem.poses), MANY)
+        return int(self.ranks[distinct].sum()) - self.unknowns
 
     @property
     def residual_rms(self) -> float:
@@ -388,7 +390,7 @@ class Solution:
         station, n = self.problem.observations.station, len(self.problem.poses)
         statistic, count = np.zeros(n), np.bincount(station, minlength=n)
         for at in self.problem.groups:
-            r = self.white[at.rows]
+            r = self.whitened[at.rows]
             left_out = leave_own_out(self.predicted_covariance(at.rows), r)
             statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
@@ -403,7 +405,7 @@ class Solution:
         of_row, u = fold[self.problem.observations.station], self.unknowns
         steps = np.empty((fold.max() + 1, len(self.scales)))
         for k in range(len(steps)):
-            J, r = self.columns[of_row == k], self.white[of_row == k]
+            J, r = self.columns[of_row == k], self.whitened[of_row == k]
             if len(r) < J.shape[1]:
                 left_out = leave_own_out((J @ self.covariance @ J.T)[None], r[None])[0]
                 steps[k] = self.covariance @ (J.T @ left_out)

@@ -209,7 +209,7 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
-        for start in islice(shifted.guesses(rng), 3):
+        for start in islice(shifted.target.guess(shifted, rng), 3):
             found = _refined(shifted, start)
             loss = float(np.log1p(mean_squares(found)).mean())
             best = (loss, found) if best is None or loss < best[0] else best

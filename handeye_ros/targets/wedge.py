@@ -35,7 +35,6 @@ from numpy.typing import NDArray
 
 KINDS = ('face_1', 'face_2')
 SHARE = np.array([-0.5, 0.5])  # turn of each face for a change of the angle between them by 1
-MINIMUM = 6  # samples
 SWEEP = 24  # angles tried for the pair of faces about a known edge
 
 
@@ -61,7 +60,7 @@ def one_corner(problem: Problem) -> list[Problem]:
     choices = [(order, convex), (depth, convex), (-depth, convex), (order, middle <= depth),
                (order, ~np.isnan(depth))]
     parts = with_one_piece(problem, pair, choices)
-    return [part for part in parts if len(part.poses) >= MINIMUM]
+    return [part for part in parts if len(part.poses) >= WEDGE.minimum]
 
 
 def _guess(problem: Problem) -> Iterator[Estimate]:
@@ -155,7 +154,6 @@ class Wedge(FaceTarget):
     kinds = KINDS
     labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     extract = staticmethod(corner_features)
-    minimum = MINIMUM
     faces, many = 2, True
 
     def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -30,7 +30,7 @@ import pytest
 @every_method
 def test_the_solution_is_the_minimum(name: str) -> None:
     solution = solution_of(name)
-    gradient = solution.columns.T @ solution.white
+    gradient = solution.columns.T @ solution.whitened
     scale = np.sqrt(np.diag(solution.covariance))
     assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
 
@@ -93,8 +93,8 @@ def test_the_deleted_residual_of_a_station_is_that_against_a_real_refit(name: st
             np.arange(len(solution.problem.poses)), [station])),
             refit_without(solution, station))
         there = evaluated(alone, others.estimate)
-        S = np.eye(len(there.white)) + there.columns @ others.covariance @ there.columns.T
-        expected = there.white @ np.linalg.solve(S, there.white)
+        S = np.eye(len(there.whitened)) + there.columns @ others.covariance @ there.columns.T
+        expected = there.whitened @ np.linalg.solve(S, there.whitened)
         count = (obs.station == station).sum()
         assert mean_square[station] * count == pytest.approx(expected, rel=0.1, abs=0.05)
 
@@ -130,5 +130,5 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
     there = evaluated(replace(solution.problem, poses=moved), solution.estimate)
     mine = there.problem.observations.station == 3
-    assert (there.white[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
-    assert np.allclose(there.white[~mine], 0, atol=1e-3)
+    assert (there.whitened[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
+    assert np.allclose(there.whitened[~mine], 0, atol=1e-3)
