@@ -27,7 +27,6 @@ from recordings import (
     PROFILES,
     profiles,
     PROFILES_PERIOD,
-    restamped,
     rewrite,
     rosbags_copy,
     scan,
@@ -267,7 +266,7 @@ def test_the_order_of_receipt_counts_only_where_that_of_the_file_makes_no_sense(
     (lambda t: t - t % 2 * 60 * SECOND, 'two runs'),
     (lambda t: t if t < START + 5 * SECOND else t - 5 * SECOND, 'back by 4.9 s at message 51')])
 def test_times_that_start_again_are_refused(tmp_path, stamp_of, words):
-    longer = restamped(POSES, [START + i * 100_000_000 + i % 2 for i in range(len(POSES))])
+    longer = [replace(pose, stamp=START + i * 100_000_000 + i % 2) for i, pose in enumerate(POSES)]
     file = restamped_bag(written(tmp_path, poses=longer), tmp_path, ['/flange_pose'], stamp_of)
     refused(words, file, kind=DataError)
 

@@ -3,8 +3,6 @@
 """Small recordings, and bags of every form made of them."""
 from __future__ import annotations
 
-from dataclasses import replace
-
 from handeye_ros.bags import bag_write
 from handeye_ros.bags.reader import Reader
 from handeye_ros.config import Config, SamplingConfig
@@ -34,10 +32,6 @@ def poses(count=100, frame_id='base'):
     quaternion = np.array([0.0, 0.6, 0.0, 0.8])
     return [TimedPose(START + i * POSES_PERIOD, rng.normal(size=3), quaternion, frame_id)
             for i in range(count)]
-
-
-def restamped(items, stamps):
-    return [replace(item, stamp=stamp) for item, stamp in zip(items, stamps, strict=True)]
 
 
 def scan(bag):
