@@ -72,8 +72,8 @@ class ObservationRows:
             np.repeat(np.array(self.shape), count))
 
 
-def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int,
-             kind: int = FACE) -> None:
+def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int, kind: int
+             ) -> None:
     """Append the normal points of a face line, or two decorrelated points where it has none."""
     across = np.array([-line.direction[1], line.direction[0]])
     points, std = line.points, line.points_std
@@ -261,10 +261,15 @@ def edge_shapes(linear: Linear) -> Blocks:
                              np.where(rows, outwards, 0.0)[:, None], 1.0, least=1.0)
 
 
+def face_kinds(target: Target) -> list[int]:
+    """Return the kinds of conditions on a face of a target."""
+    return [i for i, name in enumerate(target.kinds) if name.startswith('face')]
+
+
 def flatness(linear: Linear) -> Blocks:
     """Yield the blocks of bowed faces: polynomials over each face, by degree."""
     problem, std = linear.problem, linear.problem.config.noise.flatness
-    faces = [i for i, name in enumerate(problem.target.kinds) if name.startswith('face')]
+    faces = face_kinds(problem.target)
     if not std or not faces:
         return
     p = problem.points_in_base(linear.estimate.X)
@@ -278,8 +283,8 @@ def flatness(linear: Linear) -> Blocks:
 def grazing(linear: Linear) -> Blocks:
     """Yield the block of the range error of faces seen at grazing incidence."""
     problem, std = linear.problem, linear.problem.config.noise.distortion
-    faces = [i for i, name in enumerate(problem.target.kinds) if name.startswith('face')]
-    on_face, points = np.isin(problem.observations.kind, faces), problem.observations.points
+    points = problem.observations.points
+    on_face = np.isin(problem.observations.kind, face_kinds(problem.target))
     along = np.abs((linear.by_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
     cosine = np.where(on_face, along, 1.0)
     least = cosine.min(initial=1.0)

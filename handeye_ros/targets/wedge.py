@@ -87,7 +87,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     """Return the estimates reached from the starts, with their labels, best first."""
     alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # by their labels
     for start in starts:
-        p = problem.observations.in_base(problem.poses, start.X)
+        p = problem.points_in_base(start.X)
         labelled = WEDGE.relabel(problem.observations, p, start.state, problem.config)
         part = replace(problem, observations=labelled)
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
@@ -127,8 +127,7 @@ def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     """Return the estimate with the turns of both faces fitted to the points."""
     T = edge.state.reshape(4, 4).copy()
     T[:3, :3] = se3.nearest_rotation(T[:3, :3])
-    obs = problem.observations
-    local = (obs.in_base(problem.poses, edge.X) - T[:3, 3]) @ T[:3, :3]
+    local = (problem.points_in_base(edge.X) - T[:3, 3]) @ T[:3, :3]
     angle = np.arctan2(local[:, 2], local[:, 1])
     first, second = _two_directions(angle, np.hypot(local[:, 1], local[:, 2]))
     return Estimate(edge.X, np.append(T.ravel(), [first + np.pi / 2, second + np.pi / 2]))

@@ -48,18 +48,6 @@ def test_a_robot_that_errs_moves_what_serves_best_as_least_squares_does(scenario
     assert np.allclose(moved, best, atol=1e-3 * np.abs(best).max())
 
 
-def test_a_mount_that_all_poses_have_wrong_is_what_serves_best() -> None:
-    problem, X = (made := cell('plate', 0)).problem, made.truth.T_flange_sensor
-    in_flange, R = np.array([1, -2, 3, 0.5, 1, -1.5]), problem.poses[:, :3, :3]
-    turned = R @ in_flange[3:]
-    # the mount turns about its own origin, the flange about its own
-    shift = in_flange[:3] + np.cross(in_flange[3:], -X[:3, 3])
-    error = np.concatenate([R @ shift, turned], axis=1)
-    moved = np.einsum('xna,na->x', motions_by_poses(
-        problem.poses, X, FIELD, problem.in_hand), error)
-    assert np.allclose(moved, in_flange, atol=1e-9)
-
-
 def test_no_motion_serves_points_better_that_are_all_of_a_field() -> None:
     across = np.linspace(-1, 1, 15)
     points = box(np.array([[-0.02, 0.15], [0.02, 0.2]]), across)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from handeye_ros.estimation.noise import prior_scales
 import numpy as np
+import pytest
 
 
 def conservative(value: float, std: float) -> float:
@@ -16,11 +17,10 @@ def conservative(value: float, std: float) -> float:
     return float(np.sqrt(found[0]))
 
 
-def test_what_the_data_hardly_show_is_not_believed_at_several_times_its_prior() -> None:
-    assert conservative(9.0, 6.0) < 2.0, 'of 1.5 sigma'
-    assert conservative(0.0, 2.0) > 0.7, 'it may be there as configured'
-
-
-def test_what_the_data_show_is_believed_however_large() -> None:
-    assert conservative(50.0, 0.5) > 20.0
-    assert conservative(0.0, 0.01) < 0.3
+@pytest.mark.parametrize(('value', 'std', 'least', 'most'), [
+    (9.0, 6.0, 0.0, 2.0),  # of 1.5 sigma: not believed at several times its prior
+    (0.0, 2.0, 0.7, 2.0),  # it may be there as configured
+    (50.0, 0.5, 20.0, 100.0), (0.0, 0.01, 0.0, 0.3)])  # what the data show is believed
+def test_a_scale_is_what_the_data_show_and_no_more(value: float, std: float, least: float,
+                                                   most: float) -> None:
+    assert least < conservative(value, std) < most
