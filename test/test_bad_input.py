@@ -43,11 +43,6 @@ def solve(tmp_path):
     return run
 
 
-def test_the_good_recording_is_good(good, solve):
-    run = solve(good)
-    assert (run.returncode, run.stderr) == (0, '')
-
-
 def test_a_file_that_is_not_there(tmp_path, solve):
     assert_refused(solve(tmp_path / 'x.mcap'), 2, 'x.mcap', 'no such file or folder')
 

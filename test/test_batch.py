@@ -68,16 +68,6 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert 'no target was seen within 3.1 mm' in page and 'good5/output.txt' in page
 
 
-def test_a_result_is_there_whole_or_not_at_all(tmp_path):
-    (tmp_path / 'a.mcap').write_text('laser 1.0')
-    job, out = Job(str(tmp_path / 'a.mcap'), 'cell/a', 'solve'), tmp_path / 'out'
-    run(job, out, pretended)
-    assert unchanged(job, out)['x'] == 1.0
-    assert unchanged(replace(job, words=('--set=a=1',)), out) is None
-    (out / 'cell/a/job.json').write_text('{"state": ')  # a client that was killed
-    assert unchanged(job, out) is None
-
-
 def test_links_to_recordings_are_followed(tmp_path):
     (tmp_path / 'store/night').mkdir(parents=True)
     (tmp_path / 'store/night/metadata.yaml').touch()
@@ -157,9 +147,14 @@ def test_a_fault_of_all_jobs_is_said_at_once(words, sentence, tmp_path):
 
 
 @pytest.mark.once
-def test_an_unchanged_second_run_computes_nothing(tmp_path):
+def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
     (tmp_path / 'a.mcap').write_text('laser 1.0')
-    run(Job(str(tmp_path / 'a.mcap'), 'a', 'solve'), tmp_path / 'out', pretended)
+    job, out = Job(str(tmp_path / 'a.mcap'), 'a', 'solve'), tmp_path / 'out'
+    run(job, out, pretended)
     said = handeye('batch', 'a.mcap', '--out', 'out', '--scheduler', 'tcp://127.0.0.1:9',
                    cwd=tmp_path)  # that does not exist, and is not asked
     assert said.returncode == 0 and '0 computed' in said.stdout, said
+    assert unchanged(job, out)['x'] == 1.0
+    assert unchanged(replace(job, words=('--set=a=1',)), out) is None
+    (out / 'a/job.json').write_text('{"state": ')  # a client that was killed
+    assert unchanged(job, out) is None
