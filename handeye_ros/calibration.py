@@ -110,10 +110,10 @@ def _used_reports(used: Sequence[Sample], problem: Problem, own: Array) -> list[
     """Return the reports of used samples; own: (n,) RMS residual of each."""
     return [SampleReport(sample.stamp, True, edges, float(residual),
                          ONLY_FACE if problem.target.essential and not edges else '')
-            for sample, edges, residual in zip(used, _edges_used(problem), own, strict=True)]
+            for sample, edges, residual in zip(used, edges_used(problem), own, strict=True)]
 
 
-def _edges_used(problem: Problem) -> list[str]:
+def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
     obs, target = problem.observations, problem.target
     bounds = np.searchsorted(obs.station, np.arange(len(problem.poses) + 1))

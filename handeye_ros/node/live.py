@@ -10,6 +10,10 @@ session. After each such piece of work the worker (pool.py) calls `changed`, whi
 ~/samples (outputs.py). What is used is stored, and what is stored is used. What follows from the
 samples is in answer.py and verification.py.
 
+When ~/take_sample answers, its stop is on the disk as a file of its own, synced (SessionFiles in
+bags/session.py); metadata.yaml, which repeats what the files say, is synced after the answer.
+During a verification nothing is stored until its result.
+
 Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
 reviews, solves and verifications computed, in two processes (pool.py); the worker waits for the
@@ -374,7 +378,7 @@ class LiveSession:
         self._store_trouble = ''
         return result
 
-    def _put(self, stop: Stop, over: bool = True) -> None:
+    def _put(self, stop: Stop, over: bool) -> None:
         """Put an evaluated stop into the session, in place of an earlier part of it."""
         with self.lock:
             self.session.put(stop, over)
@@ -392,21 +396,18 @@ class LiveSession:
                 stop = self.session.current_stop()
             if self.verification.session:
                 return self.verification.add_stop(stop, over=True)
-            return self._take_at(stop)
+            stop, objection = self._evaluated(stop)
+            if stop.refused:
+                raise DataError(f'{stop.refused}: move on, and turn the tool')
+            if objection or stop.sample is None:
+                raise DataError(f'{objection}, and take the sample again' if objection else
+                                sample_summary(stop.result))
+            note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
+            self._put(self._stored(stop), over=True)
         except HandeyeError as error:
             self.attempt = Attempt(str(error))
             raise
-
-    def _take_at(self, stop: Stop) -> str:
-        stop, objection = self._evaluated(stop)
-        if stop.refused:
-            raise DataError(f'{stop.refused}: move on, and turn the tool')
-        if objection or stop.sample is None:
-            raise DataError(f'{objection}, and take the sample again' if objection else
-                            sample_summary(stop.result))
-        note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
-        self._put(self._stored(stop))
-        text = f'sample {stop.number} taken{note}: {sample_summary(stop.sample)}'
+        text = f'sample {stop.number} taken{note}: {sample_summary(stop.result)}'
         self.attempt = Attempt(text, stop)
         return text
 

@@ -96,7 +96,8 @@ class HandeyeNode(Node):
                                 callback_group=group, qos_profile=REQUESTS)
         self.create_service(SetBool, '~/auto_sample', self._auto_sample, callback_group=quick,
                             qos_profile=REQUESTS)
-        self.create_subscription(Empty, '~/take', self._on_take, 10, callback_group=quick)
+        self.create_subscription(Empty, '~/take', lambda _: self.call_service('take_sample'), 10,
+                                 callback_group=quick)
         # steady time: the state is published even while a simulated clock is paused
         for period, work in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
             self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
@@ -166,9 +167,6 @@ class HandeyeNode(Node):
                 ) -> Trigger.Response:
         response.success, response.message = self.call_service(name)
         return response
-
-    def _on_take(self, _: Empty) -> None:
-        self.call_service('take_sample')
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response
                      ) -> SetBool.Response:

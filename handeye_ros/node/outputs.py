@@ -192,23 +192,16 @@ def _concerns(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
             f'seconds since the last {kind}': f'{stream["age"]:.1f}',
             f'topic of the {kind}s': stream['topic']}
     session, attempt, count = state['session'], state['attempt'], taken(state)
-    refused = [sample['text'] for sample in state['samples'] if not sample['taken']]
-    if attempt and not attempt['accepted']:
-        refused.append(attempt['text'])
     yield 'session', WARN if session['trouble'] else OK, (
         session['trouble'] or session['working'] or count_of(count, 'sample')), {
         'samples': count, 'mode': session['mode'], 'folder': session['path'] or 'none yet',
         'robot': state['motion']['text'], 'dropped': '; '.join(session['notes']),
         'last attempt': attempt['text'] if attempt else 'none yet',
-        'last refusal': refused[-1] if refused else '',
         'malformed messages': sum(stream['malformed'] for stream in streams),
-        'last malformed': '; '.join(filter(None, (stream['reason'] for stream in streams))),
-        'worst first': ', '.join(map(str, state['worst'])) or state['review']}
+        'last malformed': '; '.join(filter(None, (stream['reason'] for stream in streams)))}
     answer = state['calibration']
     level = {CURRENT: OK, NONE: OK, WITHDRAWN: ERROR}.get(answer['state'], WARN)
-    yield 'calibration', level, answer['text'], {
-        'calibration': answer['text'] if answer['translation'] else 'none yet',
-        'state': answer['state']}
+    yield 'calibration', level, answer['text'], {'state': answer['state']}
 
 
 # messages

@@ -106,15 +106,8 @@ class ScanNode(Node):
             self._points.publish(cloud(points, self._scanner.frame, ready[-1].stamp))
 
 
-def scan(path: Path, assignments: Sequence[str], options: ScanOptions) -> None:
-    """Run the node until Ctrl-C; raises InputError for an invalid calibration."""
-    calibration = read_calibration(file_of(path))
-    config = with_assignments(use_config(calibration), assignments)
-    spin(lambda: ScanNode(calibration, config, options))
-
-
-def main() -> None:
-    """Run the executable."""
+def main() -> int:
+    """Run the executable `scan`."""
     parser = argparse.ArgumentParser(prog='scan', description=(__doc__ or '').splitlines()[1])
     parser.add_argument('calibration', type=Path)
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE')
@@ -122,10 +115,16 @@ def main() -> None:
     parser.add_argument('--incidence', type=float, default=90.0, metavar='DEGREES')
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
-    options = parser.parse_args(own_arguments())
-    sys.exit(exit_code(lambda: scan(options.calibration, options.set, ScanOptions.of_texts(
-        options.range, options.incidence, options.voxel, options.std))))
+    given = parser.parse_args(own_arguments())
+
+    def run() -> None:
+        options = ScanOptions.of_texts(given.range, given.incidence, given.voxel, given.std)
+        calibration = read_calibration(file_of(given.calibration))
+        config = with_assignments(use_config(calibration), given.set)
+        spin(lambda: ScanNode(calibration, config, options))
+
+    return exit_code(run)
 
 
 if __name__ == '__main__':
-    main()
+    sys.exit(main())

@@ -14,6 +14,7 @@ from handeye_ros import se3
 from handeye_ros.agreement import stop_snapshot
 from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session import read_session, sessions_in
+from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import InputError
@@ -62,17 +63,19 @@ class Source:
 
 def source(node: HandeyeNode) -> Source:
     """Return content and actions of the page for a node."""
-    services: dict[str, Act] = {
-        name: lambda values, name=name: node.call_service(name)  # type: ignore[misc]
-        for name in SERVICES}
-    return Source(
-        lambda: contents(node.state, node.live),
-        services | {'remove_last_sample': partial(_remove_last, node),
-                    'exclude': partial(_exclude, node), 'set': partial(_set, node),
-                    'open': lambda values: (True, node.open_session(str(values['session'])))},
-        {'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
-         'cell': lambda values: _cell(node),
-         'file': lambda values: _file(node.live, values.get('name', ''))})
+    def service(name: str) -> Act:
+        return lambda values: node.call_service(name)
+
+    acts: dict[str, Act] = {
+        **{name: service(name) for name in SERVICES},
+        'remove_last_sample': partial(_remove_last, node),
+        'exclude': partial(_exclude, node), 'set': partial(_set, node),
+        'open': lambda values: (True, node.open_session(str(values['session'])))}
+    reads: dict[str, Read] = {
+        'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
+        'cell': lambda values: _cell(node),
+        'file': lambda values: _file(node.live, values.get('name', ''))}
+    return Source(lambda: contents(node.state, node.live), acts, reads)
 
 
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -179,19 +182,15 @@ def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
-    """Return the edges of the target crossed by each used sample, by its number."""
-    answer, edges = live.answer.review.answer, dict[int, str]()
+    """Return the edges of the target that each used sample shows, by its number."""
+    answer = live.answer.review.answer
     if answer is None or answer.solution is None:
-        return edges
-    problem = answer.solution.problem
-    names, kinds = problem.target.kinds, problem.target.essential_kinds
+        return {}
     number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
               for one in stop.sample.parts}
-    for station, i in enumerate(answer.solution.used.tolist()):
-        crossed = set(problem.observations.kind[problem.observations.station == station])
-        edges[number.get(answer.samples[i].stamp, 0)] = ', '.join(
-            names[kind] for kind in kinds if kind in crossed)
-    return edges
+    shown = edges_used(answer.solution.problem)
+    return {number.get(answer.samples[i].stamp, 0): edges
+            for i, edges in zip(answer.solution.used.tolist(), shown, strict=True)}
 
 
 def _scene(live: LiveSession, current: Any) -> dict[str, Any]:

@@ -18,7 +18,6 @@ import threading
 from cells import recorded
 from command import PATIENCE, ROOT
 from handeye_ros import pipeline, se3
-from handeye_ros.bags import session as sessions
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
@@ -209,16 +208,6 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     assert (folder / 'calibration.yaml').read_bytes() == before
     other.configure(set_to(other.config, name='other'))
     assert str(tmp_path / 'other' / 'calibration.yaml') in other.answer.save_calibration()
-
-
-def test_metadata_is_synced_after_a_sample_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    synced: list[Path] = []
-    monkeypatch.setattr(sessions, 'sync', synced.append)
-    live = fed(set_to(SPHERE.config, sampling__mode='manual'))
-    live.start()
-    live.ask(live.take_sample)
-    live.ask(lambda: None)  # what follows a service is done
-    assert Path(live.path) / 'metadata.yaml' in synced
 
 
 # -- streams that are disturbed
