@@ -236,6 +236,7 @@ class Sample:
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting.
     motion: trajectory of a moving robot (sampling.trajectory); offsets: from the stamp to the time
     of its pose, of the rotation behind the position (s), and drift (sampling.sweep).
+    of_pass: samples of the single profiles of a pass, whose middle one this sample repeats.
     """
 
     stamp: int
@@ -245,6 +246,7 @@ class Sample:
     flipped: tuple[Feature, ...] = ()
     motion: Any = None
     offsets: tuple[float, ...] = (0.0,)
+    of_pass: tuple[Sample, ...] = ()
 
     @property
     def moving(self) -> bool:
@@ -254,21 +256,7 @@ class Sample:
     @property
     def parts(self) -> tuple[Sample, ...]:
         """Return the samples that an answer uses: of a pass one per profile, else this one."""
-        return (self,)
-
-
-@dataclass(frozen=True, eq=False)
-class Pass(Sample):
-    """
-    What a pass of a moving robot gives: parts, a sample of each of its profiles.
-
-    It stands where a sample of a stop stands, with pose and features of the middle profile. All
-    differences between a sweep and stops: a pass is cut by time (StopFinder), and its profiles
-    are not combined (sampling/features.py); passes_expanded takes it apart, with one motion for
-    all parts; synchronised finds the clocks, on which the poses of the parts depend (problem_of).
-    """
-
-    parts: tuple[Sample, ...] = ()
+        return self.of_pass or (self,)
 
 
 @dataclass(frozen=True)
@@ -281,10 +269,11 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class Reject:
-    """A sample that was not used, and why."""
+    """A sample that was not used, and why; final: with other settings it is not used either."""
 
     stamp: int
     reason: str
+    final: bool = False
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced, writing
 from handeye_ros.sampling.session import Session, with_result
-from handeye_ros.sampling.stops import Stop
+from handeye_ros.sampling.stops import NOT_EVALUATED, Stop
 
 LAST = 'last'
 FORMAT, NEWEST = 'handeye_ros/session/', 1
@@ -347,9 +347,9 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
                                  'handeye_ros knows: update the package')
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
-        began = int(values['began'])
+        began, refused = int(values['began']), str(values['refused'])
         stop = Stop(began, source=partial(load, file, began), number=int(values['number']),
-                    refused=str(values['refused']))
+                    result=Reject(began, refused, final=True) if refused else NOT_EVALUATED)
         return (str(values['event']), with_values(Config(), settings, str(file)), stop,
                 bool(values['taken']))
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:

@@ -320,7 +320,7 @@ class LiveSession:
         except InputError as error:
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.source else replace(
-                stop, result=Reject(stop.result.stamp, str(error)), refused=str(error))
+                stop, result=Reject(stop.result.stamp, str(error), final=True))
         self._put(stop, over)
         if earlier is None or bool(earlier.sample) != bool(stop.sample):
             # the same result with more profiles is not reported again

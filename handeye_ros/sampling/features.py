@@ -21,7 +21,6 @@ from handeye_ros.data import (
     EdgePoint,
     FaceLine,
     Feature,
-    Pass,
     Profile,
     Reject,
     Sample,
@@ -63,8 +62,8 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
                   _flipped(used[0], config))
 
 
-def _pass_of(stop: Stop, config: Config) -> Pass:
-    """Return the samples of the profiles of a pass; raises FeatureError."""
+def _pass_of(stop: Stop, config: Config) -> Sample:
+    """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     found, reasons = _found(decoded(evenly(stop.profiles, MOST_SINGLE), config), config)
     if 2 * len(found) < MOST_SINGLE < len(stop.profiles):
         found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_SINGLE), config), config)
@@ -76,8 +75,8 @@ def _pass_of(stop: Stop, config: Config) -> Pass:
                flipped=() if k % 8 else _flipped(profile, config))  # some suffice
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     middle = single[len(single) // 2]
-    return Pass(middle.stamp, middle.T_base_flange, middle.features, len(single), middle.flipped,
-                trajectory_of(stop.poses, config.sampling.max_pose_gap), parts=single)
+    return replace(middle, profiles=len(single), of_pass=single,
+                   motion=trajectory_of(stop.poses, config.sampling.max_pose_gap))
 
 
 def _no_profiles(stop: Stop, config: Config) -> FeatureError:

@@ -26,8 +26,8 @@ CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is t
 
 def with_result(stop: Stop, config: Config) -> Stop:
     """Return the stop with what it gives with a configuration."""
-    return replace(stop, result=Reject(stop.load(config).start, stop.refused) if stop.refused
-                   else result_of(stop, config))
+    return replace(stop, result=replace(stop.result, stamp=stop.load(config).start)
+                   if stop.refused else result_of(stop, config))
 
 
 def duplicate_pose(sample: Sample, others: Iterable[Stop], config: Config) -> str:
@@ -128,7 +128,7 @@ class Session(StopCollector):
         why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
             result, others, self._config)
         return replace(stop, number=before.number if before else self.numbers + 1,
-                       result=Reject(result.stamp, why) if why else result, refused=why)
+                       result=Reject(result.stamp, why, final=True) if why else result)
 
     def put(self, stop: Stop, over: bool = True) -> Stop:
         """Store and return an evaluated stop, in place of an earlier part of it."""

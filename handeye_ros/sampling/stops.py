@@ -49,7 +49,7 @@ class Stop:
     poses, profiles: in the order of their stamps. source: of a stop on the disk, which holds no
     messages itself: reads them for a configuration.
     number: in its session, from 1, never reused; 0 before. result: a sample, or the reason why
-    there is none; refused: why the stop gives no sample, whatever its profiles show, '' if it may.
+    there is none.
     """
 
     began: int
@@ -58,12 +58,17 @@ class Stop:
     source: Callable[[Config], Stop] | None = None
     number: int = 0
     result: Sample | Reject = NOT_EVALUATED
-    refused: str = ''
 
     @property
     def sample(self) -> Sample | None:
         """Return the sample, or None."""
         return self.result if isinstance(self.result, Sample) else None
+
+    @property
+    def refused(self) -> str:
+        """Return why the stop gives no sample, whatever its profiles show, '' if it may."""
+        result = self.result
+        return result.reason if isinstance(result, Reject) and result.final else ''
 
     def load(self, config: Config) -> Stop:
         """Return the stop with its messages."""

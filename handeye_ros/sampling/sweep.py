@@ -9,6 +9,10 @@ rotation is that of the time + lag. The derivative of a condition by one of the 
 derivative by the flange pose times the twist: one more column each. No start value is needed: fits
 start from several offsets, on some of the samples, until one is good. However long a
 sweep is, MOST_SAMPLES of its profiles make the answer.
+
+All differences between a sweep and stops: a pass is cut by time (StopFinder), and its profiles are
+not combined (sampling/features.py); passes_expanded takes it apart, with one motion for all parts;
+synchronised finds the clocks, on which the poses of the parts depend (problem_of).
 """
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ from itertools import islice
 
 from handeye_ros import targets
 from handeye_ros.config import Config
-from handeye_ros.data import Array, CLOCK_DRIFT, Pass, Reject, ROTATION_LAG, Sample, TIME_OFFSET
+from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import process_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.least_squares import graduated, Rows, System, typical
@@ -39,9 +43,9 @@ MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a sta
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    motions = [sample.motion for sample in samples if isinstance(sample, Pass)]
+    motions = [sample.motion for sample in samples if sample.of_pass]
     motion = joined(motions) if motions else None
-    return tuple(replace(one, motion=motion) if isinstance(sample, Pass) else one
+    return tuple(replace(one, motion=motion) if sample.of_pass else one
                  for sample in samples for one in sample.parts)
 
 
