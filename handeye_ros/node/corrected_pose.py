@@ -56,13 +56,6 @@ class CorrectedPose(Node):
                 pose.translation, pose.quaternion, base, self._frame, stamp)]))
 
 
-def run(options: argparse.Namespace) -> None:
-    """Run the node until Ctrl-C; raises InputError."""
-    arm = read_arm(options.kinematics) if options.kinematics else (
-        read_urdf(options.urdf, options.base, options.flange)[1])
-    spin(lambda: CorrectedPose(arm, options))
-
-
 def main() -> int:
     """Run the executable `corrected_pose`."""
     parser = argparse.ArgumentParser(prog='corrected_pose', description=__doc__)
@@ -73,7 +66,13 @@ def main() -> int:
                           ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
         parser.add_argument(f'--{name}', default=default)
     options = parser.parse_args(own_arguments())
-    return exit_code(lambda: run(options))
+
+    def run() -> None:
+        arm = read_arm(options.kinematics) if options.kinematics else (
+            read_urdf(options.urdf, options.base, options.flange)[1])
+        spin(lambda: CorrectedPose(arm, options))
+
+    return exit_code(run)
 
 
 if __name__ == '__main__':

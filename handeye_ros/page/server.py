@@ -69,8 +69,7 @@ def serve(node: HandeyeNode) -> None:
 class PageServer:
     """Serves a page until the process ends; token: '' where none is needed."""
 
-    def __init__(self, source: Source, address: str, port: int,
-                 token_file: Path | None = None) -> None:
+    def __init__(self, source: Source, address: str, port: int, token_file: Path) -> None:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
         try:
             self._local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
@@ -239,10 +238,8 @@ def _static(name: str, status: int = 200) -> web.Response:
                         charset='utf-8', headers=HEADERS)
 
 
-def token_of(file: Path | None) -> str:
+def token_of(file: Path) -> str:
     """Return the token of a file; write a new one if it holds none. Raises OSError."""
-    if file is None:
-        return secrets.token_urlsafe(TOKEN_BYTES)
     with suppress(OSError, UnicodeDecodeError):
         token = file.read_text(encoding='ascii').strip()
         if len(token) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:

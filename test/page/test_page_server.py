@@ -10,6 +10,7 @@ import json
 import math
 from pathlib import Path
 import socket
+from tempfile import TemporaryDirectory
 import threading
 from typing import Any
 
@@ -51,10 +52,11 @@ def served(address: str = '127.0.0.1') -> Iterator[tuple[PageServer, Cell]]:
     with socket.socket() as probe:
         probe.bind(('127.0.0.1', 0))
         port = int(probe.getsockname()[1])
-    try:
-        yield PageServer(source, address, port), cell
-    finally:
-        cell.go_on.set()
+    with TemporaryDirectory() as folder:
+        try:
+            yield PageServer(source, address, port, Path(folder) / 'token'), cell
+        finally:
+            cell.go_on.set()
 
 
 @pytest.fixture(scope='module')
@@ -139,7 +141,7 @@ def test_the_token_survives_a_restart_in_a_file_of_the_user_alone(tmp_path: Path
     file = tmp_path / 'new' / 'token'
     token = token_of(file)
     assert file.stat().st_mode & 0o777 == 0o600 and file.read_text().strip() == token
-    assert token_of(file) == token != token_of(None)
+    assert token_of(file) == token != token_of(tmp_path / 'other')
     file.chmod(0o644)  # others may have read it
     assert token_of(file) != token and not file.stat().st_mode & 0o077
 
@@ -176,6 +178,6 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(
 
 def test_a_port_in_use_and_an_address_that_is_none(here: tuple[PageServer, Cell]) -> None:
     with pytest.raises(InputError, match='set page.port to another'):
-        PageServer(Source(dict, {}), '127.0.0.1', here[0].port)
+        PageServer(Source(dict, {}), '127.0.0.1', here[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
-        PageServer(Source(dict, {}), 'everywhere', 1)
+        PageServer(Source(dict, {}), 'everywhere', 1, Path())
