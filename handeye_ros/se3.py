@@ -13,7 +13,7 @@ from typing import cast
 
 from handeye_ros.data import Array
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 SMALLEST_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
 
@@ -149,18 +149,6 @@ def mean_pose(T: Array) -> Array:
     """Return the mean (4, 4) of close (n, 4, 4) transforms."""
     R = _rotations(T[:, :3, :3]).mean().as_matrix()
     return transform(R, T[:, :3, 3].mean(axis=0))
-
-
-def interpolated(times: Array, translations: Array, quaternions: Array, at: Array) -> Array:
-    """
-    Return poses (k, 4, 4) at times `at` (k,), interpolated between poses at times (n,).
-
-    times: ascending, n > 1; translations: (n, 3); quaternions: (n, 4) x y z w. Linear in the
-    translation, slerp in the rotation. Raises ValueError outside the times.
-    """
-    rotations = Slerp(times, Rotation.from_quat(quaternions))(at)
-    translation = np.column_stack([np.interp(at, times, column) for column in translations.T])
-    return transform(rotations.as_matrix(), translation)
 
 
 def worst_translation(covariance: Array) -> tuple[float, Array]:

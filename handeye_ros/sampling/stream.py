@@ -22,6 +22,7 @@ from handeye_ros.data import Array, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, InputError
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
 LAST = 2 ** 63 - 1  # ns; largest stamp
@@ -254,4 +255,5 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
         raise ValueError('a stamp lies outside the time of the poses')
     translations, quaternions = (np.array([getattr(p, name) for p in poses])
                                  for name in ('translation', 'quaternion'))
-    return se3.interpolated(times, translations, quaternions, at)
+    return se3.transform(Slerp(times, Rotation.from_quat(quaternions))(at).as_matrix(),
+                         np.column_stack([np.interp(at, times, axis) for axis in translations.T]))
