@@ -40,6 +40,7 @@ RATE = 5.0  # events a second, at most
 WORKERS = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
 PATIENCE = 10.0  # s until a client must accept an event, and the server must start
+LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
 KINDS = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
@@ -215,7 +216,9 @@ class PageServer:
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
-            values = json.loads(await request.read() or b'{}')
+            values = json.loads(await asyncio.wait_for(request.read(), LONGEST_BODY) or b'{}')
+        except TimeoutError:
+            return _sentence(408, 'the request was not complete in time')
         except (ValueError, RecursionError):
             values = None
         if not isinstance(values, dict):

@@ -168,6 +168,7 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(
         waiting[-1].close()  # one breaks off
         assert asked(page, 'POST', '/act/take', '{}', **KIND)[0] == 200
         assert len(cell.asked) == 2
+        assert waiting[0].recv(100).startswith(b'HTTP/1.1 408 ')  # within some seconds
         cell.go_on.set()
         for thread in threads:
             thread.join()
