@@ -177,7 +177,8 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
                          config.limits.residual)
         calibration = found
     except DataError as error:
-        # 10. Without a certain cause, ask whether other settings or clocks explain the stops.
+        # 10. Without a certain cause, ask whether other settings or clocks explain the stops;
+        # those that show another surface are left out.
         refusal = explained(error, session, config) if session else error
         if session and isinstance(refusal, OtherSurfaceError):
             others = _without(refusal, session, config)
