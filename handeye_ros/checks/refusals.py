@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, degrees, mm
+from handeye_ros.estimation.covariance import ARM
 from handeye_ros.estimation.problem import Target
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
@@ -187,7 +188,12 @@ def require_certain_points(solution: Solution, config: Config) -> None:
 
 
 def missing_motion(solution: Solution, config: Config) -> str:
-    """Return in words the motion that the samples of a solution lack."""
+    """Return in words the motion that the samples lack, or that a corrected arm limits them."""
+    reported, arm = solution.reported[:6, :6], solution.added.get(ARM)
+    whole = worst_translation(reported)[0]
+    if arm is not None and worst_translation(reported - arm)[0] < whole / 2:
+        return ('most of that comes from the corrected arm: correct it again with more samples '
+                '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
     known = worst_rotation(solution.reported)[0] <= config.limits.rotation
     if known and (one_view := problem.target.one_view(problem, solution.estimate)):

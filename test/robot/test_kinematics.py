@@ -14,7 +14,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
 from handeye_ros.bags.bag import read
 from handeye_ros.config import Config, TargetConfig
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import points, sources
@@ -279,7 +279,10 @@ def test_a_solve_with_a_corrected_arm_is_as_uncertain_as_the_arm_makes_it(tmp_pa
     answer.save(simulated_arm.urdf(), tmp_path, ())
     corrected = [replace(s, T_base_flange=T) for s, T in zip(
         samples, read_arm(tmp_path).forward(q), strict=True)]
-    found = pipeline.solve(corrected, (), replace(
-        config, kinematics=str(tmp_path / 'kinematics.yaml')), 'laser')
+    config = replace(config, kinematics=str(tmp_path / 'kinematics.yaml'))
+    found = pipeline.solve(corrected, (), config, 'laser')
     away = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
     assert away @ np.linalg.solve(found.covariance, away) < 22.5  # of chi-squared: 1 in 1000
+    strict = replace(config, limits=replace(config.limits, translation=1e-6))
+    with pytest.raises(DataError, match='most of that comes from the corrected arm'):
+        pipeline.solve(corrected, (), strict, 'laser')
