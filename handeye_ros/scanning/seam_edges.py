@@ -69,7 +69,7 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
         raise DataError(
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
-            f'{mm(4 * spacing)} to be seen: scan more densely, or check what was scanned')
+            f'{mm(NARROWEST * spacing)} to be seen: scan more densely, or check what was scanned')
     middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
     if kind == 'step':
         raise DataError(
@@ -175,7 +175,7 @@ def _covered(sheets: Sheets, pairs: Pairs) -> bool:
         middle @ flat, 8, distance_upper_bound=max(reach, spacing))
     valid = np.isfinite(distance)
     offset = sheets.points[np.where(valid, neighbours, 0)] - middle[:, None]
-    return bool(((offset @ normal > 4 * spacing) & valid).any(axis=1).mean() > 0.5)
+    return bool(((offset @ normal > NARROWEST * spacing) & valid).any(axis=1).mean() > 0.5)
 
 
 def _is_v(sheets: Sheets, pairs: Pairs) -> bool:

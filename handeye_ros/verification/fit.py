@@ -45,7 +45,7 @@ FARTHEST = 0.1  # m: no calibration error is larger
 LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
 MOST_DISTANCES = 1500  # of which the expected RMS is computed
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
-UNSEEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
+OPEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
 FREE = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
 ALONE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
@@ -329,7 +329,7 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     values, F = shape.values(q), derivatives(shape.values, q)
     by_error = F @ gain @ G
     covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
-    unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > UNSEEN
+    unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > OPEN
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     covariance[known, known] += (config.verify.certificate / K) ** 2

@@ -17,7 +17,6 @@ from typing import Self
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import InputError, UnusableMessageError
-from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.fit import StationSet
@@ -118,8 +117,8 @@ class VerificationSession:
         """Return whether the last part has begun and is not empty."""
         return len(self.parts) >= self._possible[-1] and not self.parts[-1].is_empty
 
-    def add(self, stop: Stop, config: Config,
-            judge: Callable[[Stop, Config], Sample | Reject] = result_of) -> Sample | Reject:
+    def add(self, stop: Stop, config: Config, judge: Callable[[Stop, Config], Sample | Reject]
+            ) -> Sample | Reject:
         """Add a stop; return its result for the routine. judge: evaluates the stop."""
         result = judge(stop, settings_for(self.routine, config, self._possible[0]))
         self.parts[-1].stops[stop.began] = result

@@ -40,12 +40,12 @@ import numpy as np
 SURE_CHANGE = 4.0  # sigmas of a change
 SMALLEST = 1e-4  # s: a smaller change does not matter to a scan
 MOST = 60  # samples of a sweep
-OUTLIER, FOREIGN = 4.0, 20.0  # robust sigmas of the points: left out; of another surface
+OUTLIER, OF_ANOTHER_SURFACE = 4.0, 20.0  # robust sigmas of a point that is left out; or that is
 STEPS, ALL = 16, 6  # Gauss-Newton steps, of which the first with all points
 CORRELATED = 1_000_000_000  # ns, over which residuals are not independent
 SAME = 1.5e-3  # m: pieces this near to a plane are one surface, or
 WIDE = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
-LEAST_SHARE = 0.5  # of the stops must see the nearest surface
+LEAST_SEEN = 0.5  # of the stops must see the nearest surface
 LEAST_STOPS = 4
 TRIALS = 300  # pairs of features that define a trial point, line or plane
 PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
@@ -172,7 +172,7 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
               if isinstance(f, FaceLine)]
     stop = np.array([k for k, _ in pieces])
     ends, surfaces, free = np.array([_ends(f, T[k]) for k, f in pieces]), [], np.arange(len(stop))
-    least = max(LEAST_SHARE * len(np.unique(stop)), LEAST_STOPS)
+    least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS)
     while len(stop) > len(np.unique(stop)) and len(np.unique(stop[free])) >= least:
         away, nearest = _common(ends[free], stop[free], 2)
         on = away <= max(SAME, WIDE * float(np.median(nearest)))
@@ -225,7 +225,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     time = stations.stamps[obs.station[inliers]] // CORRELATED
     parts = np.bincount(np.unique(time, return_inverse=True)[1], gain[-1] * r[inliers])
     std = float(np.sqrt((parts ** 2).sum() * len(parts) / max(len(parts) - len(x), 1)))
-    foreign = set(obs.station[np.abs(r) > FOREIGN * scatter].tolist())
+    foreign = set(obs.station[np.abs(r) > OF_ANOTHER_SURFACE * scatter].tolist())
     previous = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
     _, sentence = compared(TimeOffset(config.time_offset + float(x[-1]), std), previous)
     if foreign:

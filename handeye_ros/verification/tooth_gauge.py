@@ -24,7 +24,7 @@ FAR = 0.15  # of the height: a point further from all faces is on none
 BIN = 0.05  # of the pitch
 CUT = 4.0  # sigmas of the points of a face
 ROUNDING = 0.1  # of the sensor's noise: the smallest scatter assumed when outliers are removed
-LEAST_SHARE = 0.2  # of the points must be on the gauge
+LEAST_ON_GAUGE = 0.2  # of the points must be on the gauge
 LEAST_FACE = 0.01  # of the points must be on tops and valleys, and on flanks
 ROUNDS = 6
 GRAZING = 0.05  # cosine of a face to the ray, at least
@@ -43,7 +43,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     q = np.append(np.zeros(8), flank / height)
     for _ in range(ROUNDS):
         face, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
-        if on_gauge.mean() < LEAST_SHARE:
+        if on_gauge.mean() < LEAST_ON_GAUGE:
             break
         obs = replace(stations.observations, kind=face).select(on_gauge)
         shape = _shape(replace(stations, observations=obs), frame, pitch, height, tooth[on_gauge],
@@ -51,7 +51,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         q = shape.fitted(p[on_gauge], iterations=1)
     top, valley, *flanks = np.bincount(face[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
-    if on_gauge.mean() < LEAST_SHARE or least < LEAST_FACE:
+    if on_gauge.mean() < LEAST_ON_GAUGE or least < LEAST_FACE:
         raise DataError(
             f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
