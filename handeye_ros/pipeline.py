@@ -16,7 +16,11 @@ from handeye_ros import targets
 from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import explained, require_agreement
-from handeye_ros.checks.measures import believable_shape, believable_size, require_one_scale
+from handeye_ros.checks.measures import (
+    require_one_scale,
+    with_free_shape_if_needed,
+    with_free_size_if_needed,
+)
 from handeye_ros.checks.moved import moved_slightly
 from handeye_ros.checks.refusals import (
     missing_motion,
@@ -155,11 +159,11 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         problem = problem_of(ordered, config)
         solution = robust_solution(problem, rng, True, moved.estimate)
         # 5. Free a stated measure of the target where only this makes the samples agree.
-        solution = believable_shape(problem, solution, rng)
+        solution = with_free_shape_if_needed(problem, solution, rng)
         # 6. Where they do not agree, name the assumption that is wrong, if it is certain.
         require_agreement(ordered, problem, solution)
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again.
-        solution = believable_size(with_blocks(solution))
+        solution = with_free_size_if_needed(with_blocks(solution))
         require_one_scale(solution)
         fits = True
         if config.kinematics:  # a corrected arm, which has errors of its own

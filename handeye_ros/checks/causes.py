@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import convention_errors, orientations_scatter
-from handeye_ros.checks.hypotheses import Explanation, require_stated
+from handeye_ros.checks.hypotheses import Explanation, refuse_better
 from handeye_ros.checks.measures import other_scale
 from handeye_ros.checks.moved import moved_between
 from handeye_ros.checks.refusals import (
@@ -45,9 +45,9 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     stated, refusal = Explanation.of(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
-        require_stated(stated, [other_sign(samples, problem.config, stated)])
+        refuse_better(stated, [other_sign(samples, problem.config, stated)])
     if refusal or solution.variance_factor >= MISFITTING:
-        require_stated(stated, convention_errors(problem, stated))
+        refuse_better(stated, convention_errors(problem, stated))
     if refusal and orientations_scatter(problem.poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '
@@ -56,8 +56,8 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     if refusal:
         require_certain(solution.reported, problem.config,
                         missing_motion(solution, problem.config))
-        require_stated(stated, moved_between(problem))
-    require_stated(stated, other_scale(solution))
+        refuse_better(stated, moved_between(problem))
+    refuse_better(stated, other_scale(solution))
     if refusal:
         raise refusal
 

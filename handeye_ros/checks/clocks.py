@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, refuse_better
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
@@ -58,7 +58,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     # compared are the stops in which the profiles come to rest, whatever they show as it is set
     stated = fit_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
                      if still.sample], config)
-    require_stated(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
+    refuse_better(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
                             if abs(_offset(stills, behind)) > SMALLEST])
 
 

@@ -19,7 +19,6 @@ uncertain, and therefore fits. So the same must also hold in metres, in one unit
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
 
@@ -122,10 +121,8 @@ def refitted(problem: Problem, all_starts: bool = False) -> Explanation:
 
     all_starts: as in a solve, not only the first two.
     """
-    found = None
-    with suppress(DataError):
-        found = (robust_solution(problem, np.random.default_rng(0), subsets=True)
-                 if all_starts else first_guesses(problem))
+    found = (robust_solution(problem, np.random.default_rng(0), subsets=True)
+             if all_starts else first_guesses(problem))
     return Explanation.of(found) if found else Explanation.nothing(len(problem.poses))
 
 
@@ -167,7 +164,7 @@ class Hypothesis:
     changes: int = 1
 
 
-def require_stated(stated: Explanation, hypotheses: Sequence[Hypothesis]) -> None:
+def refuse_better(stated: Explanation, hypotheses: Sequence[Hypothesis]) -> None:
     """
     Raise where another assumption explains the same stops better than the stated ones.
 

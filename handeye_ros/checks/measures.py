@@ -23,7 +23,8 @@ FREED_FROM = 2.5  # sigmas: an estimated length is used; it costs little where t
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
-def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generator) -> Solution:
+def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random.Generator
+                              ) -> Solution:
     """Return the consensus, with free target measures if only these make the stations agree."""
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
@@ -31,10 +32,7 @@ def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generato
             or agreed.variance_factor > CONVINCING)
     if config == stated_config or not poor:
         return agreed
-    try:
-        other = robust_solution(replace(problem, config=config), rng)
-    except DataError:
-        return agreed
+    other = robust_solution(replace(problem, config=config), rng)
     stated, _ = target.stated(stated_config)[target.labels[-1]]
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
@@ -44,7 +42,7 @@ def believable_shape(problem: Problem, agreed: Solution, rng: np.random.Generato
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
 
-def believable_size(agreed: Solution) -> Solution:
+def with_free_size_if_needed(agreed: Solution) -> Solution:
     """
     Return the refined consensus with the lengths of a plate estimated, if the stated are wrong.
 

@@ -136,8 +136,9 @@ def require_tested(solution: Solution) -> None:
             f'least {needed} are needed: take more samples at new poses', reason='few')
     each = int(solution.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
-    not_all_found = solution.contaminated > SURELY and dropped > 1 and solution.whole.ambiguous
-    if not_all_found or (solution.contaminated > CONTAMINATED and missing > 0):
+    not_all_found = (
+        solution.probability_wrong > SURELY and dropped > 1 and solution.whole.ambiguous)
+    if not_all_found or (solution.probability_wrong > CONTAMINATED and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '
             'noise.robot_smooth states, or at least one sample is wrong (a pose wrong by about a '
@@ -189,7 +190,7 @@ def require_certain_points(solution: Solution, config: Config) -> None:
 
 def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
-    reported, arm = solution.reported[:6, :6], solution.added.get(ARM)
+    reported, arm = solution.reported[:6, :6], solution.added_covariances.get(ARM)
     whole = worst_translation(reported)[0]
     if arm is not None and worst_translation(reported - arm)[0] < whole / 2:
         return ('most of that comes from the corrected arm: correct it again with more samples '

@@ -14,7 +14,7 @@ from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, require_stated
+from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, refuse_better
 from handeye_ros.config import Config, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
@@ -50,7 +50,7 @@ def require_settings(session: Session, config: Config) -> None:
             fit = replace(fit, q=np.where(edges, np.inf, fit.q))
         return fit
 
-    require_stated(stated, [
+    refuse_better(stated, [
         Hypothesis(partial(refit, values), partial(to_set, values, stated), len(values))
         for values in _changes(config)])
 

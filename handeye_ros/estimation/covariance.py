@@ -66,8 +66,9 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     rest = chi2_sf(max(configured.squares - explained[worst], 0.0), freedom)
     sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and rest > EXPLAINED
-    return replace(solution, added={ONE_WRONG: np.tensordot(probability, squares, 1)},
-                   contaminated=float(probability.sum()), wrong=worst if sure else None)
+    return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, squares, 1)},
+                   probability_wrong=float(probability.sum()),
+                   surely_wrong=worst if sure else None)
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,9 @@ def budget(solution: Solution) -> Budget:
         gain = wide.covariance[:6, own]
         parts[block.name] = gain @ gain.T
     away, inside = solution.shift_of_report, wide.covariance[:6, :6]
-    parts |= {'scales of the estimate': np.outer(away, away), **solution.added}
+    parts |= {'scales of the estimate': np.outer(away, away), **solution.added_covariances}
     parts['best fit'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
-                         - sum(solution.added.values()))
+                         - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
                   _term(solution, 'all', solution.reported[:6, :6]), len(solution.used))

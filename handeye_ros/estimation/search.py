@@ -52,7 +52,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     Return the solution of the stations that agree, from several starts.
 
     subsets: also start from random subsets of the stations if all together do not fit. start: the
-    only start to use, if given. Raises DataError when there is no start.
+    only start to use, if given.
     """
     if start is not None:
         return without_outliers(refined(problem, start))
@@ -119,7 +119,7 @@ def with_blocks(solution: Solution) -> Solution:
 
     solution, used, dropped = agreeing(
         near.used, len(whole.poses), whole.target.minimum, fitted,
-        lambda found: found.for_report.left_out(), lambda found: found.wrong)
+        lambda found: found.for_report.left_out(), lambda found: found.surely_wrong)
     return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
 

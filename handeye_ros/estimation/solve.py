@@ -58,8 +58,8 @@ class Solution:
     sigmas; N: (u + q, u + q) their information, A' A.
 
     whole: the problem with all stations and observations; used: (n,) indices of those used;
-    dropped: squared residual of the others; contaminated: probability that one of few used
-    stations is wrong, wrong: the station that almost surely is; added: (6, 6) by cause, added to
+    dropped: squared residual of the others; probability_wrong: that one of few used stations is,
+    surely_wrong: the station that almost surely is; added_covariances: (6, 6) by cause, added to
     the reported covariance of the transform, as by (10); conservative: the solution at
     conservative scales: its estimate moves too far, its covariance is realistic.
     """
@@ -74,9 +74,9 @@ class Solution:
     whole: Problem
     used: NDArray[np.intp]
     dropped: Mapping[int, float] = field(default_factory=dict)
-    contaminated: float = 0.0
-    added: Mapping[str, Array] = field(default_factory=dict)
-    wrong: int | None = None
+    probability_wrong: float = 0.0
+    added_covariances: Mapping[str, Array] = field(default_factory=dict)
+    surely_wrong: int | None = None
     conservative: Solution | None = None
 
     @classmethod
@@ -250,7 +250,7 @@ class Solution:
             return reported
         away = self.shift_of_report
         reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away), self._best_fit)
-        reported[:6, :6] += sum(self.added.values())
+        reported[:6, :6] += sum(self.added_covariances.values())
         return reported
 
     @property

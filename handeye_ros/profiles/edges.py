@@ -3,12 +3,15 @@
 """
 Where a face of a profile ends in an edge, and where it only ends.
 
-`edge_at` decides from one profile: all that makes an end real, or speaks against it, stands there.
-Later only stops whose profiles disagree are refused (sampling/features.py). The edge is
-where the plane of the face meets the plane of the wall below it. A wall in sight gives it as the
-crossing of two lines, whatever lies between them. Otherwise the plate ends at its last point
-before the drop, the bent end included. What lies behind the end is searched in the frame of the
-face, on the continuation of its surface.
+`edge_at` decides from one end of a face: all that makes it real, or speaks against it, stands
+there. `face_features` (faces.py) chooses the face; `combine` (sampling/features.py) needs the edge
+in most profiles of a stop; in the solve a target leaves an edge unused that lies on none of its
+own (`relabel`).
+
+The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
+gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at its
+last point before the drop, the bent end included. What lies behind the end is searched in the
+frame of the face, on the continuation of its surface.
 """
 from __future__ import annotations
 

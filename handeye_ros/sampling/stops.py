@@ -33,7 +33,7 @@ FOREVER = 2**63
 
 # Profiles of a sample, evenly spread. A robot at rest sees the same speckle, and 32 profiles
 # reduce the noise of single ones far below that of the poses. A stop keeps more: for other
-# settings, and for the test of the clocks (50 ms apart, see checks/settings.py) in 3.75 s.
+# settings, and for the test of the clocks (50 ms apart, see checks/clocks.py) in 3.75 s.
 MOST_PROFILES = 32
 
 Item = TypeVar('Item')

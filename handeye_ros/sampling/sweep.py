@@ -12,7 +12,9 @@ sweep is, MOST_SAMPLES of its profiles make the answer.
 
 All differences between a sweep and stops: a pass is cut by time (StopFinder), and its profiles are
 not combined (sampling/features.py); passes_expanded takes it apart, with one motion for all parts;
-synchronised finds the clocks, on which the poses of the parts depend (problem_of).
+synchronised finds the clocks, on which the poses of the parts depend (problem_of). A pass is never
+a duplicate, nor taken early (session.py); other settings and clocks are not asked for a sweep
+(checks/causes.py); advice is to sweep on (guidance/advice.py).
 """
 from __future__ import annotations
 
@@ -178,7 +180,7 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     Return samples of a moving robot with the poses at the most likely times.
 
     Of a sweep with more than MOST_SAMPLES only so many remain, evenly chosen: the others are
-    neither samples of the answer nor rejects. Raises DataError where no estimate can be started.
+    neither samples of the answer nor rejects.
     """
     if not any(sample.moving for sample in samples):
         return Synchronised(list(samples), [])

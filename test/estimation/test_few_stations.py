@@ -91,7 +91,7 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
     for stations in ((3, 3), (9, 9)):
         made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
         solution = with_blocks(robust_solution(made.problem, np.random.default_rng(0)))
-        without = replace(solution, added={})
+        without = replace(solution, added_covariances={})
         grown.append(np.diag(solution.reported)[:6] / np.diag(without.reported)[:6])
     few, many = grown
     assert few.max() > 1.01 > many.max()
