@@ -69,11 +69,20 @@ class Explanation:
         return sum(part.squares for part in self.parts) / max(freedom, 1)
 
     @property
-    def believable(self) -> bool:
+    def redundancy(self) -> int:
+        """Return the number of independent conditions in excess of the unknowns, of all parts."""
+        return sum(part.redundancy for part in self.parts)
+
+    @property
+    def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
-        redundancy = sum(part.redundancy for part in self.parts)
-        return bool(redundancy >= FEWEST_CONDITIONS and self.variance_factor < CONVINCING
+        return bool(self.redundancy > 0 and self.variance_factor < CONVINCING
                     and self.explained > (1 - LARGEST_DROPPED_SHARE) * self.q.shape[1])
+
+    @property
+    def believable(self) -> bool:
+        """Return whether the stops agree, and not by chance."""
+        return self.agrees and self.redundancy >= FEWEST_CONDITIONS
 
     @property
     def explained(self) -> int:

@@ -69,7 +69,7 @@ def require_one_surface(session: Session, config: Config) -> None:
         return
     others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
                      if other], config, all_starts=True)
-    if others.believable:
+    if others.agrees:  # as few as they may be: it is the plane that tells the surfaces apart
         raise OtherSurfaceError([taken[k] for k in np.flatnonzero(beside)],
                                 float(np.median(np.abs(heights[beside]))), int(seen.sum()),
                                 len(taken))
