@@ -71,23 +71,27 @@ def node(process: subprocess.Popen[str], client: Client) -> subprocess.Popen[str
 def test_it_offers_what_the_contract_lists_and_the_layouts_show(
         client: Client, node: subprocess.Popen[str]) -> None:
     client.until(lambda: listed() <= offered(client), 'it offers all that docs/contract.md lists')
-    topics = dict(client.node.get_topic_names_and_types())
+    panels = json.loads((ROOT / 'foxglove' / 'handeye.json').read_text())['configById'].values()
+    used = {name for panel in panels for name in (
+        *panel.get('topics', ()), panel.get('topicToRender', ''),
+        re.split(r'[.\[{]', panel.get('topicPath', ''))[0])} - {''}
+    services = {panel['serviceName'] for panel in panels if 'serviceName' in panel}
+    assert services
+    graph = client.node  # which learns of the topics one by one
+    client.until(lambda: used <= dict(graph.get_topic_names_and_types()).keys(),
+                 'it has the topics of all panels')
+    client.until(lambda: services <= dict(graph.get_service_names_and_types()).keys(),
+                 'it has the services of all panels')
+    topics = dict(graph.get_topic_names_and_types())
     displays = yaml.safe_load((ROOT / 'rviz' / 'handeye.rviz').read_text())[
         'Visualization Manager']['Displays']
     for display in (one for one in displays if 'Topic' in one):
         topic, kind = display['Topic'], display['Class'].removeprefix('rviz_default_plugins/')
         assert topics.get(topic['Value']) == [RVIZ_TYPES[kind]], topic['Value']
-        infos = client.node.get_publishers_info_by_topic(topic['Value'])
+        infos = graph.get_publishers_info_by_topic(topic['Value'])
         if infos:  # a display that wants more than is offered gets nothing
             durable = infos[0].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             assert durable or topic['Durability Policy'] == 'Volatile'
-    panels = json.loads((ROOT / 'foxglove' / 'handeye.json').read_text())['configById'].values()
-    for panel in panels:
-        used = {*panel.get('topics', ()), panel.get('topicToRender', ''),
-                re.split(r'[.\[{]', panel.get('topicPath', ''))[0]} - {''}
-        assert used <= topics.keys()
-    services = {panel['serviceName'] for panel in panels if 'serviceName' in panel}
-    assert services and services <= dict(client.node.get_service_names_and_types()).keys()
 
 
 def test_nothing_listens_but_dds(node: subprocess.Popen[str]) -> None:
