@@ -9,7 +9,7 @@ command line, the node, the review of samples, the guidance and the report all r
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import targets
@@ -135,12 +135,13 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
 
 @single_threaded
 def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-           frame_id: str = '', session: Session | None = None) -> Answer:
+           frame_id: str = '', session: Session | None = None, warnings: Sequence[str] = ()
+           ) -> Answer:
     """
     Return what samples say, in any order; see solve.
 
-    session: the stops they come from, in which the cause of a refusal is searched. A pass of a
-    sweep counts as its single profiles.
+    session: the stops they come from, in which the cause of a refusal is searched; warnings: of
+    the recording, if no session is given. A pass of a sweep counts as its single profiles.
     """
     ordered: Sequence[Sample] = sorted(passes_expanded(samples), key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
@@ -175,8 +176,9 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         require_certain_points(solution, config)
         require_edges(solution)
         # 9. Predict each sample from the others.
-        warnings = [*filter(None, [warning]), *(session.warnings if session else ())]
-        found = calibration_of(ordered, rejects, solution, config, frame_id, warnings)
+        warnings = session.warnings if session else warnings
+        found = calibration_of(ordered, rejects, solution, config, frame_id,
+                               [*filter(None, [warning]), *warnings])
         require_left_out(found.quality.holdout_rms, found.quality.residual_rms,
                          config.limits.residual)
         calibration = found
@@ -194,14 +196,9 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
 def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answer:
     """Return the answer from the stops of a session that do not show another surface."""
     rejects = [Reject(stamp, f'shows {found.why}') for stamp in found.stamps]
-    rest = answer([sample for sample in session.samples if sample.stamp not in found.stamps],
-                  [*session.rejects, *rejects], config, session.frame_id)
-    if rest.calibration is None:
-        return rest
-    known = rest.calibration.provenance
-    warnings = [*session.warnings, found.left_out, *known.get('warnings', ())]
-    return replace(rest, calibration=replace(
-        rest.calibration, provenance={**known, 'warnings': warnings}))
+    return answer([sample for sample in session.samples if sample.stamp not in found.stamps],
+                  [*session.rejects, *rejects], config, session.frame_id,
+                  warnings=[*session.warnings, found.left_out])
 
 
 def at_fixed_poses(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
