@@ -330,9 +330,11 @@ class _Sqlite:
         count = position = 0
         try:
             with closing(self._connected()) as database:
-                names = {key: topic for key, *of in database.execute(
-                    'SELECT id, name, type, serialization_format FROM topics')
-                    if (topic := self._reader.wanted(*map(str, of)))}
+                names = {}
+                for key, name, kind, encoding in database.execute(
+                        'SELECT id, name, type, serialization_format FROM topics'):
+                    if topic := self._reader.wanted(str(name), str(kind), str(encoding)):
+                        names[key] = topic
                 marks = ', '.join('?' * len(names))
                 for key, number, time, data in database.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages '

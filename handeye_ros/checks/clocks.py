@@ -59,7 +59,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     stated = fit_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
                      if still.sample], config)
     refuse_better(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
-                            if abs(_offset(stills, behind)) > SMALLEST])
+                           if abs(_offset(stills, behind)) > SMALLEST])
 
 
 def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
