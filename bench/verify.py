@@ -52,8 +52,8 @@ from handeye_ros.simulate.scenes import Stops, tilts
 from handeye_ros.simulate.sensor import lift
 from handeye_ros.verification.check import Check, check
 from handeye_ros.verification.fit import StationSet
-from handeye_ros.verification.routines import Routine, ROUTINES, settings_for, TEETH
-from handeye_ros.verification.stations import stations_of, stations_of_pass
+from handeye_ros.verification.routines import Routine, ROUTINES, settings_for
+from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import Verification, verify
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -277,10 +277,10 @@ def covariance(rng: np.random.Generator) -> Array:
     return np.asarray(C * np.outer(size, size))
 
 
-def scanned(made: Artefact, config: Config) -> list[StationSet]:
+def scanned(made: Artefact, config: Config) -> StationSet:
     """Return what a scan in passes gives the routine of the gauge."""
-    return [stations_of_pass(part.profiles, trajectory_of(part.poses, 0.5), config)
-            for part in made.passes]
+    return stations_of_passes([(part.profiles, trajectory_of(part.poses, 0.5))
+                               for part in made.passes], config)
 
 
 def stops_of(routine: Routine, made: Artefact, config: Config
@@ -298,12 +298,11 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
     radius = RADIUS if routine.target == 'sphere' else 0.0
     config = Config(noise=NOISE, verify=VerifyConfig(
         lengths=made.lengths, radius=radius, reference=made.reference, aim=aim))
-    if routine.target == TEETH:
-        bags = scanned(made, config)
-        return [verify(routine, bags, one, config) for one in found]
+    if routine.in_passes:
+        stations = scanned(made, config)
+        return [verify(routine, stations, one, config) for one in found]
     bags = stops_of(routine, made, config)
-    return [verify(routine, [stations_of(routine, samples, one, config) for samples in bags], one,
-                   config) for one in found]
+    return [verify(routine, stations_of(routine, bags, one, config), one, config) for one in found]
 
 
 def within(found: Verification) -> bool:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a calibrated robot measures, and whether its calibration still holds."""
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
@@ -24,11 +25,12 @@ from handeye_ros.cli.common import (
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from handeye_ros.config import Config
-    from handeye_ros.data import Calibration
+    from handeye_ros.data import Calibration, Profile, Reject, Sample
+    from handeye_ros.sampling.trajectory import Trajectory
     from handeye_ros.verification.check import Check
-    from handeye_ros.verification.fit import StationSet
-    from handeye_ros.verification.routines import Routine
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
 Bags = Annotated[list[Path], typer.Argument(
@@ -61,16 +63,20 @@ def verify(
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.verification import verify as verification
     from handeye_ros.verification.routines import routine_of, settings_for
+    from handeye_ros.verification.stations import stations_of, stations_of_passes
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
     answer, settings = calibrated(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
-    measured, reasons = zip(*(_stations(routine, bag, answer, settings) for bag in bags),
-                            strict=True)
+    if routine.in_passes:
+        measured, rejects = stations_of_passes(_passes(bags, settings), settings), ()
+    else:
+        samples, rejects = zip(*(_stops(bag, answer, settings) for bag in bags), strict=True)
+        measured = stations_of(routine, samples, answer, settings)
     result = verification.with_provenance(
-        verification.verify(routine, measured, answer, settings, next(filter(None, reasons), '')),
-        bags, calibration)
+        verification.verify(routine, measured, answer, settings, list(chain(*rejects))), bags,
+        calibration)
     show(verification.table(result))
     if out:
         write_whole(out, verification.yaml_text(result))
@@ -85,21 +91,23 @@ def verify(
         raise typer.Exit(NOT_AS_WANTED)
 
 
-def _stations(routine: 'Routine', bag: Path, calibration: 'Calibration', config: 'Config'
-              ) -> tuple['StationSet', str]:
-    """Return what a recording shows of the artefact, and why the first stop was rejected."""
-    from handeye_ros.verification.routines import TEETH
-    from handeye_ros.verification.stations import stations_of, stations_of_pass
-    if routine.target == TEETH:
+def _passes(bags: list[Path], config: 'Config'
+            ) -> 'Iterator[tuple[Sequence[Profile], Trajectory]]':
+    """Yield the profiles and poses of each recording."""
+    for bag in bags:
         with flowing(bag, config, 'reading the recording') as (source, track, _):
-            return stations_of_pass(list(source.returns()), track, config), ''
+            yield list(source.returns()), track
+
+
+def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
+           ) -> 'tuple[Sequence[Sample], Sequence[Reject]]':
+    """Return what the stops of a recording give."""
     session = gathered(read_bag(bag, config), config)
     used = {report.stamp for report in calibration.samples if report.used}
     if any(sample.stamp in used for sample in session.samples):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
              'well; measure at others')
-    return (stations_of(routine, session.samples, calibration, config),
-            next((reject.reason for reject in session.rejects), ''))
+    return session.samples, session.rejects
 
 
 @app.command()
@@ -149,13 +157,12 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
             raise
         settings = replace(settings, sampling=replace(settings.sampling, mode='moving'))
         session = gathered(recording, settings)
-    reason = next((reject.reason for reject in session.rejects), '')
     if not settings.sampling.moving:
-        return check.check(session.samples, calibration, settings, reason)
+        return check.check(session.samples, calibration, settings, session.rejects)
     answer = pipeline.answer_of(session, settings)
     offset, solution = answer.required().time_offset, answer.consensus()
     used = [answer.samples[i] for i in solution.used]
-    result = check.check(check.some_of_sweep(used), calibration, settings, reason)
+    result = check.check(check.some_of_sweep(used), calibration, settings, session.rejects)
     return check.with_offset(result, offset, calibration) if offset else result
 
 

@@ -117,8 +117,7 @@ class LiveSession:
             self._profiles.append(profile)
             self.session.add_profile(profile)
             self._queue_stops()
-            if self.verification.session:
-                self.verification.session.add_profile(profile)
+            self.verification.add_profile(profile)
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Add poses."""
@@ -129,8 +128,7 @@ class LiveSession:
                 self.session.add_pose(pose)
             self.early = self.session.current_if_ready() or self.early
             self._queue_stops()
-            if self.verification.session:
-                self.verification.session.add_poses(poses)
+            self.verification.add_poses(poses)
 
     def add_joints(self, stamp: int, data: bytes) -> None:
         """Keep a serialised JointState, to be stored with the stop of its time."""
@@ -268,10 +266,10 @@ class LiveSession:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return the current warnings, one sentence each."""
-        warnings, verifying = [], self.verification.session
-        if verifying:
-            warnings.append(f'a verification ({verifying.routine.name}) continues: stops '
-                            'are not samples until ~/verify_result')
+        warnings, routine = [], self.verification.routine
+        if routine:
+            warnings.append(f'a verification ({routine.name}) continues: stops are not samples '
+                            'until ~/verify_result')
         if self._left_out:
             warnings.append(f'left {self._left_out} stops out, the oldest of more than '
                             f'{MOST_STOPS} that waited to be evaluated: the processor cannot keep '
@@ -309,7 +307,7 @@ class LiveSession:
         """Put a stop with its result into the session, replacing an earlier part of it."""
         if not over and self.session.is_taken(stop):
             return
-        if self.verification.session:
+        if self.verification.routine:
             with suppress(DataError):
                 self.verification.add_stop(stop, over)
             return
@@ -394,7 +392,7 @@ class LiveSession:
                 raise silent_poses(silence)
             with self.lock:
                 stop = self.session.current_stop()
-            if self.verification.session:
+            if self.verification.routine:
                 return self.verification.add_stop(stop, over=True)
             stop, objection = self._evaluated(stop)
             if stop.refused:
@@ -439,7 +437,8 @@ class LiveSession:
             for messages in (self._profiles, self._poses, self.waiting, self._stale):
                 messages.clear()
             self.session.clear()
-            self.early = self.verification.session = None
+            self.early = None
+            self.verification.end()
         self.attempt, self.refused = None, {}
         self.answer.forget(why)
         return count
@@ -474,7 +473,7 @@ class LiveSession:
             self.config = config
             self.session.configure(config)
             if config.verify.routine != old.verify.routine:
-                self.verification.session = None
+                self.verification.end()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
             self._stale = deque(stop.number for stop in self.session.stops)
         if self.files.path:

@@ -3,23 +3,29 @@
 """A verification at the running node: until its result, stops count for it and are no samples."""
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from handeye_ros.agreement import sample_summary
-from handeye_ros.data import Calibration, Reject
-from handeye_ros.errors import DataError
+from handeye_ros.config import Config
+from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.node.state import Attempt
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.sampling.stops import Stop
-from handeye_ros.verification.session import VerificationSession
+from handeye_ros.sampling.stops import decoded, Stop
+from handeye_ros.sampling.trajectory import trajectory_of
+from handeye_ros.verification.routines import Routine, routine_of, settings_for
+from handeye_ros.verification.stations import stations_of, stations_of_passes
 from handeye_ros.verification.verify import (
     sentence,
     Verification,
+    verify,
     with_provenance,
     yaml_text,
 )
@@ -28,20 +34,102 @@ if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 VERIFIED = 'the calibration is verified'
+MOST_PROFILES = 500  # of a pass that are kept, evenly spread
+MOST_POSES = 200_000  # of a pass that are kept, the last ones
+
+
+@dataclass(eq=False)
+class Part:
+    """
+    What was measured of one face, ball or pass.
+
+    stops: what each of them gave, by its beginning; profiles, poses: of a pass; every step-th of
+    the received profiles is kept.
+    """
+
+    stops: dict[int, Sample | Reject] = field(default_factory=dict)
+    profiles: list[AnyProfile] = field(default_factory=list)
+    poses: deque[TimedPose] = field(default_factory=lambda: deque(maxlen=MOST_POSES))
+    received: int = 0
+    step: int = 1
+
+    @property
+    def samples(self) -> list[Sample]:
+        """Return the samples in the order of their stops."""
+        return [s for _, s in sorted(self.stops.items()) if isinstance(s, Sample)]
+
+    @property
+    def is_empty(self) -> bool:
+        """Return whether nothing usable was received."""
+        return not self.samples and not self.profiles
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Keep a profile of a pass, or drop it: those kept remain evenly spaced."""
+        if self.received % self.step == 0:
+            self.profiles.append(profile)
+        self.received += 1
+        if len(self.profiles) > 2 * MOST_PROFILES:
+            self.profiles, self.step = self.profiles[::2], 2 * self.step
+
+
+def result_of_parts(routine: Routine, parts: Sequence[Part], calibration: Calibration,
+                    config: Config) -> Verification:
+    """Return the verification by what was measured; raises InputError and DataError."""
+    config = settings_for(routine, config, len(parts))
+    if routine.in_passes:
+        passes = [(decoded(part.profiles, config),
+                   trajectory_of(list(part.poses), config.sampling.max_pose_gap))
+                  for part in parts]
+        # the stamps have time_offset in them
+        stations = stations_of_passes(passes, replace(config, time_offset=0.0))
+    else:
+        stations = stations_of(routine, [part.samples for part in parts], calibration, config)
+    return verify(routine, stations, calibration, config, [
+        result for part in parts for result in part.stops.values() if isinstance(result, Reject)])
 
 
 class LiveVerification:
     """
-    The verification of a running session; its methods are for the worker (see live.py).
+    The verification of a running session.
 
-    session: None where none is running; what is scanned it gets from live. verdict: the last one.
+    Its methods but add_profile and add_poses are for the worker (see live.py). routine: None where
+    none is running; verdict: the last one.
     """
 
     def __init__(self, live: LiveSession) -> None:
         """Begin with none."""
         self._live = live
-        self.session: VerificationSession | None = None
         self.verdict = ''
+        self.end()
+
+    def end(self) -> None:
+        """End the verification, with or without a result."""
+        self.routine: Routine | None = None
+        self._possible: Sequence[int] = ()  # numbers of parts
+        self._parts: list[Part] = []
+
+    def add_profile(self, profile: AnyProfile) -> None:
+        """Take a profile of a pass; where stops are measured, none is needed."""
+        if self.routine and self.routine.in_passes:
+            self._parts[-1].add_profile(profile)
+
+    def add_poses(self, poses: Iterable[TimedPose]) -> None:
+        """Take poses of a pass, as above."""
+        if self.routine and self.routine.in_passes:
+            self._parts[-1].poses.extend(poses)
+
+    @property
+    def text(self) -> str:
+        """Return the progress in words, empty where none is running."""
+        if self.routine is None:
+            return ''
+        part, most = self._parts[-1], self._possible[-1]
+        number = f', part {len(self._parts)}' if most > 1 else ''
+        if number and len(self._possible) == 1:
+            number += f' of {most}'
+        counts = (f'{part.received} profiles' if self.routine.in_passes else
+                  f'{len(part.samples)} usable stops of {len(part.stops)}')
+        return f'{self.routine.name}{number}: {counts}'
 
     def verify_start(self) -> str:
         """
@@ -49,21 +137,26 @@ class LiveVerification:
 
         Raises InputError for the settings, DataError without a calibration.
         """
-        live, session = self._live, self.session
+        live, parts = self._live, self._parts
         while live.evaluate_next():  # what began before is a sample
             pass
-        if session is None or session.is_full:
-            session = VerificationSession(live.config)
+        routine, possible = self.routine, self._possible
+        if routine is None or len(parts) >= possible[-1] and not parts[-1].is_empty:
+            name, lengths = live.config.verify.routine, live.config.verify.lengths
+            if not name:
+                raise InputError('verify.routine is not set, so there is nothing to measure: set '
+                                 'it to the artefact under the sensor (docs/measure.md)')
+            routine, parts = routine_of(name), []
+            possible = routine.parts(len(lengths))
             self._calibration()  # may read a file
-        else:
-            session.go_on()
+        if not parts or not parts[-1].is_empty:
+            parts = [*parts, Part()]
         with live.lock:
             for stop in live.session.copied().rest():  # they began before
                 live.session.leave(stop)
-            self.session = session
-        advice = 'scan the gauge' if session.scans else 'move on, and stop with other tilts'
-        return (f'{session.text}; {advice}: what begins from now on counts, until '
-                '~/verify_result')
+            self.routine, self._possible, self._parts = routine, possible, parts
+        advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
+        return f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
 
     def add_stop(self, stop: Stop, over: bool) -> str:
         """
@@ -71,16 +164,17 @@ class LiveVerification:
 
         over: whether it is complete, and is not looked at again.
         """
-        live, session = self._live, self.session
-        assert session
+        live, routine = self._live, self.routine
+        assert routine
         if over:
             with live.lock:
                 live.session.leave(stop)
-        if session.scans:
-            raise DataError(f'{session.text}: stops do not count, points are taken while the '
-                            'robot moves')
-        result = session.add(stop, live.config, live.result_of)
-        text = f'{session.text}; {sample_summary(result)}'
+        if routine.in_passes:
+            raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
+                            'moves')
+        result = live.result_of(stop, settings_for(routine, live.config, self._possible[0]))
+        self._parts[-1].stops[stop.began] = result
+        text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))
         if isinstance(result, Reject):
             raise DataError(result.reason)
@@ -94,14 +188,16 @@ class LiveVerification:
         and where it is neither pass nor fail: the verification then continues.
         """
         live = self._live
-        if self.session is None:
+        if self.routine is None:
             raise DataError('no verification was started: call ~/verify_start, and measure the '
                             'artefact')
         live.evaluate_all()
         calibration = self._calibration()
         with live.lock:
-            session = self.session.copied()
-        return live.compute(VERIFIED, self._put, session.result, calibration, live.config)
+            parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
+                             poses=part.poses.copy()) for part in self._parts]
+        return live.compute(VERIFIED, self._put, result_of_parts, self.routine, parts, calibration,
+                            live.config)
 
     def _put(self, job: Future[Verification]) -> str:
         live, result = self._live, result_or_ended(job)
@@ -115,7 +211,7 @@ class LiveVerification:
         text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
-        self.session = None
+        self.end()
         return text
 
     def _calibration(self) -> Calibration:

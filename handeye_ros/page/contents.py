@@ -150,13 +150,13 @@ def _report(calibration: Calibration, session: str) -> str:
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
-    config, current, verifying = live.config, live.current(), live.verification.session
+    config, current = live.config, live.current()
     profile = current and {**profile_picture(current.points, current.features),
                            'reason': current.reason}
     return {**state, 'profile': profile, 'scene': _scene(live, current),
             'accuracy': config.guidance.accuracy, 'edges': _edges(live),
             'rows': list(answer_rows(live.answer.calibration)),
-            'verification': {'running': verifying.text if verifying else '',
+            'verification': {'running': live.verification.text,
                              'verdict': live.verification.verdict,
                              'routine': config.verify.routine}}
 

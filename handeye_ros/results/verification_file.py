@@ -34,6 +34,7 @@ CHARACTERISTICS = {
     'SD': ('sphere spacing error', 1.0),
     'F': ('flatness measurement error: span of the distances from the plane', 1.0),
     'E': ('length measurement error', 1.0)}
+CONFORMS, VIOLATES, UNDECIDED = 'conforms', 'does not conform', 'not decided'
 
 
 def formatted(value: float | None, unit: str) -> str:
@@ -41,6 +42,12 @@ def formatted(value: float | None, unit: str) -> str:
     if value is None or math.isnan(value):
         return ''
     return f'{value * 1e3:.4f} mm' if unit == 'm' else f'{math.degrees(value):.4f} degrees'
+
+
+def decision(deviation: float, U: float, tolerance: float) -> str:
+    """Return the decision of ISO 14253-1 on a deviation with its expanded uncertainty U."""
+    size = abs(deviation)
+    return CONFORMS if size + U <= tolerance else VIOLATES if size - U > tolerance else UNDECIDED
 
 
 def title_of(content: Mapping[str, Any]) -> str:
@@ -117,7 +124,5 @@ def _conformity(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str
             continue
         deviation, U = abs(q['value'] - q['nominal']), content['k'] * q['std']
         tolerance = content['tolerance'] if q['unit'] == 'm' else content['angle_tolerance']
-        decision = ('conforms' if deviation + U <= tolerance else
-                    'does not conform' if deviation - U > tolerance else 'not decided')
         yield (q['name'], f'{formatted(deviation, q["unit"])} ± {formatted(U, q["unit"])}',
-               formatted(tolerance, q['unit']), decision)
+               formatted(tolerance, q['unit']), decision(deviation, U, tolerance))

@@ -22,7 +22,7 @@ from typing import Any
 
 from handeye_ros import frames, se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Sample, TimeOffset
+from handeye_ros.data import Array, Calibration, Reject, Sample, TimeOffset
 from handeye_ros.errors import InputError, mm
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
@@ -33,7 +33,6 @@ from handeye_ros.verification.fit import (
     agreeing_groups,
     largest_displacement,
     Numbers,
-    predicted,
     require_stations,
     root_of,
 )
@@ -96,17 +95,17 @@ class Check:
     time_offset_changed_std: float = math.nan
 
 
-def check(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str = ''
-          ) -> Check:
+def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
+          others: Sequence[Reject] = ()) -> Check:
     """
     Return the check of a calibration by samples of the same target.
 
-    reason: why other stations gave no sample. Raises DataError, and InputError for a calibration
+    others: the stops that gave no sample. Raises DataError, and InputError for a calibration
     without a target to compare with.
     """
-    whole = _comparison(samples, calibration, config, reason)
+    whole = _comparison(samples, calibration, config, others)
 
-    def compared_at(stops: Numbers) -> tuple[_Comparison, Array, Numbers]:
+    def compared_at(stops: Numbers) -> tuple[_Comparison, Array, Array, Numbers]:
         rest = replace(whole, problem=whole.problem.subset(stops))
         obs, rows = rest.problem.observations, rest.residuals()
         require_stations([len(np.unique(obs.station))])
@@ -116,7 +115,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config, r
         factor = np.linalg.cholesky(rows.noise)
         white = scipy.linalg.solve_triangular(factor, np.column_stack([errors, rows.r]),
                                               lower=True)
-        return rest, *predicted(white[:, -1], white[:, :-1], stops[obs.station], stops)
+        return rest, white[:, -1], white[:, :-1], stops[obs.station]
 
     comparison, _, left_out = agreeing_groups(
         np.unique(whole.problem.observations.station), compared_at)
@@ -221,8 +220,8 @@ class _Comparison:
             {'target': lever, 'sensor': linear.lever})
 
 
-def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config, reason: str
-                ) -> _Comparison:
+def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config,
+                others: Sequence[Reject]) -> _Comparison:
     try:
         target, joint = TARGETS[calibration.method], calibration.target['joint']
         size = 6 + len(target.labels)
@@ -241,7 +240,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
         config.noise.robot_translation, config.noise.distortion))
     problem = Problem(target, frames.mounted(samples, config), target.observe(samples),
                       replace(config, noise=noise))
-    require_stations([len(np.unique(problem.observations.station))], reason)
+    require_stations([len(np.unique(problem.observations.station))], others)
     obs = target.relabel(problem.observations, problem.points_in_base(X), state, config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
     return _Comparison(problem, Estimate(X, state), root_of(covariance),

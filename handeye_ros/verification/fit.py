@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 import math
 from typing import TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample
+from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import (
     agreeing,
@@ -32,7 +32,7 @@ from handeye_ros.estimation.least_squares import (
     White,
 )
 from handeye_ros.estimation.problem import Observations
-from handeye_ros.frames import mount_frame, mounted, name_direction
+from handeye_ros.frames import mount_frame, name_direction
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -58,28 +58,25 @@ Numbers = NDArray[np.intp]
 @dataclass(frozen=True, eq=False)
 class StationSet:
     """
-    Points of the sensor plane, seen from the poses of one recording or of several.
+    Points of the sensor plane, seen from the poses of some recordings.
 
     poses: (n, 4, 4) of the mount of the sensor in the frame of the artefact; observations: the m
-    points with their noise and kind; stamps (n,): ns; bags: (n,) the recording of each pose,
-    ascending; are_passes: whether the poses of a recording share the error of the robot; by
-    default each has its own. surface: the choice between several surfaces in sight, in words.
+    points with their noise and kind; stamps (n,): ns; counts: the number of poses of each
+    recording, in order; are_passes: whether the poses of a recording share the error of the robot;
+    by default each has its own. surface: the choice between several surfaces in sight, in words.
     """
 
     poses: Array
     observations: Observations
     stamps: NDArray[np.int64]
-    bags: Numbers
+    counts: tuple[int, ...]
     are_passes: bool = False
     surface: str = ''
 
-    @classmethod
-    def of(cls, samples: Sequence[Sample], observations: Observations, config: Config,
-           surface: str = '') -> StationSet:
-        """Return the stations of the samples of one recording."""
-        return cls(mounted(samples, config), observations,
-                   np.array([sample.stamp for sample in samples], dtype=np.int64),
-                   np.zeros(len(samples), dtype=np.intp), surface=surface)
+    @property
+    def bags(self) -> Numbers:
+        """Return the recording (n,) of each pose."""
+        return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
     def groups(self) -> Numbers:
@@ -132,40 +129,24 @@ class StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
         kept = np.isin(self.row_groups, groups)
         rest = replace(self, observations=self.observations.select(kept))
-        require_stations([len(np.unique(rest.observations.station[rest.row_bags == k]))
-                          for k in range(int(self.bags.max()) + 1)])
+        rest.require_enough()
         return rest
 
+    def require_enough(self, others: Sequence[Reject] = ()) -> None:
+        """Raise DataError where a recording has too few usable poses; see require_stations."""
+        seen = np.unique(self.observations.station)
+        require_stations(np.bincount(self.bags[seen], minlength=len(self.counts)).tolist(), others)
 
-def require_stations(usable: Sequence[int], reason: str = '') -> None:
-    """
-    Raise DataError for a recording with too few usable stations, of those in each.
 
-    reason: why there are no more, in words.
-    """
+def require_stations(usable: Sequence[int], others: Sequence[Reject] = ()) -> None:
+    """Raise DataError for a recording with too few usable stations; others: gave no sample."""
     least = min(usable)
     if least < LEAST_STATIONS:
         of = f' of recording {usable.index(least) + 1}' if len(usable) > 1 else ''
         raise DataError(
             f'{least} usable stations{of}, fewer than {LEAST_STATIONS}'
-            f'{f" (of the others: {reason})" if reason else ""}: measure more, with the sensor '
-            'turned differently at each')
-
-
-def stacked(bags: Sequence[StationSet]) -> StationSet:
-    """Return several recordings as one."""
-    first = np.cumsum([0, *(len(bag.poses) for bag in bags)])
-    observations = Observations(*(
-        np.concatenate([getattr(bag.observations, f.name) for bag in bags])
-        for f in fields(Observations)))
-    counts = [len(bag.observations) for bag in bags]
-    return StationSet(
-        np.concatenate([bag.poses for bag in bags]),
-        replace(observations, station=observations.station + np.repeat(first[:-1], counts)),
-        np.concatenate([bag.stamps for bag in bags]),
-        np.repeat(np.arange(len(bags)), np.diff(first)), bags[0].are_passes,
-        '; '.join(f'recording {k}: {bag.surface}' for k, bag in enumerate(bags, 1)
-                  if bag.surface))
+            f'{f" (of the others: {others[0].reason})" if others else ""}: measure more, with the '
+            'sensor turned differently at each')
 
 
 @dataclass(frozen=True)
@@ -436,13 +417,38 @@ def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
     return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
 
 
-def predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Numbers
-              ) -> tuple[Array, Numbers]:
+def agreeing_groups(groups: Numbers,
+                    fitted: Callable[[Numbers], tuple[T, Array, Array, Numbers]]
+                    ) -> tuple[T, dict[int, float], list[int]]:
+    """
+    Return the fit of the groups that agree, the p-value of each group, and those left out.
+
+    fitted(groups): their fit; its whitened residuals (m,), their derivatives (m, k) by unknowns in
+    units of 1 sigma of these, and the group (m,) of each. None is left out where it would be too
+    many, or where too few would be left.
+    """
+    p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
+
+    def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
+        found, r, by_unknowns, row_groups = fitted(used)
+        squares, freedom = _predicted(r, by_unknowns, row_groups, used)
+        p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
+        return found, squares, freedom
+
+    with suppress(DataError):
+        (found, *_), _, dropped = agreeing(groups, len(groups), len(groups) - most - 1, at,
+                                           lambda found: found[1:])
+        if len(dropped) <= most:
+            return found, p, list(dropped)
+    return at(None, groups)[0], p, []
+
+
+def _predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Numbers
+               ) -> tuple[Array, Numbers]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
-    r: (m,) whitened residuals; by_unknowns (m, k): their derivatives by unknowns, in units of
-    1 sigma of these. What a group alone determines is no part of it.
+    What a group alone determines is no part of it.
     """
     U, s, _ = np.linalg.svd(by_unknowns, full_matrices=False)
     U *= s / np.hypot(s, 1.0)  # U U' r is what the unknowns take up
@@ -456,26 +462,3 @@ def predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Numbers
         squares[k] = own_left @ own_left + b @ (b / (1 - share[shared]))  # Woodbury
         freedom[k] = len(own) - np.count_nonzero(~shared)
     return squares / np.maximum(freedom, 1), freedom
-
-
-def agreeing_groups(groups: Numbers, fitted: Callable[[Numbers], tuple[T, Array, Numbers]]
-                    ) -> tuple[T, dict[int, float], list[int]]:
-    """
-    Return the fit of the groups that agree, the p-value of each group, and those left out.
-
-    fitted(groups): their fit, and how well the others predict each. None is left out where it
-    would be too many, or where too few would be left.
-    """
-    p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
-
-    def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
-        found, squares, freedom = fitted(used)
-        p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
-        return found, squares, freedom
-
-    with suppress(DataError):
-        (found, *_), _, dropped = agreeing(groups, len(groups), len(groups) - most - 1, at,
-                                           lambda found: found[1:])
-        if len(dropped) <= most:
-            return found, p, list(dropped)
-    return at(None, groups)[0], p, []

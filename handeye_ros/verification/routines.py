@@ -14,8 +14,6 @@ from handeye_ros.verification.fit import Quantity, Shape, StationSet
 from handeye_ros.verification.tooth_gauge import teeth
 import numpy as np
 
-TEETH = 'teeth'  # the target of a routine that takes points while the robot moves
-
 
 def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return a straight line; kinds 0 and 1 are its two distances."""
@@ -52,7 +50,7 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     measured. The unknowns are two tilts of each block, and one height of each plane
     over the middle of its points.
     """
-    p, bag, bags = stations.points(X), stations.row_bags, int(stations.bags.max()) + 1
+    p, bag, bags = stations.points(X), stations.row_bags, len(stations.counts)
     blocks = bags - len(nominal.lengths)
     block, face = np.divmod(np.arange(bags), bags // blocks)
     middles = np.array([p[bag == k].mean(axis=0) for k in range(bags)])
@@ -89,8 +87,7 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
 def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return one sphere of each bag; measured: the radii, and the distances of the centres."""
-    p, bag = stations.points(X), stations.row_bags
-    count = int(bag.max()) + 1
+    p, bag, count = stations.points(X), stations.row_bags, len(stations.counts)
     start = np.concatenate([_sphere_through(p[bag == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
@@ -123,11 +120,11 @@ class Routine:
     """
     One way to verify a calibration.
 
-    says: what it measures. target: the target.type whose features the stations give, or TEETH
-    where points are taken while the robot moves. bags: for each valid number of verify.lengths
-    the possible numbers of bags, ascending. shape: what is fitted to the stations, with the
-    sensor plane at X (4, 4) in the mount. form: the scatter of each part that is reported, in
-    words; symbol: its characteristic.
+    says: what it measures. target: the target.type whose features the stations give; empty where
+    points are taken in passes, while the robot moves. bags: for each valid number of
+    verify.lengths the possible numbers of bags, ascending. shape: what is fitted to the stations,
+    with the sensor plane at X (4, 4) in the mount. form: the scatter of each part that is
+    reported, in words; symbol: its characteristic.
     """
 
     name: str
@@ -137,6 +134,11 @@ class Routine:
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
     form: str = ''
     symbol: str = ''
+
+    @property
+    def in_passes(self) -> bool:
+        """Return whether points are taken while the robot moves."""
+        return not self.target
 
     def parts(self, lengths: int) -> Sequence[int]:
         """Return the possible numbers of bags, ascending; raises InputError for wrong lengths."""
@@ -176,7 +178,7 @@ ROUTINES: dict[str, Routine] = {routine.name: routine for routine in (
              for n in range(1, 12)}, planes),
     Routine('square', 'angle between two faces, and their flatness', 'plane', {0: [2]},
             planes, 'flatness of face', 'F'),
-    Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', TEETH,
+    Routine('tooth', 'pitch and height of a tooth gauge, scanned in passes', '',
             {2: range(2, 21)}, teeth),
 )}
 """The routines of `handeye verify`."""
@@ -198,7 +200,7 @@ def settings_for(routine: Routine, config: Config, bags: int) -> Config:
     possible = routine.parts(len(config.verify.lengths))
     if bags not in possible:
         raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {bags}')
-    if routine.target == TEETH:
+    if routine.in_passes:
         return config
     return with_values(config, {'target.type': routine.target, 'method': 'auto',
                                 'target.radius': config.verify.radius}, routine.name)

@@ -9,7 +9,7 @@ compared with the calibration's. Of a gauge of teeth single points are taken whi
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 import math
@@ -51,14 +51,33 @@ TRIALS = 300  # pairs of features that define a trial point, line or plane
 PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
 
 
-def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibration,
+def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibration: Calibration,
                 config: Config) -> StationSet:
     """
-    Return the stations of one bag, with the conditions of a routine.
+    Return the stations of the samples of each recording, with the conditions of a routine.
 
     Of several surfaces in sight the nearest one takes part; verify.near limits the region.
     """
-    X, offset_text, choice = calibration.T_flange_sensor @ sensor_axes(config), '', ''
+    X = calibration.T_flange_sensor @ sensor_axes(config)
+    shown, choices = zip(*(_shown(routine, samples, X, calibration, config)
+                           for samples in recordings), strict=True)
+    return _stations(routine, shown, X, config, '; '.join(
+        f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
+
+
+def _stations(routine: Routine, recordings: Sequence[Sequence[Sample]], X: Array, config: Config,
+              surface: str = '') -> StationSet:
+    samples = [sample for one in recordings for sample in one]
+    poses = mounted(samples, config)
+    return StationSet(poses, _observed(routine, samples, poses @ X),
+                      np.array([sample.stamp for sample in samples], dtype=np.int64),
+                      tuple(map(len, recordings)), surface=surface)
+
+
+def _shown(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
+           config: Config) -> tuple[Sequence[Sample], str]:
+    """Return what of a recording shows the artefact, and in words how it was chosen."""
+    offset_text = choice = ''
     if config.sampling.moving and samples:
         samples, offset_text = _at_offset(routine, samples, X, calibration, config)
     T = mounted(samples, config) @ X
@@ -66,28 +85,33 @@ def stations_of(routine: Routine, samples: Sequence[Sample], calibration: Calibr
         samples = _in_region(samples, T, config.verify.near)
     if routine.target == 'plane':
         samples, choice = _on_nearest_surface(samples, T, config.profile.range_sign)
-    return StationSet.of(samples, _observed(routine, samples, T), config,
-                         '; '.join(filter(None, (choice, offset_text))))
+    return samples, '; '.join(filter(None, (choice, offset_text)))
 
 
-def stations_of_pass(profiles: Sequence[Profile], track: Trajectory, config: Config) -> StationSet:
+def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], config: Config
+                       ) -> StationSet:
     """
-    Return some points of the profiles of a pass, each with its own pose.
+    Return some points of the profiles of each pass, each with its own pose.
 
     The robot's error is taken to be one for the whole pass.
     """
-    offset = round(config.time_offset * 1e9)
-    flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
-    seen = np.flatnonzero(flange.inside)
-    seen = seen[evenly_chosen(len(seen), PROFILES)]
     rows, noise = ObservationRows(), np.array([[0.0, 0.0], [config.noise.sensor, 0.0]])
-    for k, index in enumerate(seen.tolist()):
-        valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
-        some = valid[evenly_chosen(len(valid), POINTS)]
-        rows.add_points(k, some, 0, np.repeat(noise[None], len(some), axis=0), k * POINTS)
-    stamps = np.array([profiles[index].stamp for index in seen.tolist()], dtype=np.int64)
-    return StationSet(in_mount(flange.T_base_flange[seen], config), rows.observations(), stamps,
-                      np.zeros(len(seen), dtype=np.intp), are_passes=True)
+    poses, stamps, counts = list[Array](), list[int](), list[int]()
+    offset = round(config.time_offset * 1e9)
+    for profiles, track in passes:
+        flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
+        seen = np.flatnonzero(flange.inside)
+        seen = seen[evenly_chosen(len(seen), PROFILES)]
+        for number, index in enumerate(seen.tolist(), len(stamps)):
+            valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
+            some = valid[evenly_chosen(len(valid), POINTS)]
+            rows.add_points(number, some, 0, np.repeat(noise[None], len(some), axis=0),
+                            number * POINTS)
+        poses.append(flange.T_base_flange[seen])
+        stamps += [profiles[index].stamp for index in seen.tolist()]
+        counts.append(len(seen))
+    return StationSet(in_mount(np.concatenate(poses), config), rows.observations(),
+                      np.array(stamps, dtype=np.int64), tuple(counts), are_passes=True)
 
 
 def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
@@ -205,8 +229,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     """
     samples = evenly(passes_expanded(samples), MOST)
     pairing = Pairing.of(samples)
-    stations = StationSet.of(samples, _observed(routine, samples, mounted(samples, config) @ X),
-                             config)
+    stations = _stations(routine, [samples], X, config)
     obs, shape = stations.observations, routine.shape(stations, X, config.verify)
 
     def distances(x: Array) -> Array:

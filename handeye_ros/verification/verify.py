@@ -1,11 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-From the stations of several bags and a calibration to the verdict of a routine.
+From the stations of several recordings and a calibration to the verdict of a routine.
 
 The decision is that of ISO 14253-1 with the expanded uncertainty U = k u of the measurement here
-(sensor, robot, nominal value): pass where |deviation| + U <= tolerance, fail where
-|deviation| - U > tolerance. The covariance that the calibration claims is what is verified, and
+(sensor, robot, nominal value). The covariance that the calibration claims is what is verified, and
 takes no part in U.
 """
 from __future__ import annotations
@@ -19,28 +18,34 @@ from typing import Any
 
 from handeye_ros import __version__, output
 from handeye_ros.config import Config, VerifyConfig
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.verification_file import COLUMNS, FORMAT, formatted, rows_of, title_of
+from handeye_ros.results.verification_file import (
+    COLUMNS,
+    decision,
+    FORMAT,
+    formatted,
+    rows_of,
+    title_of,
+    UNDECIDED,
+    VIOLATES,
+)
 from handeye_ros.verification.fit import (
     agreeing_groups,
     Fit,
     fit,
     K,
     Numbers,
-    predicted,
     Quantity,
     refit,
-    require_stations,
     Scatter,
     Shape,
-    stacked,
     StationSet,
 )
-from handeye_ros.verification.routines import Routine, TEETH
+from handeye_ros.verification.routines import Routine
 import numpy as np
 from rich.table import Table
 import yaml
@@ -118,30 +123,28 @@ class Verification:
     created: str = ''
 
 
-def verify(routine: Routine, bags: Sequence[StationSet], calibration: Calibration, config: Config,
-           reason: str = '') -> Verification:
+def verify(routine: Routine, stations: StationSet, calibration: Calibration, config: Config,
+           others: Sequence[Reject] = ()) -> Verification:
     """
     Return the verification by a routine; config.verify describes the artefact.
 
-    bags: observations in the order that the routine expects; reason: why other stations gave
-    none. Raises DataError, and InputError where two recordings are one.
+    stations: of the recordings in the order that the routine expects; others: the stops that gave
+    no sample. Raises DataError, and InputError where two recordings are one.
     """
-    require_stations([len(np.unique(bag.observations.station)) for bag in bags], reason)
-    stations = stacked(bags)
+    stations.require_enough(others)
     stops = np.column_stack([stations.stamps, stations.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ sensor_axes(config)
 
-    def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Numbers]:
+    def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
         found = fit(shape, X, calibration.covariance, config)
-        return (shape, found), *predicted(found.residuals, found.by_unknowns,
-                                          shape.stations.row_groups, groups)
+        return (shape, found), found.residuals, found.by_unknowns, shape.stations.row_groups
 
     (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
-    if max(found.scatter.p, found.p_error) < UNEXPLAINED and routine.target != TEETH:
+    if max(found.scatter.p, found.p_error) < UNEXPLAINED and not routine.in_passes:
         freed = refit(shape, X, calibration.covariance, config)
         if freed.p_error < UNEXPLAINED and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
@@ -192,13 +195,15 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             continue
         tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
         off = f'{q.name} is off by {formatted(q.error, q.unit)}'
-        U, spare = f'{formatted(q.expanded, q.unit)} (k = {K:g})', tolerance - abs(q.error)
-        if spare < -q.expanded:
+        U, decided = f'{formatted(q.expanded, q.unit)} (k = {K:g})', decision(
+            q.error, q.expanded, tolerance)
+        if decided == VIOLATES:
             failed.append(f'{off} ± {U}')
-        elif spare < q.expanded:
+        elif decided == UNDECIDED:
             undecided.append(
                 f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
-                f'{formatted(tolerance, q.unit)}' + _or_measure(used, q.expanded, spare, ':'))
+                f'{formatted(tolerance, q.unit)}' + _or_measure(
+                    used, q.expanded, tolerance - abs(q.error), ':'))
     outside = [s for s in stations if s.used and K * s.std <= limits.tolerance
                and s.distance - K * s.std > limits.tolerance]
     if outside:

@@ -32,8 +32,8 @@ def swept(target, calibrated, knot, delay, **values):
                    TimeOffset(calibrated, 2e-5))
     stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in made.profiles]
     session = pipeline.gather(stamped, made.poses, config)
-    seen = stations_of(routine, session.samples, found, config)
-    return seen.surface, verify(routine, [seen], found, config)
+    seen = stations_of(routine, [session.samples], found, config)
+    return seen.surface, verify(routine, seen, found, config)
 
 
 @pytest.mark.parametrize(('target', 'calibrated'), [('sphere', 0.020), ('line', 0.017)])
