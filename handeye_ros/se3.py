@@ -109,6 +109,16 @@ def perturb(T: Array, delta: Array) -> Array:
                      T[..., :3, 3] + delta[..., :3])
 
 
+def by_perturbation(arms: Array) -> Array:
+    """
+    Return the derivatives (..., 3, 6) of points by a perturbation of their frame.
+
+    arms (..., 3): from its origin to the points, in the axes of the parent frame.
+    """
+    by_shift = np.broadcast_to(np.eye(3), (*arms.shape, 3))
+    return np.concatenate([by_shift, -skew(arms)], axis=-1)
+
+
 def difference(T: Array, T_reference: Array) -> Array:
     """Return the deltas (..., 6) with perturb(T_reference, delta) equal to T (..., 4, 4)."""
     turn = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)

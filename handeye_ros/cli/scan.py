@@ -24,7 +24,10 @@ from handeye_ros.cli.common import (
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from handeye_ros.data import Array
+    from handeye_ros.scanning.cloud import Points
 
 FAR = 10.0  # m: a larger plain number is taken for mm, and refused
 THINNED = 2e-4  # m: edge of the cubes, each with one point
@@ -51,25 +54,25 @@ def scan(
         '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
     """Put profiles into the base: a cloud of points."""
-    from handeye_ros.scanning.cloud import cloud_writer, require_format
+    from handeye_ros.scanning.cloud import require_format, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)
     answer, settings = calibrated(calibration, config, assignments, kinematics)
     scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
-    with (flowing(bag, settings, 'reading the poses') as (source, track, update),
-          cloud_writer(out, f'frame {scanner.frame}, metres') as writer):
-        for points in scanner.scan(source.returns(), track):
-            writer.write(points)
-            update(f'{count.profiles} profiles, {writer.count} points')
-        scanner.require_points()
+    with flowing(bag, settings, 'reading the poses') as (source, track, update):
+        def pieces() -> 'Iterator[Points]':
+            for points in scanner.scan(source.returns(), track):
+                yield points
+                update(f'{count.profiles} profiles, {count.points} points')
+        write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
     dropped = [f'{number} {reason}' for number, reason in (
         (count.without_pose, 'profiles without a pose'),
         (count.out_of_limits, 'points outside the limits'),
         (count.thinned, 'points thinned out')) if number]
     typer.echo(f'{count.profiles} profiles, {count.returns} returns' + (
         f'; left out: {", ".join(dropped)}' if dropped else ''))
-    typer.echo(f'wrote {out.absolute()}: {writer.count} points in {scanner.frame}')
+    typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
 
 
 @app.command()
@@ -142,5 +145,4 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     scanner = Scanner(answer, settings, ScanOptions(voxel=THINNED))
     with flowing(path, settings, 'scanning') as (source, track, _):
         rows = np.concatenate(list(scanner.scan(source.returns(), track)))
-    scanner.require_points()
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

@@ -13,7 +13,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.data import Array
 from handeye_ros.results import truth_file
 from handeye_ros.results.calibration_file import transform_values
-from handeye_ros.scanning.cloud import cloud_writer
+from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.simulate import (
     FAULTS,
     FILE_SCENES,
@@ -84,7 +84,6 @@ def _write_cell(path: Path, recordings: Mapping[str, measuring.Recording],
             bag_write.write(folder / name, recording.profiles, recording.poses, truth=truth)
         points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)).points
         rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
-        with cloud_writer(folder / PREFORM, 'frame base, metres') as writer:
-            writer.write(rows)
+        write_cloud(folder / PREFORM, [rows], 'frame base, metres')
 
     bag_write.write_folder(path, {truth_file.NAME: truth_file.text(truth)}, fill, force)

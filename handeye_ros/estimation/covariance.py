@@ -133,9 +133,7 @@ def _of_noise(wide: Solution) -> dict[str, Array]:
 def _term(solution: Solution, name: str, part: Array) -> Term:
     """Return the sigmas of a part (6, 6) of the covariance."""
     points = box(solution.problem.observations.points, (-1, 0, 1))
-    lever = points @ solution.estimate.X[:3, [0, 2]].T
-    turned = np.broadcast_to(np.eye(3), (len(lever), 3, 3))
-    by_motion = np.concatenate([turned, -se3.skew(lever)], axis=2)
-    mapped = np.einsum('pix,xy,piy->', by_motion, part, by_motion) / len(lever)
+    by_motion = se3.by_perturbation(points @ solution.estimate.X[:3, [0, 2]].T)
+    mapped = np.einsum('pix,xy,piy->', by_motion, part, by_motion) / len(points)
     squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
     return Term(name, *(float(max(square, 0.0) ** 0.5) for square in squares))

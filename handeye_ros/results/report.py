@@ -124,13 +124,8 @@ def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
 
 
 def mapped_std(calibration: Calibration, points: Array) -> float:
-    """
-    Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame.
-
-    A point moves with the perturbation (dt, dr) by dt + dr x (R p).
-    """
-    arms = points @ calibration.T_flange_sensor[:3, :3].T
-    J = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -se3.skew(arms)], axis=2)
+    """Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame."""
+    J = se3.by_perturbation(points @ calibration.T_flange_sensor[:3, :3].T)
     variances = np.einsum('kij,jl,kil->k', J, calibration.covariance, J)
     return float(np.sqrt(variances.mean()))
 

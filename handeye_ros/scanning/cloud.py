@@ -3,11 +3,10 @@
 """Files of clouds, PLY and PCD: written piece by piece, and read (not compressed)."""
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, TypeAlias
 
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
@@ -33,53 +32,40 @@ def require_format(path: Path) -> None:
         raise InputError(f'{path}: the file name must end with {" or ".join(FORMATS)}')
 
 
-class CloudWriter:
-    """Writes pieces of a cloud, all with the fields of the last; count: the points so far."""
-
-    def __init__(self, stream: BinaryIO, suffix: str, comment: str) -> None:
-        """Start with no points."""
-        self.count = 0
-        self._stream, self._suffix, self._comment = stream, suffix, comment
-        self._names: tuple[str, ...] = ()
-
-    def write(self, points: Points) -> None:
-        """Append points, a structured array of float32."""
-        self._names = points.dtype.names or ()
-        if not self.count:
-            self.write_header()
-        self._stream.write(points.tobytes())
-        self.count += len(points)
-
-    def write_header(self) -> None:
-        """Write the header, of the same length for every number of points."""
-        padding, names = '.' * (DIGITS - len(str(self.count))), self._names
-        if self._suffix == '.ply':
-            lines = ['ply', 'format binary_little_endian 1.0', f'comment {self._comment}',
-                     f'comment {padding}', f'element vertex {self.count}',
-                     *(f'property float {name}' for name in names), 'end_header']
-        else:
-            lines = ['# .PCD v0.7 - Point Cloud Data file format',
-                     f'# {self._comment} {2 * padding}', 'VERSION 0.7',
-                     f'FIELDS {" ".join(names)}', f'SIZE{" 4" * len(names)}',
-                     f'TYPE{" F" * len(names)}', f'COUNT{" 1" * len(names)}',
-                     f'WIDTH {self.count}', 'HEIGHT 1', 'VIEWPOINT 0 0 0 1 0 0 0',
-                     f'POINTS {self.count}', 'DATA binary']
-        self._stream.seek(0)
-        self._stream.write('\n'.join([*lines, '']).encode('ascii'))
-
-
-@contextmanager
-def cloud_writer(path: Path, comment: str = '') -> Iterator[CloudWriter]:
+def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> int:
     """
-    Give a writer of a cloud file that appears only when the block ends without an error.
+    Write the pieces of a cloud, arrays with fields of float32; return the number of points.
 
-    Raises InputError, UnwritableError.
+    The file appears only when all are written. Raises InputError, UnwritableError.
     """
     require_format(path)
+    fields, count = tuple[str, ...](), 0
     with replaced(path) as temporary, temporary.open('wb') as stream:
-        writer = CloudWriter(stream, path.suffix.lower(), comment)
-        yield writer
-        writer.write_header()
+        for points in pieces:
+            if not fields:
+                fields = points.dtype.names or ()
+                stream.write(_header(path.suffix.lower(), fields, 0, comment))
+            stream.write(points.tobytes())
+            count += len(points)
+        stream.seek(0)
+        stream.write(_header(path.suffix.lower(), fields, count, comment))
+    return count
+
+
+def _header(suffix: str, names: Sequence[str], count: int, comment: str) -> bytes:
+    """Return the header of a cloud, of the same length for every number of points."""
+    padding = '.' * (DIGITS - len(str(count)))
+    if suffix == '.ply':
+        lines = ['ply', 'format binary_little_endian 1.0', f'comment {comment}',
+                 f'comment {padding}', f'element vertex {count}',
+                 *(f'property float {name}' for name in names), 'end_header']
+    else:
+        lines = ['# .PCD v0.7 - Point Cloud Data file format', f'# {comment} {2 * padding}',
+                 'VERSION 0.7', f'FIELDS {" ".join(names)}', f'SIZE{" 4" * len(names)}',
+                 f'TYPE{" F" * len(names)}', f'COUNT{" 1" * len(names)}',
+                 f'WIDTH {count}', 'HEIGHT 1', 'VIEWPOINT 0 0 0 1 0 0 0',
+                 f'POINTS {count}', 'DATA binary']
+    return '\n'.join([*lines, '']).encode('ascii')
 
 
 def read_cloud(path: Path) -> Array:

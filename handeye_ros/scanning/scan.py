@@ -90,10 +90,11 @@ class Scanner:
         return target_frame(self.config)
 
     def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
-        """Yield the points of profiles in pieces."""
+        """Yield the points of profiles in pieces; raises DataError where there are none."""
         source = iter(profiles)
         while batch := list(islice(source, BATCH)):
             yield self.points(batch, track)
+        self._require_points()
 
     def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
@@ -124,8 +125,7 @@ class Scanner:
         self.count.thinned += len(cloud) - int(is_new.sum())
         return np.take(cloud, np.sort(first[is_new]))
 
-    def require_points(self) -> None:
-        """Raise DataError for a scan without points."""
+    def _require_points(self) -> None:
         count = self.count
         if count.points:
             return

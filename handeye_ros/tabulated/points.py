@@ -46,10 +46,8 @@ class Pairs(Lists):
         """Return the least squares of the differences, without outliers."""
         def rows(T: Array) -> Rows:
             turned = self.seen @ T[:3, :3].T
-            by_shift = np.tile(np.eye(3), (len(turned), 1, 1))
-            J = np.concatenate([by_shift, -se3.skew(turned)], axis=2)
             return Rows((turned + T[:3, 3] - self.robot).ravel() / SIGMA,
-                        lambda: J.reshape(-1, 6) / SIGMA)
+                        lambda: se3.by_perturbation(turned).reshape(-1, 6) / SIGMA)
 
         every = np.arange(len(self))
         # the best start leaves out one point: in a few points a wrong one bends that of all

@@ -343,15 +343,9 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
         unknowns * FREE / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
 
 
-def _by_move(lever: Array) -> Array:
-    """Return the derivatives (m, 3, 6) of points at levers (m, 3) by a move of their body."""
-    R = np.broadcast_to(np.eye(3), (len(lever), 3, 3))
-    return np.concatenate([R, -se3.skew(lever)], axis=2)
-
-
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
     """Return the largest displacement (m) by a move (6,) of covariance C, and its 1 sigma."""
-    by_move = _by_move(lever)
+    by_move = se3.by_perturbation(lever)
     sizes = np.linalg.norm(by_move @ move, axis=1)
     worst = by_move[np.argmax(sizes)]
     return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
@@ -364,7 +358,7 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
 
     information (6, 6): about the calibration's error in its mount; error (6,): the estimated one.
     """
-    by_move = _by_move(lever)
+    by_move = se3.by_perturbation(lever)
     shift = np.einsum('mik,mil->kl', by_move, by_move) / len(lever)  # mean square displacement
     shift += 1e-12 * np.trace(shift) * np.eye(6)
     power, directions = scipy.linalg.eigh(information, shift)

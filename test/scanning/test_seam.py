@@ -10,7 +10,7 @@ from handeye_ros.bags import bag_write
 from handeye_ros.data import Calibration, Profile, Quality, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
-from handeye_ros.scanning.cloud import cloud_writer
+from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.scanning.curves import spline, through
 from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
 from handeye_ros.simulate.measuring import Preform, preform_cloud
@@ -171,8 +171,7 @@ def test_the_verb_writes_what_others_read(tmp_path):
     rows = np.zeros(len(truth.points), [(axis, '<f4') for axis in 'xyz'])
     for axis, column in zip('xyz', truth.points.T, strict=True):
         rows[axis] = column
-    with cloud_writer(tmp_path / 'c.pcd') as writer:
-        writer.write(rows)
+    write_cloud(tmp_path / 'c.pcd', [rows])
     towards = [str(v) for v in -truth.normals.mean(axis=0)]
     run = handeye('seam', 'c.pcd', '--out', 'seam', '--bag', '--towards', *towards,
                   '--pitch', '5 mm', '--box', '-inf', 'inf', '-3m', '300cm', '-3', '3',
