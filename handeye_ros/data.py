@@ -28,7 +28,7 @@ class Profile:
     points: (n, 2) metres, along the laser line and range, ordered along the line in either
     direction (read sorts others); a row with NaN is a column without a return.
     axes: the signed axes of frame_id that the two columns of points run along.
-    beside: the third coordinate in frame_id, across the plane (metres); it is not used.
+    out_of_plane: the third coordinate in frame_id, across the plane (metres); it is not used.
     intensity: (n,) of the points, None if not requested or not published.
     """
 
@@ -36,7 +36,7 @@ class Profile:
     frame_id: str
     points: Array
     axes: tuple[str, str] = ('x', 'z')
-    beside: float = 0.0
+    out_of_plane: float = 0.0
     intensity: Array | None = None
 
     def __post_init__(self) -> None:

@@ -72,16 +72,16 @@ def other_axes(direction: Array, frame: str) -> str:
     return f'{frame} {" or ".join(sorted(names[:2]))}'
 
 
-def frame_notes(frame: str | None, beside: float, config: Config) -> Iterator[str]:
+def frame_notes(frame: str | None, out_of_plane: float, config: Config) -> Iterator[str]:
     """
     Yield what is unusual in the frame of the profiles, one sentence each.
 
-    frame: its name, None before the first profile; beside: the largest distance (m) of their
-    points from the plane of the two axes used.
+    frame: its name, None before the first profile; out_of_plane: the largest distance (m) of
+    their points from the plane of the two axes used.
     """
     if frame == '':
         yield f'the profiles have no frame_id: the result calls their frame "{UNNAMED_FRAME}"'
-    if beside > 1e-3:
-        yield (f'the profiles lie up to {beside * 1e3:.1f} mm beside the plane of '
+    if out_of_plane > 1e-3:
+        yield (f'the profiles lie up to {out_of_plane * 1e3:.1f} mm beside the plane of '
                f'{" and ".join(config.profile.axes)} in their frame: that coordinate is not '
                'used, and the result holds for points in the plane')

@@ -265,12 +265,12 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
         return _empty(cloud, config)
     points, good = _points(cloud, config)
     across = points[good, 2]
-    beside = 0.0
+    out_of_plane = 0.0
     if len(across):  # mostly they are equal, and a median takes as long as all the rest
         equal = (across == across[0]).all()
-        beside = float(across[0] if equal else np.nan_to_num(np.median(across)))
+        out_of_plane = float(across[0] if equal else np.nan_to_num(np.median(across)))
     return replace(_empty(cloud, config), points=_ordered(points[:, :2], good, config),
-                   beside=beside)
+                   out_of_plane=out_of_plane)
 
 
 def _empty(cloud: Cloud, config: ProfileConfig) -> Profile:
@@ -297,9 +297,9 @@ def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool
         # the value of the driver: in its type, before the sign of the axis
         value = -value if range_axis[0] == '-' else value
         ranges[np.isclose(ranges, value, rtol=1e-6, atol=0.0)] = np.nan
-    beside = (cloud.column(across) if across in [field.name for field in cloud.fields]
+    out_of_plane = (cloud.column(across) if across in [field.name for field in cloud.fields]
               else np.full(len(ranges), np.nan))
-    points = (np.stack((along, ranges, beside)) * UNITS[config.unit]).T
+    points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
         good = (np.abs(x) <= FAR) & (np.abs(z) <= FAR) & ((x != 0) | (z != 0))

@@ -55,9 +55,8 @@ from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory, Worker
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
-from handeye_ros.sampling.collector import silent_poses
 from handeye_ros.sampling.features import features_of, result_of
-from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.session import Session, silent_poses
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 
@@ -138,7 +137,7 @@ class LiveSession:
     def _queue_stops(self) -> None:
         """Queue stops for evaluation; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
-        self.waiting.extend(self.session.passed())
+        self.waiting.extend(self.session.completed())
         while len(self.waiting) > MOST_STOPS:
             self.waiting.popleft()
             self._left_out += 1
@@ -299,7 +298,7 @@ class LiveSession:
         while self.evaluate_next():
             pass
         with self.lock:
-            stops = self.session.copied().rest()  # raises for mixed frames
+            stops = self.session.copied().remaining()  # raises for mixed frames
         for stop in stops:
             self._evaluate(stop, True)
 

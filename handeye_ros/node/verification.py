@@ -152,8 +152,8 @@ class LiveVerification:
         if not parts or not parts[-1].is_empty:
             parts = [*parts, Part()]
         with live.lock:
-            for stop in live.session.copied().rest():  # they began before
-                live.session.leave(stop)
+            for stop in live.session.copied().remaining():  # they began before
+                live.session.mark_taken(stop)
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
         return f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
@@ -168,7 +168,7 @@ class LiveVerification:
         assert routine
         if over:
             with live.lock:
-                live.session.leave(stop)
+                live.session.mark_taken(stop)
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')

@@ -286,7 +286,7 @@ def test_what_lost_points_hold_does_not_matter() -> None:
                     (LINE, LOST, np.where(lost, 7.0, 0.012))):
         got = profile(layered(x, z, y))
         np.testing.assert_allclose(got.points, expected(LINE, LOST), rtol=1e-6)
-        assert got.beside == pytest.approx(y[0])
+        assert got.out_of_plane == pytest.approx(y[0])
     millimetres = np.where(np.arange(200) % 3 == 0, -327.68, 200.0)
     millimetres[1] = 0.0
     config = ProfileConfig(unit='mm', invalid=(0.0, -327.68), axes=('x', '-z'))

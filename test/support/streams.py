@@ -60,7 +60,7 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
 def collect(session: Session, config: Config = CONFIG) -> list[Sample | Reject]:
     """Return what the stops give that were completed since the last call, as the node asks."""
     return [session.put(session.numbered(stop, result_of(stop, config))).result
-            for stop in session.passed()]
+            for stop in session.completed()]
 
 
 def add(session: Session, item: TimedPose | Profile) -> None:
