@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 import csv
 from datetime import datetime, UTC
@@ -16,6 +16,7 @@ from typing import Any
 from handeye_ros import __version__
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, NoMatplotlibError, UnwritableError
+import yaml
 
 LONGEST_NAME = 100  # characters of a folder
 
@@ -42,6 +43,12 @@ def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     lines = io.StringIO()
     csv.writer(lines, lineterminator='\n').writerows([header, *rows])
     return lines.getvalue()
+
+
+def yaml_text(content: Mapping[str, Any]) -> str:
+    """Return plain values as YAML."""
+    return str(yaml.safe_dump(content, sort_keys=False, width=100, default_flow_style=None,
+                              allow_unicode=True))
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -60,7 +60,8 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import html_file, write_whole
+    from handeye_ros.output import html_file, write_whole, yaml_text
+    from handeye_ros.results import verification_file
     from handeye_ros.verification import verify as verification
     from handeye_ros.verification.routines import routine_of, settings_for
     from handeye_ros.verification.stations import stations_of, stations_of_passes
@@ -77,14 +78,14 @@ def verify(
     result = verification.with_provenance(
         verification.verify(routine, measured, answer, settings, list(chain(*rejects))), bags,
         calibration)
-    show(verification.table(result))
+    content = verification.values(result)
+    show(verification_file.table(content))
     if out:
-        write_whole(out, verification.yaml_text(result))
+        write_whole(out, yaml_text(content))
     if stations:
-        write_whole(stations, verification.stations_csv(result))
+        write_whole(stations, verification_file.stations_csv(content))
     if protocol:
-        from handeye_ros.results.verification_file import protocol as protocol_of
-        write_whole(protocol, protocol_of(verification.values(result)))
+        write_whole(protocol, verification_file.protocol(content))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':

@@ -16,19 +16,15 @@ from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.node.state import Attempt
+from handeye_ros.output import yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.verification_file import sentence
 from handeye_ros.sampling.stops import decoded, Stop
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.routines import Routine, routine_of, settings_for
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.verify import (
-    sentence,
-    Verification,
-    verify,
-    with_provenance,
-    yaml_text,
-)
+from handeye_ros.verification.verify import values, Verification, verify, with_provenance
 
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
@@ -203,11 +199,11 @@ class LiveVerification:
         live, result = self._live, result_or_ended(job)
         verified = live.config.verify.calibration
         name = f'verification_{result.routine}.yaml'
-        content = yaml_text(with_provenance(
+        content = values(with_provenance(
             result, (live.config.profile_topic, live.pose_topic),
             Path(verified).expanduser() if verified else None))
-        saved = exports.write({name: content}, live.folders.own(live.config), {name})
-        self.verdict = sentence(result)
+        saved = exports.write({name: yaml_text(content)}, live.folders.own(live.config), {name})
+        self.verdict = sentence(content)
         text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))

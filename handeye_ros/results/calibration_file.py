@@ -17,7 +17,7 @@ from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, yaml_content
 from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
 from handeye_ros.errors import InputError
-from handeye_ros.output import write_whole
+from handeye_ros.output import write_whole, yaml_text
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -56,8 +56,7 @@ def dated(calibration: Calibration) -> Calibration:
 def text(calibration: Calibration) -> str:
     """Return the content of the file."""
     header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
-    return header + str(yaml.safe_dump(_content(calibration), sort_keys=False, width=100,
-                                       default_flow_style=None, allow_unicode=True))
+    return header + yaml_text(_content(calibration))
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:

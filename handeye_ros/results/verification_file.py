@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A verification from its YAML (see verification/verify.py): values for print, and the protocol.
+A verification by the content of its YAML (see verification/verify.py): table, sentence, protocol.
 
 The protocol is one HTML file for an inspector; it opens without a network.
 """
@@ -14,8 +14,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.output import page
+from handeye_ros.output import csv_text, page
 from handeye_ros.results.calibration_file import content_of, require_format, unusable
+from rich.table import Table
 
 KIND = 'handeye_ros/verification/'
 FORMAT = f'{KIND}1'
@@ -72,6 +73,34 @@ def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]
         yield name, (formatted(content['scatter'][key], 'm'), '', '', '', '')
     for name, key, unit in LIMITS:
         yield name, (formatted(content[key], unit), '', '', '', '')
+
+
+def table(content: Mapping[str, Any]) -> Table:
+    """Return the table of a verification."""
+    result = Table(title=title_of(content), title_justify='left')
+    for column in ('', *COLUMNS):
+        result.add_column(column, justify='left' if not column else 'right')
+    for name, texts in rows_of(content):
+        result.add_row(name, *texts)
+    return result
+
+
+def sentence(content: Mapping[str, Any]) -> str:
+    """Return a verification as one sentence: verdict, reasons, figures with units."""
+    figures = []
+    for name, (measured, nominal, deviation, U, claimed) in rows_of(content):
+        claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
+        figures.append(f'{name} {measured}'
+                       + (f' ± {U} (k = {content["k"]:g}{claims})' if U else '')
+                       + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
+    surface = filter(None, [content['surface']])
+    return '; '.join((title_of(content), *content['reasons'], *surface, *figures))
+
+
+def stations_csv(content: Mapping[str, Any]) -> str:
+    """Return the results of the stops as CSV, in metres."""
+    stations = content['per_station']
+    return csv_text(stations[0], (station.values() for station in stations))
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from handeye_ros.arm import (
     REVOLUTE,
 )
 from handeye_ros.data import Calibration
-from handeye_ros.output import write_whole
+from handeye_ros.output import write_whole, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated, transform_values
 from handeye_ros.robot.outcome import ArmOutcome, UNCHANGED
@@ -30,7 +30,6 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-import yaml
 
 URDF_FILE = 'corrected.urdf'
 UNKNOWN = 0.9  # of the prior sigma: the data hardly determine the error
@@ -85,9 +84,8 @@ class ArmAnswer:
         read_with = {**provenance['config'], 'kinematics': str(folder / KINEMATICS_FILE)}
         calibration = replace(self.calibration, provenance={**provenance, 'config': read_with})
         saved = exports.save_all(calibration, folder, formats)
-        write_whole(folder / KINEMATICS_FILE, HEADER.format(limit=UNKNOWN) + str(yaml.safe_dump(
-            _content(self), sort_keys=False, width=100, default_flow_style=None,
-            allow_unicode=True)))
+        write_whole(folder / KINEMATICS_FILE,
+                    HEADER.format(limit=UNKNOWN) + yaml_text(_content(self)))
         write_whole(folder / URDF_FILE, corrected_urdf(urdf, self.arm))
         return f'{saved}, {KINEMATICS_FILE}, {URDF_FILE}'
 

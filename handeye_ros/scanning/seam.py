@@ -18,7 +18,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.output import csv_text, write_whole
+from handeye_ros.output import csv_text, write_whole, yaml_text
 from handeye_ros.scanning.curves import Curve, spline, through, unit
 from handeye_ros.scanning.seam_edges import course
 from handeye_ros.scanning.seam_sections import edges
@@ -26,7 +26,6 @@ from handeye_ros.scanning.seam_sheets import sheets_of
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
-import yaml
 
 FORMAT = 'handeye_ros/seam/1'
 NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
@@ -198,8 +197,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
         'residual': seam.residual, 'spacing': seam.spacing,
         'frames': [{'length': row[0], 'position': row[1:4], 'quaternion': row[4:8],
                     **dict(zip(COLUMNS[8:], row[8:], strict=True))} for row in rows.tolist()]}
-    write_whole(folder / 'seam.yaml', yaml.safe_dump(content, sort_keys=False, width=100,
-                                                     default_flow_style=None))
+    write_whole(folder / 'seam.yaml', yaml_text(content))
 
 
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:

@@ -105,7 +105,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     """
     whole = _comparison(samples, calibration, config, others)
 
-    def compared_at(stops: Numbers) -> tuple[_Comparison, Array, Array, Numbers]:
+    def compared_at(stops: Numbers
+                    ) -> tuple[tuple[_Comparison, _Residuals], Array, Array, Numbers]:
         rest = replace(whole, problem=whole.problem.subset(stops))
         obs, rows = rest.problem.observations, rest.residuals()
         require_stations([len(np.unique(obs.station))])
@@ -115,12 +116,10 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         factor = np.linalg.cholesky(rows.noise)
         white = scipy.linalg.solve_triangular(factor, np.column_stack([errors, rows.r]),
                                               lower=True)
-        return rest, white[:, -1], white[:, :-1], stops[obs.station]
+        return (rest, rows), white[:, -1], white[:, :-1], stops[obs.station]
 
-    comparison, _, left_out = agreeing_groups(
+    (comparison, rows), _, left_out = agreeing_groups(
         np.unique(whole.problem.observations.station), compared_at)
-    rows = comparison.residuals()
-
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
               _Cause('robot', _robot_likelihood(comparison, rows), ROBOT))
     likelihood = np.array([cause.likelihood for cause in causes])
@@ -145,8 +144,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         float(np.sqrt((rows.r ** 2).mean())),
         math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
         sensor.turn, sensor.displacement, sensor.std,
-        np.where(target_shows < UNSEEN, target_shows, np.nan).tolist(), target_axes.tolist(),
-        np.where(sensor_shows < UNSEEN, sensor_shows, np.nan).tolist(), sensor_axes.tolist(),
+        target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
         left_out)
 
 
@@ -312,13 +310,14 @@ def _smallest_shifts(D: Array, unchanged: Array) -> tuple[Array, Array]:
     Return axes (3, 3), as rows, and the smallest detectable shifts (3,) along them.
 
     D: (m, 6) derivatives of the residuals by a move; unchanged: (m, m) their covariance.
-    The smallest comes first; it is infinite where none would show.
+    The smallest comes first; nan where none would show.
     """
     information = D.T @ np.linalg.solve(unchanged, D)
     occam = np.linalg.slogdet(np.eye(6) + information * _prior(1e-3))[1]
     sigmas = np.sqrt(2 * np.log(3 * len(SCALES) * EVIDENCE) + occam) + 1.64  # with 95 %
     values, axes = np.linalg.eigh(information[:3, :3])
-    return axes.T[::-1], (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
+    sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
+    return axes.T[::-1], np.where(sizes < UNSEEN, sizes, np.nan)
 
 
 def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
@@ -335,7 +334,7 @@ def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[st
 def _shown(axes: Array, shifts: Array, frame: str) -> str:
     """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
     named = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
-    unseen = ' or '.join(name for size, name in named if size >= UNSEEN)
+    unseen = ' or '.join(name for size, name in named if np.isnan(size))
     return ', '.join(f'{mm(size)} along {name}' for size, name in named if size < UNSEEN) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 

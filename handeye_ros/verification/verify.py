@@ -10,13 +10,13 @@ takes no part in U.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, UTC
 import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import __version__, output
+from handeye_ros import __version__
 from handeye_ros.config import Config, VerifyConfig
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError, mm
@@ -24,12 +24,9 @@ from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import (
-    COLUMNS,
     decision,
     FORMAT,
     formatted,
-    rows_of,
-    title_of,
     UNDECIDED,
     VIOLATES,
 )
@@ -47,8 +44,6 @@ from handeye_ros.verification.fit import (
 )
 from handeye_ros.verification.routines import Routine
 import numpy as np
-from rich.table import Table
-import yaml
 
 EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
@@ -280,40 +275,5 @@ def with_provenance(verification: Verification, inputs: Iterable[object],
 
 
 def values(verification: Verification) -> dict[str, Any]:
-    """Return a verification as plain values, for YAML and for the protocol."""
+    """Return a verification as plain values: the content of its YAML."""
     return {'format': FORMAT, 'version': __version__, 'k': K, **asdict(verification)}
-
-
-def yaml_text(verification: Verification) -> str:
-    """Return a verification as YAML."""
-    return yaml.safe_dump(values(verification), sort_keys=False, width=100,
-                          default_flow_style=None)
-
-
-def stations_csv(verification: Verification) -> str:
-    """Return the results of the stops as CSV, in metres."""
-    return output.csv_text((field.name for field in fields(StationResult)),
-                           map(astuple, verification.per_station))
-
-
-def sentence(verification: Verification) -> str:
-    """Return a verification as one sentence: verdict, reasons, figures with units."""
-    content = values(verification)
-    figures = []
-    for name, (measured, nominal, deviation, U, claimed) in rows_of(content):
-        claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
-        figures.append(f'{name} {measured}' + (f' ± {U} (k = {K:g}{claims})' if U else '')
-                       + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
-    surface = [verification.surface] if verification.surface else []
-    return '; '.join((title_of(content), *verification.reasons, *surface, *figures))
-
-
-def table(verification: Verification) -> Table:
-    """Return the table of a verification."""
-    content = values(verification)
-    result = Table(title=title_of(content), title_justify='left')
-    for column in ('', *COLUMNS):
-        result.add_column(column, justify='left' if not column else 'right')
-    for name, texts in rows_of(content):
-        result.add_row(name, *texts)
-    return result

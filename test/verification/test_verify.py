@@ -11,12 +11,13 @@ from handeye_ros import se3
 from handeye_ros.config import Config, VerifyConfig, with_values
 from handeye_ros.data import Arc, FaceLine
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.output import yaml_text
 from handeye_ros.results.verification_file import protocol
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
-from handeye_ros.verification.verify import values, verify, yaml_text
+from handeye_ros.verification.verify import values, verify
 import numpy as np
 import pytest
 from verifications import bench, measured, result
@@ -139,9 +140,9 @@ def test_a_protocol_says_what_an_inspector_asks_for():
         result('ball_bar', *measured('ball_bar'), config, certificate=2e-6),
         created='2026-11-24T13:00:00+00:00',
         calibration_file={'path': '/cell/calibration.yaml', 'sha256': 'ab12'})
-    read = yaml.safe_load(yaml_text(report))
+    read = yaml.safe_load(yaml_text(values(report)))
     assert read == json.loads(json.dumps(values(report)))
-    page, other = (protocol(yaml.safe_load(yaml_text(one))) for one in (
+    page, other = (protocol(yaml.safe_load(yaml_text(values(one)))) for one in (
         report, replace(report, verdict='insensitive')))
     diameters = [f'{2e3 * (q["value"] - 0.02):.4f} mm' for q in read['quantities']
                  if q['characteristic'] == 'PS']
