@@ -15,13 +15,13 @@ from pathlib import Path
 from handeye_ros import targets
 from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
-from handeye_ros.checks.causes import explained, require_agreement
+from handeye_ros.checks.causes import require_agreement, with_known_cause
 from handeye_ros.checks.measures import (
     require_one_scale,
     with_free_shape_if_needed,
     with_free_size_if_needed,
 )
-from handeye_ros.checks.moved import moved_slightly
+from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.checks.refusals import (
     missing_motion,
     require_certain,
@@ -171,7 +171,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
             solution = with_arm_errors(solution, Path(config.kinematics))
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)
-        warning = moved_slightly(solution)  # first: a move also makes the answer uncertain
+        solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
         require_certain(solution.reported, config, missing_motion(solution, config))
         require_certain_points(solution, config)
         require_edges(solution)
@@ -185,7 +185,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     except DataError as error:
         # 10. Without a certain cause, ask whether other settings or clocks explain the stops;
         # those that show another surface are left out.
-        refusal = explained(error, session, config) if session else error
+        refusal = with_known_cause(error, session, config) if session else error
         if session and isinstance(refusal, OtherSurfaceError):
             others = _without(refusal, session, config)
             if others.calibration:

@@ -62,7 +62,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
         raise refusal
 
 
-def explained(refusal: DataError, session: Session, config: Config) -> DataError:
+def with_known_cause(refusal: DataError, session: Session, config: Config) -> DataError:
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
 

@@ -77,7 +77,7 @@ class Explanation:
     def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
         return bool(self.redundancy > 0 and self.variance_factor < CONVINCING
-                    and self.explained > (1 - LARGEST_DROPPED_SHARE) * self.q.shape[1])
+                    and self.fitting > (1 - LARGEST_DROPPED_SHARE) * self.q.shape[1])
 
     @property
     def believable(self) -> bool:
@@ -85,13 +85,13 @@ class Explanation:
         return self.agrees and self.redundancy >= FEWEST_CONDITIONS
 
     @property
-    def explained(self) -> int:
+    def fitting(self) -> int:
         """Return the number of stops that fit."""
         return int(np.isfinite(self.q[0]).sum())
 
     def evidence_against(self, stated: Explanation) -> float:
         """Return twice the log of the odds for this fit against the stated one."""
-        if self.explained < 0.9 * stated.explained:  # the stops that stay may fit by chance
+        if self.fitting < 0.9 * stated.fitting:  # the stops that stay may fit by chance
             return -math.inf
         fits = [fit for fit in (self, stated) if fit.parts]
         # the fewer conditions of a stop, typically
@@ -109,7 +109,7 @@ class Explanation:
         if not self.parts:
             return 'no stop fits'
         rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
-        return f'{self.explained} of {self.q.shape[1]} stops fit ({mm(rms)} RMS)'
+        return f'{self.fitting} of {self.q.shape[1]} stops fit ({mm(rms)} RMS)'
 
 
 def _squares(found: Solution) -> Array:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refitted
-from handeye_ros.checks.moved import moved_slightly
+from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import covariance_of
 from handeye_ros.estimation.noise import whitening
@@ -38,7 +38,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
     fit, stated_fit = Explanation.of(other), Explanation.of(agreed)
-    complete = fit.believable and other.explained - agreed.explained > 0.1 * len(problem.poses)
+    complete = fit.believable and other.fully_used - agreed.fully_used > 0.1 * len(problem.poses)
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
 
@@ -106,7 +106,7 @@ def require_one_scale(agreed: Solution) -> None:
     scale = parameters(agreed.for_report).get('scale')
     if scale and abs(scale.contradiction) > CONTRADICTION and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, CONTRADICTION * scale.std):
-        moved_slightly(agreed)
+        with_possible_move(agreed)
         raise _scales_differ(abs(scale.value), scale.std)
 
 

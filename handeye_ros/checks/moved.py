@@ -12,7 +12,7 @@ moves in any order.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from handeye_ros import se3
@@ -24,11 +24,12 @@ from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import first_guesses
-from handeye_ros.estimation.solve import evaluated, reestimated, Solution
+from handeye_ros.estimation.solve import covering, evaluated, reestimated, Solution
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
+MOVE = 'possible move'  # its name in a budget of the covariance
 MOST_CHANGES = 40  # possible moments of a small move
 STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
@@ -75,40 +76,41 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
     return Hypothesis(refit, refusal)
 
 
-def moved_slightly(agreed: Solution) -> str:
+def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     """
-    Return a warning on a small move and its time, '' if there is none.
+    Return a solution, and a warning on a small move and its time, '' if there is none.
 
-    The likeliest move of either and the noise with it are estimated in turn, until it stays.
-    Raises DataError (moved) where the evidence is decisive.
+    The likeliest move of either and the noise with it are estimated in turn, until it stays. With
+    a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
+    where the evidence is decisive.
     """
     n, reported, config = len(agreed.used), agreed.for_report, agreed.whole.config
     if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
-        return ''
+        return agreed, ''
     few = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
     first = _Steps.of(reported, changes).gains()
     if first.max() < -STRONG:  # evidence against a move
-        return ''
+        return agreed, ''
 
     def at_noise_of(moved: Solution) -> _Steps:
         return _Steps.of(evaluated(agreed.problem, agreed.estimate, moved.noise), changes)
 
-    unmoved, tried = reestimated(reported).deviance, dict[tuple[int, int], Solution]()
+    unmoved, tried = reestimated(reported), dict[tuple[int, int], Solution]()
     for kind, gains in enumerate(first):
         while (one := (kind, int(np.argmax(gains)))) not in tried:
             tried[one] = reestimated(reported, _blocks(reported, kind, int(changes[one[1]])))
             # noise and scales estimated with the move do not absorb it: its time is clearer
             gains = at_noise_of(tried[one]).gains()[kind]
     (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
-    evidence = unmoved - moved.deviance
+    evidence = unmoved.deviance - moved.deviance
     step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
     # a smaller one may be part of the robot's smooth error
     clear = evidence > DECISIVE or math.hypot(shift, TURN_LENGTH * turn) > LARGE * smooth
     if evidence < STRONG or not clear or (p_value := at_noise_of(moved).p_value) >= RARELY:
-        return ''
+        return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
         f'after the first {agreed.used[changes[k]]} of {len(agreed.whole.poses)} samples the '
@@ -117,7 +119,10 @@ def moved_slightly(agreed: Solution) -> str:
         'samples again')
     if evidence > DECISIVE and p_value < HARDLY_EVER:
         raise DataError(sentence, reason='moved')
-    return sentence
+    away = se3.difference(moved.estimate.X, unmoved.estimate.X)
+    with_move = moved.covariance[:6, :6] + np.outer(away, away)
+    more = covering(agreed.reported[:6, :6], with_move) - agreed.reported[:6, :6]
+    return replace(agreed, added_covariances={**agreed.added_covariances, MOVE: more}), sentence
 
 
 def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock, ...]:

@@ -354,14 +354,14 @@ class Solution:
         return self.used[shown & ~self.problem.shows_essential]
 
     @property
-    def explained(self) -> int:
+    def fully_used(self) -> int:
         """Return the number of used stations with their essential observations used."""
         return len(self.used) - len(self.unused)
 
     @property
     def unused_share(self) -> float:
         """Return the share of stations that are dropped or lack their essential observations."""
-        return 1 - self.explained / len(self.whole.poses)
+        return 1 - self.fully_used / len(self.whole.poses)
 
     def corrected_poses(self, nuisance: Array | None = None) -> Array:
         """

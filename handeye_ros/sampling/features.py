@@ -195,7 +195,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
     x = float(np.median(centres[:, 0]))
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
-    good = _agreeing(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
+    good = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
                      'how high the face is')
     slope = float(slopes[good].mean())
     scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if good.sum() > 1 else 0.0
@@ -212,8 +212,8 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     along, across = points @ direction, points @ [-direction[1], direction[0]]
     single = float(np.median([e.std for e in edges]))
     expected = float(np.median([e.std_across for e in edges]))
-    good = _agreeing(along, 4.0, 2 * single, 'where the edge is')
-    good &= _agreeing(across, 6.0, 6 * expected, 'where the edge is')
+    good = _near_median(along, 4.0, 2 * single, 'where the edge is')
+    good &= _near_median(across, 6.0, 6 * expected, 'where the edge is')
     n = max(int(good.sum()), 1)
     scatter = float(along[good].std(ddof=1)) if n > 1 else single
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
@@ -238,7 +238,7 @@ def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.b
     return shapes - shapes.max(), middles.mean(axis=0) - points[good].mean(axis=0), std
 
 
-def _agreeing(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
+def _near_median(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
     """
     Return which values (n,) are near the median: within `times` scatters, or `least`.
 

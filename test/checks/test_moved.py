@@ -12,6 +12,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.simulate import FAULTS, settings, simulate_samples
 import numpy as np
 import pytest
@@ -80,6 +81,19 @@ def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(see
     except DataError as refusal:
         said = str(refusal)
     assert re.search('the first [678] of 14 samples', said), said
+
+
+@pytest.mark.parametrize(('name', 'seed'), [('plate', 2), ('sphere', 1)])
+def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, seed: int) -> None:
+    made = cell(name, seed)
+    slightly = se3.perturb(np.eye(4), np.array([8e-5, 0.0, 6e-5, 0.0, 0.0, 0.0]))
+    found = pipeline.answer(later(made.samples, lambda T: T @ slightly), [], made.config, 'laser')
+    answer = found.required()
+    assert 'moved' in answer.provenance['warnings'][0]
+    away = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+    whole, move = answer.covariance, found.solution.added_covariances['possible move']
+    assert away @ np.linalg.solve(whole, away) < chi2_isf(0.05, 6)
+    assert away @ np.linalg.solve(whole - move, away) > chi2_isf(0.05, 6)
 
 
 @pytest.mark.parametrize('name', ['baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
