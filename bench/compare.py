@@ -24,9 +24,9 @@ from functools import partial
 import math
 
 from handeye_ros import se3
+from handeye_ros.compare import compare
 from handeye_ros.config import Config, with_values
 from handeye_ros.published import cn105021139a, wu2017
-from handeye_ros.published.compare import compare
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.measured import laser_tracker
 from handeye_ros.tabulated.hand_eye import Views

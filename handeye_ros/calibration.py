@@ -3,7 +3,7 @@
 """From a solution to its Calibration: transform, target, quality, residual of each sample."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +14,11 @@ from handeye_ros.data import (
     Calibration,
     Quality,
     Reject,
+    rms,
     Sample,
     SampleReport,
     TIME_OFFSET,
+    TimeOffset,
 )
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
@@ -39,26 +41,43 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     samples: in the order of its stations; rejects: stops that gave none; frame_id: of the
     profiles; warnings: in words.
     """
-    problem, parent = solution.problem, mount_frame(config)
+    problem = solution.problem
     used = [samples[i] for i in solution.used]
     measured, residuals, predicted = tested_points(used, solution)
     reports = [*_used_reports(used, problem, rms_by(measured.station, residuals, len(used))),
                *_dropped_reports(samples, solution),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
-    std, direction = se3.worst_translation(solution.reported)
-    quality = Quality(len(used), len(reports) - len(used), rms(residuals),
-                      rms(predicted),
+    return assembled(
+        config, problem.target.name, frame_id or 'laser',
+        solution.estimate.X @ se3.inverse(sensor_axes(config)), solution.reported[:6, :6],
+        (rms(residuals), rms(predicted)), _described_target(solution, config),
+        sorted(reports, key=lambda report: report.stamp),
+        {'warnings': list(warnings)} if warnings else {}, time_offset_of(solution))
+
+
+def assembled(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
+              covariance: Array, sizes: tuple[float, float], target: Mapping[str, Any],
+              reports: Sequence[SampleReport], provenance: Mapping[str, Any],
+              time_offset: TimeOffset | None = None) -> Calibration:
+    """
+    Return a calibration with its quality, by its statistics and the reports of all samples.
+
+    sizes: RMS of the residuals, and of those left out (m); provenance: beside version and config.
+    """
+    parent, used = mount_frame(config), sum(report.used for report in reports)
+    std, direction = se3.worst_translation(covariance)
+    quality = Quality(used, len(reports) - used, *sizes,
                       f'position along {name_direction(direction, parent)} (m)', std)
-    provenance: dict[str, Any] = {'version': __version__, 'config': flatten(config)}
-    if warnings:
-        provenance['warnings'] = list(warnings)
     return Calibration(
-        config.name or config.target.type, problem.target.name, parent, frame_id or 'laser',
-        solution.estimate.X @ se3.inverse(sensor_axes(config)),
-        solution.reported[:6, :6],
-        _described_target(solution, config), quality,
-        tuple(sorted(reports, key=lambda report: report.stamp)), provenance,
-        time_offset_of(solution))
+        config.name or config.target.type, method, parent, sensor_frame, T_flange_sensor,
+        covariance, target, quality, tuple(reports),
+        {'version': __version__, **provenance, 'config': flatten(config)}, time_offset)
+
+
+def report_of(number: int, kind: str, used: bool, off: float) -> SampleReport:
+    """Return the report of a sample of a table; number: of its row, or its stamp."""
+    return SampleReport(int(number), bool(used), kind, float(off),
+                        '' if used else 'contradicts the others')
 
 
 def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
@@ -158,11 +177,6 @@ def rms_by(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
     count = np.bincount(number, minlength=n)
     with np.errstate(invalid='ignore', divide='ignore'):
         return np.asarray(np.sqrt(np.bincount(number, residuals ** 2, minlength=n) / count))
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt((values ** 2).mean()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,11 @@ QUATERNION_TOLERANCE = 1e-3  # of its length
 MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 
 
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt((values ** 2).mean()))
+
+
 @dataclass(frozen=True, eq=False)
 class Profile:
     """

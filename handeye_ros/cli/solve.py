@@ -197,8 +197,8 @@ def compare(
     out: OutFile = None,
 ) -> None:
     """Put the same samples through all estimators."""
+    from handeye_ros import compare as comparing
     from handeye_ros.output import write_whole
-    from handeye_ros.published import compare as comparing
     from handeye_ros.results.truth_file import true_transform
     import yaml
     given, T_true = opened(path, config, assignments, angles), true_transform(path)

@@ -14,7 +14,7 @@ from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Array, Calibration, rms
 from handeye_ros.errors import mm
 from handeye_ros.output import figure, image, page, style
 from handeye_ros.results import exports, table, verification_file
@@ -61,7 +61,7 @@ def html(calibration: Calibration, evidence: Evidence,
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
         plots=plots, stops=[
-            (stop, f'{1e3 * _rms(stop.residuals):.3f} mm' if len(stop.residuals) else 'used')
+            (stop, f'{1e3 * rms(stop.residuals):.3f} mm' if len(stop.residuals) else 'used')
             for stop in evidence.stops],
         profiles=[profile_picture(stop.points, stop.features) for stop in evidence.stops],
         refused=[report for report in calibration.samples if not report.used],
@@ -130,10 +130,6 @@ def mapped_std(calibration: Calibration, points: Array) -> float:
     return float(np.sqrt(variances.mean()))
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values ** 2).mean()))
-
-
 def _plots(used: Sequence[StopSnapshot], sweep: Array) -> Iterator[tuple[str, str]]:
     """Yield the plots with data, by name; used: stops; sweep: as in Evidence."""
     if used:
@@ -152,7 +148,7 @@ def _residuals_plot(stops: Sequence[StopSnapshot]) -> str:
     for shift, color, label, values in (
             (-0.2, BLUE, 'in the fit', [stop.residuals for stop in stops]),
             (0.2, ORANGE, 'left out of the fit', [stop.left_out for stop in stops])):
-        ax.bar(positions + shift, [1e3 * _rms(v) for v in values], 0.4, color=color, label=label)
+        ax.bar(positions + shift, [1e3 * rms(v) for v in values], 0.4, color=color, label=label)
     ax.set_xticks(positions, [str(stop.number) for stop in stops], fontsize=7)
     ax.set(xlabel='stop', ylabel='RMS residual (mm)')
     ax.legend(loc='upper right', ncols=2)

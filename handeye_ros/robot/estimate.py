@@ -13,7 +13,7 @@ from functools import cached_property
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.least_squares import (
     agreeing,
@@ -79,13 +79,13 @@ class ArmFit:
     @property
     def residual_rms(self) -> float:
         """Return the RMS residual of the used stops (m)."""
-        return float(np.sqrt((self.stops.distances(self.state)[self.used] ** 2).mean()))
+        return rms(self.stops.distances(self.state)[self.used])
 
     @property
     def smooth_rms(self) -> float:
         """Return the RMS of the smooth remaining error of the robot, per axis (m)."""
         shift = self.stops.root @ self.state.smooth.reshape(-1, 3)
-        return float(np.sqrt((shift[self.used] ** 2).mean()))
+        return rms(shift[self.used])
 
     def solved(self) -> ArmFit:
         """Return the least-squares estimate with these weights, near this one."""

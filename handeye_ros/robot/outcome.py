@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import math
 
 from handeye_ros.arm import Arm, DIRECTION, GEOMETRY, KINDS, OFFSET, POSITION, PRISMATIC, REVOLUTE
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
@@ -61,7 +61,7 @@ class Model:
     @property
     def left_out_rms(self) -> float:
         """Return the RMS of the cross-validation errors of the used stops (m)."""
-        return float(np.sqrt((self.left_out[self.fit.used] ** 2).mean()))
+        return rms(self.left_out[self.fit.used])
 
     @property
     def residuals(self) -> dict[str, float]:

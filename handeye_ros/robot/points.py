@@ -9,6 +9,7 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, PRISMATIC
+from handeye_ros.calibration import assembled, report_of
 from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array
@@ -19,7 +20,6 @@ from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
 from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start
 from handeye_ros.robot.stops import Points, State, Stops
 from handeye_ros.tables import ANGLE, LENGTH, Table
-from handeye_ros.tabulated.values import TableAnswer
 from handeye_ros.targets.target import xyz
 import numpy as np
 from numpy.typing import NDArray
@@ -119,13 +119,14 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
                     'points of the field of view')
-    by_number = np.argsort(rows.number)
-    samples = [(int(rows.number[k]), rows.names[rows.target[k]]) for k in by_number]
     target = {f'point_{name}': xyz(place)
               for name, place in zip(rows.names, fit.state.targets, strict=True)}
-    found = TableAnswer(
-        fit.state.X, covariance, fit.used[by_number], fit.stops.distances(fit.state)[by_number],
-        fit.residual_rms, outcome.chosen.left_out_rms,
-        target={**target, 'robot_position_error': outcome.smooth})
-    return ArmAnswer(outcome, found.calibration('kinematics', samples, config.sensor_frame, config,
-                                                inputs), (*notes, *outcome.notes))
+    off = fit.stops.distances(fit.state)
+    calibration = assembled(
+        config, 'kinematics', config.sensor_frame, fit.state.X, covariance,
+        (fit.residual_rms, outcome.chosen.left_out_rms),
+        {**target, 'robot_position_error': outcome.smooth},
+        [report_of(rows.number[k], rows.names[rows.target[k]], fit.used[k], off[k])
+         for k in np.argsort(rows.number)], {'inputs': list(inputs)})
+    return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
+                     (*notes, *outcome.notes))

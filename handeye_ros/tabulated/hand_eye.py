@@ -74,13 +74,13 @@ class Views(Lists):
         state, used = fit.state, fit.used
         off = _lengths(self.differences(state))
         left_out = _lengths(np.asarray(np.linalg.solve(whiten[used], fit.left_out[..., None])))
-        (rms, angle), (holdout, holdout_angle) = (
+        (residual, angle), (holdout, holdout_angle) = (
             np.sqrt((lengths ** 2).mean(axis=0)).tolist() for lengths in (off[used], left_out))
         X, Z = state
         target = {'pose': transform_values(Z), 'residual_angle': angle,
                   'left_out_angle': holdout_angle}
         return TableAnswer(X, fit.covariance[:6, :6], np.isin(np.arange(len(off)), used),
-                           off[:, 0], rms, holdout, angle, target)
+                           off[:, 0], residual, holdout, angle, target)
 
     def adjusted(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
         """Return the fit for variances (3,) of the causes, and what whitens the views."""

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.estimation.least_squares import adjust, Rows, System, TYPICAL_SHARE
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.values import Index, Input, Lists, rms, TableAnswer
+from handeye_ros.tabulated.values import Index, Input, Lists, TableAnswer
 import numpy as np
 from scipy.spatial.transform import Rotation
 

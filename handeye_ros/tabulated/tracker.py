@@ -14,7 +14,7 @@ from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
 from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
 from handeye_ros.config import Config
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.errors import BadValueError, DataError, InputError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import jing2020
@@ -22,7 +22,7 @@ from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import FIELD, field_points
 from handeye_ros.tables import LENGTH, Table, TableError
 from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
-from handeye_ros.tabulated.values import Index, Input, rms, TableAnswer, Values
+from handeye_ros.tabulated.values import Index, Input, TableAnswer, Values
 import numpy as np
 
 FEWEST = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # points in the file

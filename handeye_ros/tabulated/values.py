@@ -14,17 +14,17 @@ from dataclasses import dataclass, field, replace
 import math
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
-from handeye_ros import __version__, se3
+from handeye_ros import se3
+from handeye_ros.calibration import assembled, report_of
 from handeye_ros.checks.refusals import (
     LARGEST_DROPPED_SHARE,
     require_certain,
     require_left_out,
 )
-from handeye_ros.config import Config, flatten
-from handeye_ros.data import Array, Calibration, Quality, SampleReport
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, degrees, mm, TooFewError
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.frames import mount_frame, name_direction
 import numpy as np
 from numpy.typing import NDArray
 
@@ -173,22 +173,6 @@ class TableAnswer:
         require_certain(self.covariance, values.config, values.advice)
         require_left_out(self.holdout_rms, self.residual_rms, values.config.limits.residual)
 
-    def calibration(self, method: str, samples: Sequence[tuple[int, str]], sensor_frame: str,
-                    config: Config, inputs: Sequence[dict[str, str]]) -> Calibration:
-        """Return it as a calibration; samples: row number or stamp of each, and its kind."""
-        std, direction = se3.worst_translation(self.covariance)
-        frame, used = mount_frame(config), int(self.used.sum())
-        quality = Quality(used, len(samples) - used, self.residual_rms, self.holdout_rms,
-                          f'position along {name_direction(direction, frame)} (m)', std)
-        reports = tuple(
-            SampleReport(number, bool(good), kind, float(off),
-                         '' if good else 'contradicts the others')
-            for (number, kind), good, off in zip(samples, self.used, self.off, strict=True))
-        return Calibration(
-            config.name or method, method, frame, sensor_frame, self.X, self.covariance,
-            self.target, quality, reports,
-            {'version': __version__, 'inputs': list(inputs), 'config': flatten(config)})
-
 
 @dataclass(frozen=True, eq=False)
 class Input:
@@ -209,13 +193,16 @@ class Input:
 @single_threaded
 def calibrate(given: Input) -> Calibration:
     """Return the calibration; raises DataError when the files do not determine an answer."""
-    values, config = given.values, given.values.config
+    values = given.values
     answer = solve(values, given.otherwise)
     answer.require_trusted(values)
-    of_sensor = replace(answer, X=answer.X @ se3.inverse(values.axes))
-    found = of_sensor.calibration(values.name, values.samples, given.frame, config, given.inputs)
-    return found if not given.warnings else replace(
-        found, provenance={**found.provenance, 'warnings': list(given.warnings)})
+    warnings = {'warnings': list(given.warnings)} if given.warnings else {}
+    return assembled(
+        values.config, values.name, given.frame, answer.X @ se3.inverse(values.axes),
+        answer.covariance, (answer.residual_rms, answer.holdout_rms), answer.target,
+        [report_of(number, kind, used, off) for (number, kind), used, off in zip(
+            values.samples, answer.used, answer.off, strict=True)],
+        {'inputs': list(given.inputs), **warnings})
 
 
 def solve(values: Values, otherwise: Sequence[Misreading] = ()) -> TableAnswer:
@@ -253,8 +240,3 @@ def _misreading(otherwise: Sequence[Misreading], before: float) -> DataError | N
             explaining.append(f'the values contradict each other, but with {words} they agree to '
                               f'{mm(answer.misfit)}: {remedy}')
     return DataError(explaining[0], reason='convention') if len(explaining) == 1 else None
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt((values ** 2).mean()))

@@ -13,9 +13,9 @@ from command import ROOT
 from handeye_ros import orientations, se3, tabulated
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli import simulated
+from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_values
 from handeye_ros.frames import sensor_axes
-from handeye_ros.published.compare import compare_files
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, measured

@@ -9,9 +9,8 @@ import re
 from cells import Cell, cell, config, exact
 from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
+from handeye_ros.compare import compare, Comparison, ESTIMATORS, Row
 from handeye_ros.frames import sensor_axes
-from handeye_ros.published.compare import compare, Comparison, Row
-from handeye_ros.published.estimators import ESTIMATORS
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import TARGETS
