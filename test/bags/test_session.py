@@ -12,7 +12,6 @@ import shutil
 import subprocess
 import sys
 
-from cells import recorded
 from command import assert_refused, handeye, ROOT
 from handeye_ros.agreement import evidence
 from handeye_ros.bags.bag import read
@@ -33,14 +32,12 @@ from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.report import verdict
-from live_sessions import changed, computed, Inline, new, update
+from live_sessions import changed, computed, new, SPHERE, update
 import numpy as np
 import pytest
 from recordings import POINTS
 from rosbags.highlevel import AnyReader
 import yaml
-
-SPHERE = recorded('sphere')
 
 
 def stored(tmp_path: Path, config: Config = SPHERE.config) -> LiveSession:
@@ -61,17 +58,10 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
     return live
 
 
-def again(live: LiveSession, **values: object) -> LiveSession:
+def again(live: LiveSession) -> LiveSession:
     """Return another node that goes on with the session of one that has ended."""
-    path = live.path
     live.files.close()
-    given = {'session': path} | {key.replace('__', '.'): v for key, v in values.items()}
-    config, found = resumed(given, OutputFolders())
-    assert found
-    pool = Inline()
-    other = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found),
-                        pool, lambda: None)
-    other.restore(found.session(config), found.config)
+    other = new(replace(live.config, session=live.path))
     update(other)
     return other
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cells import ANY_POSE, Cell, cell, solved
+from command import bench_of
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
 from handeye_ros.data import Array
@@ -23,7 +24,7 @@ from handeye_ros.guidance.advice import (
 )
 from handeye_ros.guidance.candidates import anchor_of, REFUSED, with_one_more
 from handeye_ros.guidance.moves import next_move
-from handeye_ros.guidance.view import learn_view
+from handeye_ros.guidance.view import learn_view, mapped_points
 from handeye_ros.pipeline import Answer
 from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import SCENARIOS
@@ -233,3 +234,31 @@ def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: floa
     assert found == enough
     assert '0.350 mm is the robot' in why
     assert ('more samples bring little, a better robot' in why) == enough
+
+
+BENCH = bench_of('guidance')
+ROBOT = BENCH.ROBOTS['common']
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('target', ['plate', 'line', 'sphere'])
+def test_moves_tell_more_than_poses_at_random(target):
+    def sigma(seed, operator):
+        """Return how well points in view are known after the stations an answer needs + 1."""
+        cell = BENCH.world(target, ROBOT, seed, BENCH.KNOWN)
+        for _ in range(targets.target_for(cell.config).minimum):
+            BENCH.insist(cell, BENCH.advised(cell, None) if operator == 'advice'
+                         else lambda: BENCH.anywhere(cell))
+        solution = BENCH.solved(cell)
+        return mapped_points(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
+
+    found = np.array([[sigma(seed, operator) for operator in BENCH.OPERATORS]
+                      for seed in range(3)])
+    moves, random = np.median(found, axis=0)
+    assert moves < 0.7 * random
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('target', ['plate', 'line', 'sphere', 'wedge'])
+def test_a_node_takes_a_sample_at_every_pose_that_is_proposed(target):
+    assert not BENCH.followed(BENCH.world(target, ROBOT, 0, {}), 0.0, 16).why

@@ -11,8 +11,6 @@ from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
 from handeye_ros.published import chen2023, fixed_point, jing2020, wu2017, zheng2018
-from hypothesis import given
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -75,14 +73,3 @@ def test_four_points_in_one_plane_are_left_out() -> None:
     base[9, 2] = 0.3
     with pytest.raises(SingularError, match='one plane'):
         wu2017.solve(se3.apply(T, base), base)
-
-
-@given(st.lists(st.floats(-3, 3), min_size=3, max_size=3), st.floats(1e-3, 10))
-def test_line_search_never_climbs_and_finds_a_minimum(c: list[float], top: float) -> None:
-    a, b, d = c
-    line = [float(v) for v in np.polynomial.polynomial.polymul([a, b, 1.0], [a, d, 1.0])]
-    line[4] = top
-    s = zheng2018.line_search(line)
-    value = zheng2018.quartic(line, s)
-    assert value <= line[0]
-    assert min(zheng2018.quartic(line, s + h) for h in (-1e-4, 1e-4)) >= value - 1e-9

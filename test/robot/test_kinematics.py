@@ -4,12 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import importlib.util
-from pathlib import Path
 import re
-import sys
 
-from command import handeye
+from command import bench_of, handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.arm import arm_of, corrected_urdf, GEOMETRY, read_arm, read_urdf
 from handeye_ros.bags.bag import read
@@ -28,11 +25,7 @@ import pytest
 
 pinocchio = pytest.importorskip('pinocchio', reason='needs pinocchio')
 
-ROOT = Path(__file__).parents[2]
-spec = importlib.util.spec_from_file_location('bench_kinematics', ROOT / 'bench/kinematics.py')
-bench = importlib.util.module_from_spec(spec)
-sys.modules[spec.name] = bench
-spec.loader.exec_module(bench)
+bench = bench_of('kinematics')
 
 ODD = """<?xml version="1.0"?>
 <robot name="odd">

@@ -129,7 +129,6 @@ def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10
 
 
 every_method = pytest.mark.parametrize('name', targets.TARGETS)
-WHERE = ('eye_in_hand', 'eye_on_base')
 
 
 def scenario_for(name: str, where: str = 'eye_in_hand') -> Scenario:
@@ -145,12 +144,6 @@ def noisy(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Cell:
 @lru_cache
 def solution_of(name: str, where: str = 'eye_in_hand', seed: int = 0) -> Solution:
     return solved(noisy(name, where, seed).problem)
-
-
-@lru_cache
-def exact_solution(name: str, where: str, seed: int = 0) -> tuple[Cell, Solution]:
-    made = exact_cell(scenario_for(name, where), seed, method=name)
-    return made, solved(made.problem)
 
 
 @lru_cache

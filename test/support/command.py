@@ -1,10 +1,11 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the command line as a user does, processes that outlive no test, and a browser."""
+"""Runs the command line as a user does, processes that outlive no test, benches, a browser."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+import importlib.util
 import io
 from pathlib import Path
 import shutil
@@ -20,6 +21,15 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PLATE = ROOT / 'config' / 'plate.yaml'
 PATIENCE = 150.0  # s until something that does not happen fails the test
+
+
+def bench_of(name: str) -> Any:
+    """Return the module of a bench."""
+    spec = importlib.util.spec_from_file_location(f'bench_{name}', ROOT / f'bench/{name}.py')
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # for its dataclasses
+    spec.loader.exec_module(module)
+    return module
 
 
 @contextmanager

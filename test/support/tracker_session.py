@@ -43,7 +43,7 @@ def ball_profiles(ball: Array, steps: Array, along: Array) -> Array:
     for step in steps:
         centre = ball - step * along
         room = RADIUS ** 2 - centre[1] ** 2
-        for angle in np.deg2rad(np.linspace(-60, 60, 41)) if room > 0 else ():
+        for angle in np.deg2rad(np.linspace(-60, 60, 21)) if room > 0 else ():
             rows.append([centre[0] + np.sqrt(room) * np.sin(angle),
                          centre[2] - np.sqrt(room) * np.cos(angle), step + Q30])
     return np.array(rows)
@@ -60,12 +60,12 @@ def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
     line = np.array([se3.apply(link(12, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)])
     ridge, normals, ball = block(rng, skew)
     along = T_flange_sensor[2, :3]
-    x = np.linspace(0.002, 0.018, 30)
-    steps = np.linspace(-0.06, 0.06, 121)
-    faces = [face_profiles(n, ridge, ridge[0] + s * x, steps[60:], along)
+    x = np.linspace(0.002, 0.018, 10)
+    steps = np.linspace(-0.06, 0.06, 41)
+    faces = [face_profiles(n, ridge, ridge[0] + s * x, steps[20:], along)
              for n, s in zip(normals, (-1, 1), strict=True)]
     T_tracker_sensor = T_tracker_arm @ link(12, Q30) @ T_flange_sensor
-    spots = [se3.apply(T_tracker_sensor, jing2020.swept(f[::53], Q30, along)) for f in faces]
+    spots = [se3.apply(T_tracker_sensor, jing2020.swept(f[::6], Q30, along)) for f in faces]
     truth = [se3.apply(T_tracker_arm, arc), se3.apply(T_tracker_arm, line),
              se3.apply(T_tracker_sensor, ball[None]), *spots]
     noisy = [p + tracker_noise * rng.normal(size=p.shape) for p in truth]

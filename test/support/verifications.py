@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-import importlib.util
-from pathlib import Path
-import sys
 
+from command import bench_of
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.verification.routines import ROUTINES
@@ -15,11 +13,7 @@ from handeye_ros.verification.stations import stations_of
 from handeye_ros.verification.verify import verify
 import numpy as np
 
-ROOT = Path(__file__).parents[2]
-spec = importlib.util.spec_from_file_location('bench_verify', ROOT / 'bench' / 'verify.py')
-bench = importlib.util.module_from_spec(spec)
-sys.modules[spec.name] = bench
-spec.loader.exec_module(bench)
+bench = bench_of('verify')
 
 
 def stated(X, name='plate', provenance=None, offset=None, target=None):
