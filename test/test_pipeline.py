@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Whole recordings, simulated and real, to the calibration."""
+"""Whole recordings, simulated and real, to the calibration; wrong values at the public door."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cells import Recorded, recorded
-from handeye_ros import pipeline, se3
+from handeye_ros import Config, gather, pipeline, se3
 from handeye_ros.config import load
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
@@ -272,3 +272,25 @@ def test_order_of_points_and_points_in_the_origin_are_no_matter() -> None:
     assert np.array_equal(with_origin.T_flange_sensor, expected.T_flange_sensor)
     assert in_no_order.quality.samples_used == expected.quality.samples_used
     assert made.error(in_no_order.T_flange_sensor) < 1e-4
+
+
+ORIGIN, NO_TURN = np.zeros(3), np.array([0.0, 0, 0, 1])
+
+
+@pytest.mark.parametrize(('make', 'named'), [
+    (lambda: Profile(1, 'laser', np.zeros((5, 3))), r'points of a profile is an array \(5, 3\)'),
+    (lambda: Profile(1, 'laser', [[0.0, 0.1]]), 'points of a profile is a list'),
+    (lambda: Profile(2.5, 'laser', np.zeros((5, 2))), 'stamp of a profile is 2.5'),
+    (lambda: TimedPose(2e-9, ORIGIN, NO_TURN), 'stamp of a pose is 2e-09'),
+    (lambda: TimedPose(1, np.zeros(2), NO_TURN), r'translation of a pose is an array \(2,\)'),
+    (lambda: TimedPose(1, [0, 0, 0], NO_TURN), 'translation of a pose is a list'),
+    (lambda: gather([], [TimedPose(1, ORIGIN * np.nan, NO_TURN)], Config()),
+     'translation of a pose'),
+    (lambda: gather([], [TimedPose(1, ORIGIN, 0 * NO_TURN)], Config()), 'quaternion of a pose')])
+def test_wrong_input_is_refused_by_name(make: Callable[[], object], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        make()
+
+
+def test_integers_of_numpy_are_stamps() -> None:
+    assert TimedPose(np.int64(3), ORIGIN, NO_TURN).stamp == 3  # type: ignore[arg-type]

@@ -1,9 +1,11 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Covariance and residuals against trials and real refits; the same for every method."""
+"""Covariance and residuals against trials and real refits, and what each cause contributes."""
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+import re
 
 from cells import (
     calibration_of,
@@ -15,16 +17,22 @@ from cells import (
     solution_of,
     solved,
 )
+from command import handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.calibration import measured_points
-from handeye_ros.config import with_values
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.basis import box, field_motions, motions_by_poses
+from handeye_ros.estimation.covariance import budget
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate
 from handeye_ros.estimation.search import fit
-from handeye_ros.estimation.solve import evaluated, Solution
+from handeye_ros.estimation.solve import covering, evaluated, Solution
+from handeye_ros.simulate import FAULTS, settings, simulate_samples
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 
 @every_method
@@ -132,3 +140,102 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     mine = there.problem.observations.station == 3
     assert (there.whitened[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
     assert np.allclose(there.whitened[~mine], 0, atol=1e-3)
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
+    made = cell(target, 0)
+    config = with_values(Config(), settings(made.scenario), target)
+    solution = pipeline.answer(made.samples, (), config).consensus()
+    found = budget(solution)
+    assert found.samples == len(made.samples)
+    assert {'sensor, white', 'poses, white', 'robot_smooth', 'best fit'} <= {
+        term.name for term in found.terms}
+    for size in ('translation', 'rotation', 'mapped'):
+        squares = sum(getattr(term, size) ** 2 for term in found.terms)
+        assert squares == pytest.approx(getattr(found.total, size) ** 2, rel=1e-6)
+    std = np.sqrt(np.diag(solution.reported)[:3])
+    assert found.total.translation == pytest.approx(np.sqrt((std ** 2).mean()))
+
+
+def test_the_command_line_shows_it(tmp_path: Path) -> None:
+    shown = handeye('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
+                    '--budget', '--out', tmp_path, cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    table = shown.stdout[shown.stdout.index('1 sigma by cause'):]
+    shares = [float(share) for share in re.findall(r'([\d.]+) %', table)]
+    assert shares[-1] == 100.0 and sum(shares[:-1]) == pytest.approx(100.0, abs=1.0)
+    assert '18 samples' in table
+    uncertain = handeye('solve', ROOT / 'bags/plate', '--config', ROOT / 'config/plate.yaml',
+                        '--set', 'limits.translation=1e-6', '--budget', '--out', tmp_path / 'none',
+                        cwd=tmp_path)
+    assert uncertain.returncode == 3 and 'limits.translation' in uncertain.stderr
+    assert '1 sigma by cause' in uncertain.stdout and not (tmp_path / 'none').exists()
+    refused = handeye('solve', ROOT / 'bags/tracker', '--config', ROOT / 'config/tracker.yaml',
+                      '--budget', '--out', tmp_path, cwd=tmp_path)
+    assert refused.returncode == 2 and '--budget' in refused.stderr
+
+
+FIELD = np.array([[x, z] for x in (-0.02, 0.0, 0.02) for z in (0.15, 0.2)])
+
+
+def inverted(T: Array, error: Array, eye_on_base: bool) -> Array:
+    """Return poses (n, 4, 4) of a problem with an error (n, 6) added to the robot's."""
+    robot = se3.inverse(T) if eye_on_base else T
+    wrong = se3.transform(se3.exp_rotation(error[:, 3:]) @ robot[:, :3, :3],
+                          robot[:, :3, 3] + error[:, :3])
+    return se3.inverse(wrong) if eye_on_base else wrong
+
+
+@pytest.mark.parametrize('scenario', ['plate', 'eye_on_base'])
+def test_a_robot_that_errs_moves_what_serves_best_as_least_squares_does(scenario: str) -> None:
+    made = cell(scenario, 3)
+    problem, X, rng = made.problem, made.truth.T_flange_sensor, np.random.default_rng(1)
+    on_base = problem.config.calibration_type != 'eye_in_hand'
+    error = rng.normal(size=(len(problem.poses), 6)) * 1e-6
+    off = inverted(problem.poses, error, on_base)
+    points = np.column_stack([FIELD[:, 0], np.zeros(len(FIELD)), FIELD[:, 1]])
+
+    def mapped(T: Array, mount: Array) -> Array:
+        return np.asarray(se3.apply(T @ mount, points))
+
+    goal, here = mapped(off, X), mapped(problem.poses, X)
+    columns = [(mapped(problem.poses, se3.perturb(X, step)) - here).ravel() / 1e-7
+               for step in np.eye(6) * 1e-7]
+    columns += [(here - se3.apply(se3.perturb(np.eye(4), step), here)).ravel() / 1e-7
+                for step in np.eye(6) * 1e-7]
+    best = np.linalg.lstsq(np.array(columns).T, (goal - here).ravel(), rcond=1e-9)[0][:6]
+    moved = np.einsum('xna,na->x', motions_by_poses(
+        problem.poses, X, FIELD, problem.in_hand), error)
+    assert np.allclose(moved, best, atol=1e-3 * np.abs(best).max())
+
+
+def test_no_motion_serves_points_better_that_are_all_of_a_field() -> None:
+    across = np.linspace(-1, 1, 15)
+    points = box(np.array([[-0.02, 0.15], [0.02, 0.2]]), across)
+    first, second = field_motions(points, [1, 3])
+    assert np.abs(first).max() < 1e-9 and np.abs(second).max() > 0.1
+
+
+def test_a_covariance_that_covers_two_has_neither_less() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        first, second = (root @ root.T for root in rng.normal(size=(2, 6, 6)))
+        least = covering(first, second)
+        for given in (first, second):
+            assert np.linalg.eigvalsh(least - given).min() > -1e-9 * least.max()
+        assert np.allclose(covering(first, 0.5 * first), first)
+        assert np.allclose(covering(first, 2 * first), 2 * first)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('name', ['joints and links 0.3 mm', 'line, smooth 0.2 mm'])
+def test_the_region_that_is_stated_holds_what_serves_best(name: str) -> None:
+    scenario, inside = FAULTS[name], []
+    config = with_values(Config(), settings(scenario), name)
+    for seed in range(20):
+        samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
+        found = pipeline.solve(samples, (), config, 'laser')
+        error = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
+        inside.append(error @ np.linalg.solve(found.covariance, error) < chi2.ppf(0.95, 6))
+    assert np.mean(inside) >= 0.9

@@ -1,20 +1,23 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Stations that do not fit are left out, with a reason, and do no harm."""
+"""Stations that do not fit are left out, with a reason; few of them judge, or give no answer."""
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
 
-from cells import Cell, cell, exact_cell, scenario_of
+from cells import Cell, cell, every_method, scenario_of
 from handeye_ros import pipeline, se3
+from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.search import robust_solution, with_blocks
+from handeye_ros.estimation.solve import evaluated
+from handeye_ros.results.truth_file import errors_against
+from handeye_ros.simulate import FAULTS, SCENARIOS, settings, simulate, simulate_samples
 from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
-
-every_method = pytest.mark.parametrize('name', TARGETS)
 
 
 def solve(samples: Iterable[Sample], made: Cell) -> Calibration:
@@ -83,7 +86,7 @@ def test_a_cluster_that_agrees_on_something_wrong_is_left_out(target: str, seed:
     assert_as_good(answer, solve((s for s in made.samples if s.stamp not in bad), made))
 
 
-@pytest.mark.parametrize('seed', [13, 17])
+@pytest.mark.parametrize('seed', [13, pytest.param(17, marks=pytest.mark.thorough)])
 def test_a_second_plate_that_some_stations_show_does_no_harm(seed: int) -> None:
     made = cell('plate', seed)
     bad = {made.samples[i].stamp
@@ -92,14 +95,6 @@ def test_a_second_plate_that_some_stations_show_does_no_harm(seed: int) -> None:
     step = np.append(T[:3, :3] @ [0.25, 0.05, 0.004], np.zeros(3))
     answer = solve((moved(s, step) if s.stamp in bad else s for s in made.samples), made)
     assert rejected(answer) == bad
-
-
-def test_samples_after_the_target_was_pushed_are_left_out_when_they_are_few() -> None:
-    made = cell('plate', 3)
-    step = np.array([2e-3, -1e-3, 2e-3, 0, 0, 0.01])
-    late = sorted(s.stamp for s in made.samples)[-4:]
-    answer = solve((moved(s, step) if s.stamp in late else s for s in made.samples), made)
-    assert rejected(answer) == set(late)
 
 
 def test_too_many_wrong_stations_are_refused() -> None:
@@ -111,7 +106,7 @@ def test_too_many_wrong_stations_are_refused() -> None:
         solve(samples, made)
 
 
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_edges_of_the_plate_that_are_not_ours_do_no_harm(seed: int) -> None:
     made = cell('wrong_edges', seed)
     answer = solve(made.samples, made)
@@ -140,11 +135,108 @@ def test_all_four_edges_are_used_when_the_size_is_known() -> None:
         solve(without.samples, without).covariance) * 1.05  # the noise is estimated in both
 
 
-def test_exact_samples_with_one_wrong_one_give_the_truth() -> None:
-    made = exact_cell('plate', 2)
-    samples = [moved(s, np.array([0, 0, 2e-3, 0.01, 0, 0])) if i == 7 else s
+RANKS = {'plate': 3, 'line': 2, 'plane': 2, 'sphere': 3, 'wedge': 4}  # of one station
+
+
+def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
+    made = cell('plane', 0)
+    whole = robust_solution(made.problem, np.random.default_rng(0))
+    few = made.problem.subset(np.arange(4))
+    covariance = evaluated(few, whole.estimate).covariance
+    assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
+
+
+@pytest.mark.parametrize(('name', 'rank'), RANKS.items())
+def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> None:
+    made = cell(name, 0)
+    solution = robust_solution(made.problem, np.random.default_rng(0))
+    assert (solution.ranks == rank).all()
+    assert solution.redundancy == rank * len(made.samples) - solution.columns.shape[1]
+
+
+def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
+    return moved(sample, np.append(rng.normal(size=3) * 3e-3, rng.normal(size=3) * 0.01))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('name', 'stations', 'bad'), [
+    ('plane', (6, 0), 1), ('plane', (8, 0), 2), ('plate', (3, 3), 1), ('plate', (4, 3), 2),
+    ('line', (7, 0), 1), ('sphere', (6, 0), 2)])
+def test_few_samples_with_wrong_ones_give_no_wrong_answer(name: str, stations: tuple[int, int],
+                                                          bad: int) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        made = cell(replace(SCENARIOS[name], stations=stations), seed)
+        chosen = rng.permutation(len(made.samples))[:bad]
+        samples = [wrong(s, rng) if i in chosen else s for i, s in enumerate(made.samples)]
+        try:
+            answer = pipeline.solve(samples, [], made.config, 'laser')
+        except DataError:
+            continue
+        error = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+        assert error @ np.linalg.solve(answer.covariance, error) / 6 < 6
+
+
+def test_what_is_left_after_dropping_must_judge() -> None:
+    made = cell(replace(SCENARIOS['plane'], stations=(7, 0)), 0)
+    samples = [wrong(s, np.random.default_rng(1)) if i == 3 else s
                for i, s in enumerate(made.samples)]
-    answer = solve(samples, made)
-    assert rejected(answer) == {samples[7].stamp}
-    error = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
-    assert np.abs(error).max() < 1e-8
+    with pytest.raises(DataError, match='take more'):
+        pipeline.solve(samples, [], made.config, 'laser')
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_one_wrong_of_ten_stands_out_though_a_poor_robot_would_explain_it(seed: int) -> None:
+    made = cell(replace(SCENARIOS['plate'], stations=(5, 5)), seed)
+    rng = np.random.default_rng(seed)
+    samples = [wrong(s, rng) if i == seed else s for i, s in enumerate(made.samples)]
+    answer = pipeline.solve(samples, [], made.config, 'laser')
+    assert [report.used for report in answer.samples] == [i != seed for i in range(10)]
+    assert errors_against(answer.T_flange_sensor, made.truth.T_flange_sensor).mapped_points < 2e-4
+
+
+def test_no_station_of_a_poor_robot_is_taken_for_wrong() -> None:
+    poor = replace(SCENARIOS['plate'].robot, systematic=(3e-4, 1e-3))
+    made = cell(replace(SCENARIOS['plate'], stations=(5, 5), robot=poor), 0,
+                noise__robot_smooth=1.5e-4)
+    answer = pipeline.solve(made.samples, [], made.config, 'laser')
+    assert answer.quality.samples_rejected == 0
+
+
+def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_many() -> None:
+    grown = []
+    for stations in ((3, 3), (9, 9)):
+        made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
+        solution = with_blocks(robust_solution(made.problem, np.random.default_rng(0)))
+        without = replace(solution, added_covariances={})
+        grown.append(np.diag(solution.reported)[:6] / np.diag(without.reported)[:6])
+    few, many = grown
+    assert few.max() > 1.01 > many.max()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('name', 'seed'), [
+    ('6 poses x 4', 17),  # a rival that has no use for two of the six edges
+    ('6 poses x 4, smooth 0.15 mm', 4),  # hard to start
+    ('6 poses x 4, joints 0.1 mm', 7)])  # started wrong, positions in mm seemed to explain it
+def test_six_poses_visited_four_times_carry_an_answer(name: str, seed: int) -> None:
+    scenario = FAULTS[name]
+    recording = simulate(scenario, np.random.default_rng(seed))
+    config = with_values(Config(), settings(scenario), 'test')
+    answer = pipeline.calibrate(recording.profiles, recording.poses, config)
+    assert answer.quality.samples_used == 6, 'a pose that is taken again says nothing new'
+    error = se3.difference(answer.T_flange_sensor, recording.truth.T_flange_sensor)
+    assert error @ np.linalg.solve(answer.covariance, error) < 20
+
+
+@pytest.mark.thorough
+def test_six_stations_of_which_one_is_wrong_are_refused_and_why() -> None:
+    scenario = FAULTS['3 + 3, one bad']
+    config = with_values(Config(), settings(scenario), 'test')
+    contaminated = 0
+    for seed in range(6):
+        samples, _ = simulate_samples(scenario, np.random.default_rng(seed))
+        with pytest.raises(DataError) as refusal:
+            pipeline.solve(samples, [], config, 'laser')
+        contaminated += refusal.value.reason == 'outlier'
+    assert contaminated >= 4, 'two answers, of others'

@@ -1,11 +1,17 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The one least squares: what it finds, what blocks say of it, and that nobody has another."""
+"""The one least squares: what it finds, what blocks say of it, quantiles, priors and threads."""
 from __future__ import annotations
+
+import json
+import subprocess
+import sys
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import (
     adjust,
+    chi2_isf,
+    chi2_sf,
     covariance_of,
     leave_one_out,
     many_least_squares,
@@ -13,9 +19,13 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
+from handeye_ros.estimation.noise import prior_scales
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from scipy import stats
 
 SEEDS = pytest.mark.parametrize('seed', range(5))
 
@@ -80,3 +90,62 @@ def test_no_more_blocks_are_dropped_than_can_be_spared() -> None:
     for spare, dropped in ((0, 0), (1, 1), (3, 3), (100, 4)):
         assert len(outliers(squares, 2, 200, spare)) == dropped
     assert not len(outliers(np.full(200, 1.0), 2, 200, 100))
+
+
+PROBABILITIES = st.floats(1e-12, 1 - 1e-6)
+FREEDOM = st.integers(1, 2000)
+
+
+@given(PROBABILITIES, FREEDOM)
+def test_chi_squared(probability: float, freedom: int) -> None:
+    value = chi2_isf(probability, freedom)
+    assert value == pytest.approx(stats.chi2.isf(probability, freedom), rel=1e-9)
+    assert chi2_sf(value, freedom) == pytest.approx(
+        stats.chi2.sf(value, freedom), rel=1e-9)
+    assert chi2_isf(0.5, freedom) == pytest.approx(stats.chi2.median(freedom), rel=1e-9)
+
+
+def test_several_at_once_and_none_without_a_degree_of_freedom() -> None:
+    probabilities = chi2_sf(np.array([0.0, 1.0, 2.0, 2.0]), np.array([0, 0, 1, 3]))
+    assert np.isnan(probabilities).tolist() == [True, True, False, False]
+    np.testing.assert_allclose(probabilities[2:], stats.chi2.sf(2.0, [1, 3]))
+
+
+def conservative(value: float, std: float) -> float:
+    """Return the scale of a single parameter that the data alone put at value +- std."""
+    information = 1 / std ** 2
+    covariance = np.array([[1 / (1 + information)]])
+    _, found = prior_scales(covariance, covariance[0] * value * information,
+                            np.array([0]), np.ones(1), np.array([1e8]))
+    return float(np.sqrt(found[0]))
+
+
+@pytest.mark.parametrize(('value', 'std', 'least', 'most'), [
+    (9.0, 6.0, 0.0, 2.0),  # of 1.5 sigma: not believed at several times its prior
+    (0.0, 2.0, 0.7, 2.0),  # it may be there as configured
+    (50.0, 0.5, 20.0, 100.0), (0.0, 0.01, 0.0, 0.3)])  # what the data show is believed
+def test_a_scale_is_what_the_data_show_and_no_more(value: float, std: float, least: float,
+                                                   most: float) -> None:
+    assert least < conservative(value, std) < most
+
+
+# In a process of its own: other tests load libraries with pools of their own, at any time.
+PROGRAM = r"""
+from handeye_ros.estimation.least_squares import single_threaded
+import handeye_ros.pipeline  # loads every library that a solve needs
+from threadpoolctl import threadpool_info, threadpool_limits
+
+def threads():
+    return [pool['num_threads'] for pool in threadpool_info() if pool['user_api'] == 'blas']
+
+with threadpool_limits(3):
+    print(threads(), single_threaded(threads)(), threads(), sep='\n')
+"""
+
+
+def test_one_thread_inside_and_as_before_outside() -> None:
+    pytest.importorskip('threadpoolctl', reason='needs threadpoolctl')
+    output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True,
+                            check=True).stdout
+    before, inside, after = map(json.loads, output.splitlines())
+    assert set(before) == {3} and set(inside) == {1} and after == before
