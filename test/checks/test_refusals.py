@@ -7,7 +7,7 @@ from dataclasses import replace
 import math
 import re
 
-from cells import Cell, cell, config, exact_cell, scenario_of
+from cells import Cell, cell, config, every_method, exact_cell, scenario_of
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.refusals import turning
 from handeye_ros.data import Array, FaceLine, Reject
@@ -19,7 +19,6 @@ from handeye_ros.targets import TARGETS
 import numpy as np
 import pytest
 
-every_method = pytest.mark.parametrize('name', TARGETS)
 everywhere = pytest.mark.parametrize(('where', 'frame'), [
     ('eye_in_hand', 'flange'), ('eye_on_base', 'base')])
 

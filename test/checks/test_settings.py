@@ -1,17 +1,27 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong settings and clocks that differ are named, with the right value."""
+"""Wrong settings, clocks that differ and a tilted light plane are named, with the right value."""
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+import math
+from pathlib import Path
 import re
 
+from cells import cell
+from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
+from handeye_ros.bags.bag import read
+from handeye_ros.bags.messages import cloud_from_cdr
+from handeye_ros.bags.reader import CLOUD, Raw
 from handeye_ros.checks.clocks import require_same_clock
+from handeye_ros.checks.hypotheses import deviance, Explanation, refitted
 from handeye_ros.checks.settings import require_settings
-from handeye_ros.config import Config, with_values
-from handeye_ros.errors import DataError
+from handeye_ros.config import Config, flipped_range, with_values
+from handeye_ros.data import Array, EdgePoint
+from handeye_ros.errors import DataError, HandeyeError
+from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import (
     FAULTS,
     Scenario,
@@ -23,13 +33,19 @@ from handeye_ros.simulate import (
 )
 from handeye_ros.simulate.scenario import Layout
 from handeye_ros.simulate.solids import box, Solid
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
+from recordings import scan, with_messages
 
 
 @lru_cache
 def made(name: str) -> Simulated:
-    return simulate(FAULTS[name], np.random.default_rng(0))
+    found = FAULTS[name]
+    return simulate(replace(found, sensor=replace(found.sensor, rate=8.0)),
+                    np.random.default_rng(0))
 
 
 def solved(name: str, **values: object) -> object:
@@ -48,10 +64,9 @@ def test_another_target_is_named(name: str, wrong: str, right: str) -> None:
         solved(name, target__type=wrong)
 
 
-@pytest.mark.parametrize('radius', [0.012])
-def test_a_wrong_radius_is_named_with_the_right_one(radius: float) -> None:
+def test_a_wrong_radius_is_named_with_the_right_one() -> None:
     with pytest.raises(DataError, match='set target.radius to 0.040'):
-        solved('sphere', target__radius=radius)
+        solved('sphere', target__radius=0.012)
 
 
 def test_two_wrong_settings_are_named_together() -> None:
@@ -92,10 +107,10 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
     assert caught.value.reason != 'settings'
 
 
-@pytest.mark.parametrize('name', ['baseline'])
-def test_right_settings_are_not_blamed(name: str) -> None:
-    config = with_values(Config(), settings(FAULTS[name]), 'the test')
-    require_settings(pipeline.gather(made(name).profiles, made(name).poses, config), config)
+@pytest.mark.thorough
+def test_right_settings_are_not_blamed() -> None:
+    config, cell = with_values(Config(), settings(FAULTS['baseline']), 'test'), made('baseline')
+    require_settings(pipeline.gather(cell.profiles, cell.poses, config), config)
 
 
 NS = 1_000_000_000
@@ -103,7 +118,7 @@ NS = 1_000_000_000
 
 @lru_cache(maxsize=2)
 def recorded(target: str) -> tuple[Simulated, Config]:
-    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
+    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=10.0))
     return (simulate(scenario, np.random.default_rng(1)),
             with_values(Config(), settings(scenario), 'the test'))
 
@@ -149,3 +164,63 @@ def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
     made, config = recorded('sphere')
     good = pipeline.calibrate(made.profiles, made.poses, config)
     assert answer.quality.residual_rms < 3 * good.quality.residual_rms
+
+
+@pytest.mark.parametrize('name, seed', [
+    pytest.param('plate', 0, marks=pytest.mark.thorough), ('plate_z_up', 1)])
+def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
+    scenario = replace(SCENARIOS[name], sensor=replace(SCENARIOS[name].sensor, rate=10.0))
+    made = simulate(scenario, np.random.default_rng(seed))
+    right = with_values(Config(), settings(scenario), 'the test')
+    with pytest.raises(DataError, match=f'range_sign {right.profile.range_sign}, '):
+        pipeline.calibrate(made.profiles, made.poses, flipped_range(right))
+
+
+@given(arrays(float, 12, elements=st.floats(0.1, 4.0)), st.floats(1.05, 4.0), st.integers(0, 11))
+def test_what_fits_the_same_stops_worse_is_no_better_explanation(
+        q: Array, worse: float, lost: int) -> None:
+    """With more conditions a stop, a sign of 0.104 mm once explained better than one of 0.056."""
+    assert deviance(worse * q, 3) > deviance(q, 3)
+    assert deviance(np.where(np.arange(12) == lost, np.inf, q), 3) > deviance(q, 3)
+
+
+def test_edges_that_are_less_certain_do_not_explain_more() -> None:
+    """Waves of a face end it by chance with the wrong sign, at points of which little is known."""
+    made, rng = cell('plate'), np.random.default_rng(0)
+
+    def read(error: float, stated: float) -> Explanation:
+        samples = [replace(s, features=tuple(
+            replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
+            if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
+        return refitted(problem_at_poses(samples, made.config))
+
+    waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
+    assert stray.variance_factor < waved.variance_factor
+    assert stray.evidence_against(waved) < 0
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def tilted(raw: Raw, types: dict[str, str], degrees: float) -> Raw:
+    """Return a message whose points (x, 0, z) are turned about x."""
+    if types[raw.topic] != CLOUD:
+        return raw
+    data = bytearray(raw.data)
+    cloud = cloud_from_cdr(bytes(data))
+    cloud = cloud._replace(data=memoryview(data)[cloud.start:cloud.start + len(cloud.data)])
+    z = np.array(cloud.view('z'))
+    cloud.view('y')[...] = z * math.sin(math.radians(degrees))
+    cloud.view('z')[...] = z * math.cos(math.radians(degrees))
+    return raw._replace(data=bytes(data))
+
+
+@pytest.mark.parametrize(('name', 'degrees'), [('plate', 3.0), ('sphere', 12.0)])
+def test_it_is_refused_by_this_cause(name: str, degrees: float, tmp_path: Path) -> None:
+    types, _ = scan(ROOT / 'bags' / name)
+    bag = with_messages(ROOT / 'bags' / name, tmp_path, lambda raw: tilted(raw, types, degrees))
+    config = configs.load(ROOT / 'config' / f'{name}.yaml')
+    with pytest.raises(HandeyeError, match='tilted') as refused:
+        recording = read(bag, config)
+        pipeline.calibrate(recording.profiles, recording.poses, config)
+    assert 'static transform' in str(refused.value)

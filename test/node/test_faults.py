@@ -168,9 +168,8 @@ def test_a_button_a_kill_and_a_restart(
 # -- the end
 
 
-@pytest.mark.parametrize('number', [
-    signal.SIGINT, *(pytest.param(number, marks=pytest.mark.thorough)
-                     for number in (signal.SIGTERM, signal.SIGKILL))])
+@pytest.mark.thorough
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_it_ends_at_once_while_streams_run(tmp_path: Path, client: Client, number: int) -> None:
     stamps = count(START, PERIOD)
 

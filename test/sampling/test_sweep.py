@@ -12,13 +12,17 @@ from handeye_ros.data import Array, TimedPose
 from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
+from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.sweep import synchronised
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate
 from handeye_ros.simulate.scenario import Sweep
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from streams import pose, START
 
 NS = 1_000_000_000
 
@@ -95,9 +99,9 @@ def config_of(scenario: Scenario) -> Config:
 
 
 @pytest.mark.parametrize(('target', 'offset', 'kind'), [
-    ('wedge', 0.15, 'eye_in_hand'), ('sphere', -0.035, 'eye_on_base'),
+    ('sphere', -0.035, 'eye_on_base'),
     *(pytest.param(*values, 'eye_in_hand', marks=pytest.mark.thorough)
-      for values in (('line', 0.02), ('plane', 0.0), ('plate', 0.3)))])
+      for values in (('wedge', 0.15), ('line', 0.02), ('plane', 0.0), ('plate', 0.3)))])
 def test_a_sweep_gives_transform_and_time_offset(target: str, offset: float, kind: str) -> None:
     scenario = replace(sweep(target, offset), calibration_type=kind)
     made = simulate(scenario, np.random.default_rng(3))
@@ -169,3 +173,39 @@ def test_a_sweep_of_one_orientation_is_refused_with_the_missing_motion() -> None
     made = simulate(scenario, np.random.default_rng(4))
     with pytest.raises(HandeyeError, match='share one orientation'):
         pipeline.calibrate(made.profiles, made.poses, config_of(scenario))
+
+
+def random_walk(seed: int, count: int = 6) -> list[TimedPose]:
+    rng = np.random.default_rng(seed)
+    stamps = START + np.cumsum(rng.integers(1, 50, count)) * 1_000_000  # of milliseconds
+    quaternions = rng.normal(size=4) + 0.3 * rng.normal(size=(count, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1)[:, None]
+    return [TimedPose(int(s), rng.normal(size=3), q) for s, q in
+            zip(stamps, quaternions, strict=True)]
+
+
+def slerp(a: Array, b: Array, share: float) -> Array:
+    """Return the great circle from quaternion a to b (Shoemake 1985), the short way."""
+    b = b if a @ b >= 0 else -b
+    angle = np.arccos(min(1.0, float(a @ b)))
+    if angle < 1e-9:
+        return a
+    return (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle)
+
+
+@given(st.integers(0, 1000), st.floats(0, 1))
+def test_poses_between_are_linear_and_on_the_great_circle(seed: int, at: float) -> None:
+    poses = random_walk(seed)
+    stamp = poses[0].stamp + round(at * (poses[-1].stamp - poses[0].stamp))
+    k = min(max(sum(p.stamp <= stamp for p in poses) - 1, 0), len(poses) - 2)
+    a, b = poses[k], poses[k + 1]
+    share = (stamp - a.stamp) / (b.stamp - a.stamp)
+    translation = (1 - share) * a.translation + share * b.translation
+    expected = se3.from_quaternion(translation, slerp(a.quaternion, b.quaternion, share))
+    assert np.allclose(interpolate(poses, [stamp])[0], expected, atol=1e-6)
+
+
+def test_stamps_of_this_century_keep_their_nanoseconds() -> None:
+    a, b = pose(0.0), pose(1.0, x=1.0)
+    at = [a.stamp + 1, a.stamp + 500_000_001]
+    assert np.allclose(interpolate([a, b], at)[:, 0, 3], [1e-9, 0.500000001], atol=1e-15, rtol=0)

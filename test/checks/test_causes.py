@@ -1,0 +1,282 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong conventions, what moved and what is clamped over the target are named."""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+import re
+
+from cells import Cell, cell
+from handeye_ros import pipeline, se3
+from handeye_ros.checks.conventions import orientations_scatter
+from handeye_ros.config import Config, with_values
+from handeye_ros.data import Array, FaceLine, Sample
+from handeye_ros.errors import DataError
+from handeye_ros.estimation.least_squares import chi2_isf
+from handeye_ros.simulate import (
+    FAULTS,
+    Scenario,
+    SCENARIOS,
+    scenes,
+    settings,
+    simulate,
+    simulate_samples,
+)
+from handeye_ros.simulate.robot import CONVENTION_ERRORS as SIMULATED
+from handeye_ros.simulate.solids import box, Solid
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytestmark = pytest.mark.thorough
+
+def with_poses(made: Cell, change: Callable[[Array], Array]) -> list[Sample]:
+    changed = change(np.array([s.T_base_flange for s in made.samples]))
+    return [replace(s, T_base_flange=T) for s, T in zip(made.samples, changed, strict=True)]
+
+
+def simulated(error: str) -> Callable[[Array], Array]:
+    def change(T: Array) -> Array:
+        translation, q = SIMULATED[error](T[:, :3, 3], se3.quaternion(T))
+        return se3.from_quaternion(translation, q)
+    return change
+
+
+def transposed(T: Array) -> Array:
+    return se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])
+
+
+def small_angles(T: Array) -> Array:
+    """Read roll, pitch and yaw in radians as degrees."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_euler('xyz', np.radians(angles)).as_matrix(), T[:, :3, 3])
+
+
+def extrinsic_for_intrinsic(T: Array) -> Array:
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('XYZ')
+    return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
+
+
+def angles_in_order(order: list[int]) -> Callable[[Array], Array]:
+    def change(T: Array) -> Array:
+        angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')[:, order]
+        return se3.transform(Rotation.from_euler('xyz', angles).as_matrix(), T[:, :3, 3])
+    return change
+
+
+def vectors_as_angles(T: Array) -> Array:
+    """Read rotation vectors as roll, pitch, yaw."""
+    vectors = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+    return se3.transform(Rotation.from_euler('xyz', vectors).as_matrix(), T[:, :3, 3])
+
+
+def angles_as_vectors(T: Array) -> Array:
+    """Read roll, pitch, yaw as rotation vectors."""
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
+    return se3.transform(Rotation.from_rotvec(angles).as_matrix(), T[:, :3, 3])
+
+
+def scaled(factor: float) -> Callable[[Array], Array]:
+    return lambda T: se3.transform(T[:, :3, :3], T[:, :3, 3] * factor)
+
+
+@pytest.mark.parametrize(('target', 'change', 'words'), [
+    ('plate', simulated('inverted'), 'inverse poses'),
+    ('sphere', simulated('inverted'), 'inverse poses'),
+    ('plate', simulated('wxyz'), 'w x y z'), ('plate', simulated('intrinsic'), 'intrinsic'),
+    ('plate', scaled(1e3), 'positions in millimetres'),
+    ('plate', scaled(1e-3), 'a thousand times larger'),
+    ('plate', transposed, 'transposed rotations'), ('plate', small_angles, 'angles in radians'),
+    ('plate', extrinsic_for_intrinsic, 'intrinsic Euler angles'),
+    ('plate', angles_in_order([2, 1, 0]), 'roll and yaw exchanged'),
+    ('plate', angles_in_order([1, 0, 2]), 'roll and pitch exchanged'),
+    ('plate', angles_in_order([0, 2, 1]), 'pitch and yaw exchanged'),
+    ('plate', vectors_as_angles, 'with rotation vectors'),
+    ('plate', angles_as_vectors, 'with roll, pitch, yaw')])
+def test_convention_errors_are_named(target: str, change: Callable[[Array], Array], words: str
+                                     ) -> None:
+    made = cell(target, 1)
+    with pytest.raises(DataError, match=words):
+        pipeline.solve(with_poses(made, change), [], made.config, 'laser')
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere'])
+def test_degrees_taken_for_radians_are_named(target: str) -> None:
+    made = cell(target, 1)
+    with pytest.raises(DataError, match='angles in degrees are read as radians'):
+        pipeline.solve(with_poses(made, simulated('degrees')), [], made.config, 'laser')
+    assert not orientations_scatter(made.problem.poses)
+
+
+@pytest.mark.parametrize('name', ['plate_real_robot', 'sphere_real_robot'])
+def test_a_robot_worse_than_stated_is_no_convention_error(name: str) -> None:
+    for seed in range(2):
+        made = cell(name, seed)
+        assert pipeline.solve(made.samples, [], made.config, 'laser')
+
+
+@pytest.mark.parametrize('target', ['plate', 'sphere', 'line', 'plane'])
+@pytest.mark.parametrize('right', ['eye_in_hand', 'eye_on_base'])
+def test_the_wrong_calibration_type_names_the_key(target: str, right: str) -> None:
+    wrong = 'eye_on_base' if right == 'eye_in_hand' else 'eye_in_hand'
+    made = cell(replace(SCENARIOS[target], calibration_type=right), 1)
+    config = with_values(made.config, {'calibration_type': wrong}, 'test')
+    with pytest.raises(DataError, match=f'with calibration_type {right} or inverse'):
+        pipeline.solve(made.samples, [], config, 'laser')
+
+
+def test_poses_of_another_recording_are_refused_with_both_figures() -> None:
+    made, other = cell('plate', 1), cell('plate', 2)
+    wrong = [replace(a, T_base_flange=b.T_base_flange) for a, b in
+             zip(made.samples, other.samples, strict=True)]
+    with pytest.raises(DataError) as caught:
+        pipeline.solve(wrong, [], made.config, 'laser')
+    assert caught.value.reason == 'misfit' and 'contradict' in str(caught.value)
+
+
+OTHER_TOOL = se3.perturb(np.eye(4), np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.2]))
+BUMPED = se3.perturb(np.eye(4), np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.01]))
+
+
+def later(samples: tuple[Sample, ...], change: Callable[[Array], Array]) -> list[Sample]:
+    """Return samples in the order of time, the poses of the second half changed."""
+    ordered = sorted(samples, key=lambda sample: sample.stamp)
+    half = len(ordered) // 2
+    return ordered[:half] + [replace(s, T_base_flange=change(s.T_base_flange))
+                             for s in ordered[half:]]
+
+
+@pytest.mark.parametrize('name', ['plate', 'sphere'])
+@pytest.mark.parametrize(('change', 'words'), [
+    (lambda T: T @ OTHER_TOOL, 'the sensor moved in flange by 5'),
+    (lambda T: BUMPED @ T, 'the target moved in base, or'),
+])
+def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words: str) -> None:
+    made = cell(name, 3)
+    with pytest.raises(DataError, match=words) as caught:
+        pipeline.solve(later(made.samples, change), [], made.config, 'laser')
+    parted = re.search(r'the first (\d+) samples .* the other (\d+),', str(caught.value))
+    first, rest = map(int, parted.groups())
+    n = len(made.samples)
+    assert first + rest == n and abs(first - n // 2) <= 2
+
+
+SLIGHT = se3.perturb(np.eye(4), np.array([4e-4, 0.0, 3e-4, 0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(('change', 'what'), [
+    (lambda T: T @ SLIGHT, 'sensor'), (lambda T: SLIGHT @ T, 'target')])
+def test_a_small_move_is_reported_with_its_moment(
+        change: Callable[[Array], Array], what: str) -> None:
+    made = cell('plate', 5)
+    samples = later(made.samples, change)
+    half = len(samples) // 2
+    try:
+        answer = pipeline.solve(samples, [], made.config, 'laser')
+        said = ' '.join(answer.provenance.get('warnings', ()))
+    except DataError as refusal:
+        said = str(refusal)
+    # told with the answer, or a refusal where the evidence is very strong
+    assert f'the first {half} ' in said and f'the {what} ' in said
+    size = re.search('by about ([0-9.]+) mm', said)
+    assert size is None or float(size[1]) == pytest.approx(0.5, abs=0.3)
+
+
+@pytest.mark.parametrize('seed', [1, 4])
+def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(seed: int) -> None:
+    scenario, rng = FAULTS['plane'], np.random.default_rng(seed)
+    config = with_values(Config(), settings(scenario), 'test')
+    samples, truth = simulate_samples(scenario, rng)
+    X, step = truth.T_flange_sensor, rng.normal(size=3)
+    moved = se3.perturb(np.eye(4), np.append(5e-4 * step / np.linalg.norm(step), np.zeros(3)))
+    seen = X @ se3.inverse(moved) @ se3.inverse(X)
+    try:
+        answer = pipeline.solve(later(samples, lambda T: T @ seen), [], config, 'laser')
+        said = ' '.join(answer.provenance.get('warnings', ()))
+    except DataError as refusal:
+        said = str(refusal)
+    assert re.search('the first [678] of 14 samples', said), said
+
+
+@pytest.mark.parametrize(('name', 'seed'), [('plate', 2), ('sphere', 1)])
+def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, seed: int) -> None:
+    made = cell(name, seed)
+    slightly = se3.perturb(np.eye(4), np.array([8e-5, 0.0, 6e-5, 0.0, 0.0, 0.0]))
+    found = pipeline.answer(later(made.samples, lambda T: T @ slightly), [], made.config, 'laser')
+    answer = found.required()
+    assert 'moved' in answer.provenance['warnings'][0]
+    away = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
+    whole, move = answer.covariance, found.solution.added_covariances['possible move']
+    assert away @ np.linalg.solve(whole, away) < chi2_isf(0.05, 6)
+    assert away @ np.linalg.solve(whole - move, away) > chi2_isf(0.05, 6)
+
+
+@pytest.mark.parametrize('name', ['baseline', 'joints and links 0.1 mm', 'sphere, smooth 0.2 mm'])
+def test_a_robot_less_accurate_than_stated_is_no_move(name: str) -> None:
+    samples, _ = simulate_samples(FAULTS[name], np.random.default_rng(0))
+    config = with_values(Config(), settings(FAULTS[name]), 'test')
+    assert 'warnings' not in pipeline.solve(samples, [], config, 'laser').provenance
+
+
+def test_with_the_sensor_beside_the_robot_the_frames_change_sides() -> None:
+    made = cell('eye_on_base', 3)
+    with pytest.raises(DataError, match='the target moved in flange, or'):
+        pipeline.solve(later(made.samples, lambda T: T @ OTHER_TOOL), [], made.config, 'laser')
+
+
+def test_samples_that_contradict_each_other_anyhow_are_not_called_moved() -> None:
+    made = cell('plate', 3)
+    poses = np.roll([s.T_base_flange for s in made.samples], 1, axis=0)
+    samples = [replace(s, T_base_flange=T) for s, T in zip(made.samples, poses, strict=True)]
+    with pytest.raises(DataError) as caught:
+        pipeline.solve(samples, [], made.config, 'laser')
+    assert caught.value.reason != 'moved'
+
+
+def clamped(scenario: Scenario, height: float) -> tuple[Solid, ...]:
+    """Return a plate with three clamps on each of two edges, 15 mm wide."""
+    clamps = []
+    for along, length in enumerate(scenario.target.size):
+        for middle in (length / 6, length / 2, length * 5 / 6):
+            low, high = [-0.01] * 3, [0.015] * 3
+            low[along], high[along] = middle - length / 18, middle + length / 18
+            clamps.append(box((*low[:2], 0.0), (*high[:2], height)))
+    return (*scenes.SCENES['plate'].solids(scenario), *clamps)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(('name', 'seed', 'height', 'answered'), [
+    ('line', 0, 15, False), ('plate', 0, 15, True),
+    ('plate', 1, 3, True)])  # without the question it would look like a move
+def test_the_stops_that_show_a_clamp_are_named_and_left_out(
+        monkeypatch: pytest.MonkeyPatch, name: str, seed: int, height: int, answered: bool
+) -> None:
+    monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
+        scenes.SCENES[SCENARIOS[name].scene], solids=partial(clamped, height=height * 1e-3)))
+    scenario = replace(SCENARIOS[name], scene='clamped')
+    made = simulate(scenario, np.random.default_rng(seed))
+    values = settings(scenario) | {'target.type': name}
+    config = with_values(Config(), values, 'the test')
+    session = pipeline.gather(made.profiles, made.poses, config)
+    T_target_base = se3.inverse(made.truth.T_base_target)
+    on_clamps = []
+    for stop in (stop for stop in session.stops if stop.sample):
+        face = next(f for f in stop.sample.features if isinstance(f, FaceLine))
+        T = T_target_base @ stop.sample.T_base_flange @ made.truth.T_flange_sensor
+        if T[2, [0, 2]] @ face.centre + T[2, 3] > height * 1e-3 / 2:
+            on_clamps.append(stop)
+    answer = pipeline.answer_of(session, config)
+    if answered:  # the others are enough
+        [told] = answer.calibration.provenance['warnings']
+        assert {report.stamp for report in answer.calibration.samples
+                if not report.used} >= {stop.sample.stamp for stop in on_clamps}
+        error = se3.difference(answer.calibration.T_flange_sensor, made.truth.T_flange_sensor)
+        assert error @ np.linalg.solve(answer.calibration.covariance, error) < 16.8
+    else:
+        told = str(answer.refusal)
+        assert answer.refusal.reason == 'surface'
+    assert f'{height}.0 mm above' in told
+    named = re.search(r'the stops ([\d, ]+) show', told)
+    assert [int(number) for number in named[1].split(', ')] == [stop.number for stop in on_clamps]
