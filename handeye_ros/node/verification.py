@@ -137,15 +137,14 @@ class LiveVerification:
         while live.evaluate_next():  # what began before is a sample
             pass
         routine, possible = self.routine, self._possible
-        if routine is None or len(parts) >= possible[-1] and not parts[-1].is_empty:
-            name, lengths = live.config.verify.routine, live.config.verify.lengths
-            if not name:
+        if routine is None or len(parts) == possible[-1] and not parts[-1].is_empty:
+            if not live.config.verify.routine:
                 raise InputError('verify.routine is not set, so there is nothing to measure: set '
                                  'it to the artefact under the sensor (docs/measure.md)')
-            routine, parts = routine_of(name), []
-            possible = routine.parts(len(lengths))
+            routine, parts = routine_of(live.config.verify.routine), [Part()]
+            possible = routine.parts(len(live.config.verify.lengths))
             self._calibration()  # may read a file
-        if not parts or not parts[-1].is_empty:
+        elif not parts[-1].is_empty:
             parts = [*parts, Part()]
         with live.lock:
             for stop in live.session.copied().remaining():  # they began before

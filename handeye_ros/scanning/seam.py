@@ -20,7 +20,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_whole, yaml_text
 from handeye_ros.scanning.curves import Curve, spline, through, unit
-from handeye_ros.scanning.seam_edges import course
+from handeye_ros.scanning.seam_course import course
 from handeye_ros.scanning.seam_sections import edges
 from handeye_ros.scanning.seam_sheets import sheets_of
 import numpy as np

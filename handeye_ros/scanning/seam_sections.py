@@ -16,7 +16,7 @@ from typing import NamedTuple
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, spline, unit
-from handeye_ros.scanning.seam_edges import Course, position_text
+from handeye_ros.scanning.seam_course import Course, position_text
 from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
 from numpy.typing import NDArray

@@ -230,7 +230,8 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     samples = evenly(passes_expanded(samples), MOST)
     pairing = Pairing.of(samples)
     stations = _stations(routine, [samples], X, config)
-    obs, shape = stations.observations, routine.shape(stations, X, config.verify)
+    one = replace(config.verify, lengths=())  # face or ball, of an artefact of several
+    obs, shape = stations.observations, routine.shape(stations, X, one)
 
     def distances(x: Array) -> Array:
         """Return the distances from the shape; x: its unknowns and the offset."""

@@ -107,8 +107,8 @@ def test_files_of_no_verification_are_refused(tmp_path, text, words):
         verification_file.read(tmp_path / 'told.yaml')
 
 
-def swept(target, calibrated, knot, delay, **values):
-    """Return what is seen of a sweep in which the profiles come late, and its verification."""
+def sweep(target, calibrated, knot, delay, **values):
+    """Return the samples of a sweep in which the profiles come late, calibration and settings."""
     base, routine = SCENARIOS[target], ROUTINES[target]
     scenario = replace(base, stations=(8, 0), sweep=Sweep(knot=knot), **values,
                        sensor=replace(base.sensor, columns=320, delay=delay))
@@ -119,9 +119,14 @@ def swept(target, calibrated, knot, delay, **values):
     found = stated(made.truth.T_flange_sensor, target, {'config': flatten(config)},
                    TimeOffset(calibrated, 2e-5))
     stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in made.profiles]
-    session = pipeline.gather(stamped, made.poses, config)
-    seen = stations_of(routine, [session.samples], found, config)
-    return seen.surface, verify(routine, seen, found, config)
+    return pipeline.gather(stamped, made.poses, config).samples, found, config
+
+
+def swept(target, *given, **values):
+    """Return what is seen of such a sweep, in words, and its verification."""
+    samples, found, config = sweep(target, *given, **values)
+    seen = stations_of(ROUTINES[target], [samples], found, config)
+    return seen.surface, verify(ROUTINES[target], seen, found, config)
 
 
 @pytest.mark.parametrize(('target', 'calibrated'), [('sphere', 0.020), ('line', 0.017)])
@@ -137,3 +142,10 @@ def test_profiles_of_a_sweep_that_show_another_edge_do_not_refuse_it():
     said, result = swept('line', 0.0, 4.0, 0.15)
     assert re.search(r'set time_offset to -0.1(50|49)', said), said
     assert 'profiles show another surface' in said and result.verdict == 'pass'
+
+
+def test_each_face_of_a_step_is_swept_by_itself():
+    samples, found, config = sweep('plane', 0.0, 0.9, -0.02)
+    seen = stations_of(ROUTINES['step'], [samples, samples], found, replace(
+        config, verify=replace(config.verify, lengths=(0.02,))))
+    assert seen.counts[0] == seen.counts[1] > 10 and 'recording 2: ' in seen.surface

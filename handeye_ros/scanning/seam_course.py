@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Facing edges of two sheets: the rough course of a seam, and its kind.
+The rough course of a seam, and its kind: where edges of two sheets face each other.
 
 Edges of parallel sheets that face each other across a gap are a butt seam; one above the other
 they are a lap. Edges of sheets at an angle in a hollow corner are a fillet, or a V where both
