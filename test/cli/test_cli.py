@@ -9,7 +9,6 @@ import errno
 import math
 from operator import attrgetter
 import os
-from pathlib import Path
 import pty
 import re
 import signal
@@ -67,10 +66,12 @@ def test_a_table_for_a_target_of_profiles_names_the_targets_it_fits(tmp_path):
 
 
 def test_solve_writes_what_the_library_answers(tmp_path):
-    run = handeye('solve', BAG, '--config', PLATE, '--set', 'name=mine', cwd=tmp_path)
+    run = handeye('solve', BAG, '--config', PLATE, '--set', 'name=mine', cwd=tmp_path, before=(
+        'import atexit; atexit.register(lambda: print([m for m in sys.modules '
+        'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))'))
     assert (run.returncode, run.stderr) == (0, '')
     file = tmp_path / 'out' / 'mine' / 'calibration.yaml'
-    assert run.stdout.splitlines()[-1] == f'wrote {file}'
+    assert run.stdout.splitlines()[-2:] == [f'wrote {file}', '[]'], 'without ROS'
     assert [p.name for p in file.parent.iterdir()] == ['calibration.yaml']
     calibration = calibration_file.read_calibration(file)
 
@@ -88,29 +89,13 @@ def test_solve_writes_what_the_library_answers(tmp_path):
     assert '\x1b' not in run.stdout
 
 
-def test_a_bag_with_a_file_beside_it_is_solved_as_well(tmp_path):
-    before = ('import atexit; atexit.register(lambda: print([m for m in sys.modules '
-              'if m.split(".")[0] in ("rclpy", "rosidl_parser", "sensor_msgs")]))')
-    tracker = ROOT / 'bags' / 'tracker'
-    run = handeye('solve', tracker, '--config', ROOT / 'config' / 'tracker.yaml', '--out', 'a/b',
-                  cwd=tmp_path, before=before)
-    assert (run.returncode, run.stderr) == (0, '')
-    calibration = calibration_file.read_calibration(tmp_path / 'a' / 'b' / 'calibration.yaml')
-    errors = errors_against(calibration.T_flange_sensor, true_transform(tracker))
-    assert errors.mapped_points < 1e-4
-    assert [Path(entry['path']).name for entry in calibration.provenance['inputs']] == [
-        'tracker.mcap', 'tracker.csv']
-    assert run.stdout.splitlines()[-1] == '[]'
-
-
 def test_replay_without_ros_says_what_to_do(tmp_path):
     run = handeye('replay', BAG, cwd=tmp_path, before='sys.modules["rclpy"] = None')
     assert_refused(run, 2, 'replay needs ROS 2', 'rclpy', 'source the setup.bash')
 
 
 def test_version_and_help(tmp_path):
-    run = subprocess.run([sys.executable, '-m', 'handeye_ros', '--version'], cwd=ROOT,
-                         capture_output=True, text=True, check=False)
+    run = handeye('--version', cwd=tmp_path)
     assert (run.returncode, run.stdout) == (0, f'handeye_ros {__version__}\n')
     run = handeye('--help', cwd=tmp_path, before=(
         'import atexit; atexit.register(lambda: print("numpy" in sys.modules))'))

@@ -52,8 +52,8 @@ def started(module: str, *arguments: object) -> AbstractContextManager[subproces
 
 @pytest.mark.parametrize(('module', 'arguments', 'reason'), [
     ('main', ['config/plate.yaml'], 'unrecognized arguments: config/plate.yaml'),
-    ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
     *(pytest.param(*row, marks=pytest.mark.thorough) for row in (
+        ('replay', ['no/such/bag'], 'no/such/bag: no such file or folder'),
         ('scan', ['none.yaml'], 'none.yaml cannot be used'),
         ('main', ['--ros-args', '-p', 'profile_topic:=my profile'], 'cannot name a topic'),
         ('main', ['--ros-args', '-p', 'target.size:=[1.0, 2]'], 'ROS does not start: '),
@@ -96,7 +96,7 @@ def test_every_message_of_a_bag_arrives_as_it_was_recorded(client: Client) -> No
 def test_without_subscribers_it_says_so_and_interrupted_it_ends_cleanly(client: Client) -> None:
     heard: list[object] = []
     client.node.create_subscription(PoseStamped, '/flange_pose', heard.append, RELIABLE)
-    with started('replay', BAG, '--timeout', 3) as replay:
+    with started('replay', BAG, '--timeout', 1) as replay:
         client.until(lambda: heard, 'the replay has begun')
         replay.terminate()
         _, err = replay.communicate(timeout=PATIENCE)

@@ -18,12 +18,15 @@ import yaml
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
+from geometry_msgs.msg import PointStamped, PoseStamped  # noqa: E402
 from rclpy.qos import DurabilityPolicy  # noqa: E402
 from ros_helpers import (  # noqa: E402
+    BEST_EFFORT,
     Client,
     listed,
     offered,
     pose_message,
+    RELIABLE,
     ROOT,
     running_node,
     set_parameter,
@@ -62,6 +65,7 @@ def client() -> Iterator[Client]:
 def node(process: subprocess.Popen[str], client: Client) -> subprocess.Popen[str]:
     """Connect to a node that is as if just started, but for its counts."""
     client.connect()
+    client.until(lambda: 'two nodes' not in client.state()['message'], 'one before is forgotten')
     assert client.call('clear_samples').success
     assert client.call('auto_sample', SetBool.Request(data=True)).success
     assert set_parameter(client, 'target.radius', 0.04).successful
@@ -215,15 +219,29 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     client.until(lambda: client.state()['samples'] == '1', 'the sample is back')
 
 
-def test_other_topics_are_heard_while_the_node_runs(
+def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported(
         client: Client, node: subprocess.Popen[str]) -> None:
+    robot = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
+    client.node.create_publisher(PointStamped, '/scan', RELIABLE)
+    cause = ('(it carries geometry_msgs/msg/PointStamped, expected sensor_msgs/msg/PointCloud2; '
+             'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic)')
+    assert set_parameter(client, 'pose_topic', '/robot/pose').successful
     assert set_parameter(client, 'profile_topic', '/other').successful
-    client.until(lambda: not client.profiles.get_subscription_count(), 'it hears no more there')
     client.until(lambda: '/other has no publisher' in client.state()['message'], 'it says so')
+    assert set_parameter(client, 'profile_topic', '/scan').successful
+    client.until(lambda: robot.get_subscription_count()
+                 and not client.profiles.get_subscription_count(), 'it hears others')
+    before = client.state()['poses']
+    client.send(robot, [pose_message(START + i) for i in range(5)], rate=20)
+    client.until(lambda: client.state()['poses'] != before, 'a pose is counted')
+    client.until(lambda: cause in client.state()['message'], 'it says what is there')
+    assert all(cause in client.call(service).message
+               for service in ('take_sample', 'compute_calibration'))
+    assert set_parameter(client, 'pose_topic', '/flange_pose').successful
     assert set_parameter(client, 'profile_topic', '/profile').successful
     client.until(lambda: client.profiles.get_subscription_count()
                  and client.poses.get_subscription_count(), 'it hears again')
-    times = count()
+    times = count(1)
 
     def taken() -> bool:
         k = next(times)  # again: what is sent before both know is lost; a pose counts once
