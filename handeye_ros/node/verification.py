@@ -99,7 +99,7 @@ class LiveVerification:
         self.end()
 
     def end(self) -> None:
-        """End the verification, with or without a result."""
+        """End the verification, with or without a result; for who holds the lock."""
         self.routine: Routine | None = None
         self._possible: Sequence[int] = ()  # numbers of parts
         self._parts: list[Part] = []
@@ -117,15 +117,16 @@ class LiveVerification:
     @property
     def text(self) -> str:
         """Return the progress in words, empty where none is running."""
-        if self.routine is None:
+        with self._live.lock:
+            routine, possible, parts = self.routine, self._possible, self._parts
+        if routine is None:
             return ''
-        part, most = self._parts[-1], self._possible[-1]
-        number = f', part {len(self._parts)}' if most > 1 else ''
-        if number and len(self._possible) == 1:
-            number += f' of {most}'
-        counts = (f'{part.received} profiles' if self.routine.in_passes else
-                  f'{len(part.samples)} usable stops of {len(part.stops)}')
-        return f'{self.routine.name}{number}: {counts}'
+        number = f', part {len(parts)}' if possible[-1] > 1 else ''
+        if number and len(possible) == 1:
+            number += f' of {possible[-1]}'
+        counts = (f'{parts[-1].received} profiles' if routine.in_passes else
+                  f'{len(parts[-1].samples)} usable stops of {len(parts[-1].stops)}')
+        return f'{routine.name}{number}: {counts}'
 
     def verify_start(self) -> str:
         """
@@ -206,7 +207,8 @@ class LiveVerification:
         text = f'{self.verdict}; {saved}'
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
-        self.end()
+        with live.lock:
+            self.end()
         return text
 
     def _calibration(self) -> Calibration:
