@@ -238,7 +238,8 @@ class Sample:
     What a stop gives, or one profile of a moving robot: the features seen, and the pose.
 
     stamp: of the first profile used; T_base_flange: (4, 4).
-    flipped: features of the first profile with the opposite range sign, to detect a wrong setting.
+    flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
+    None where they were not asked for.
     motion: trajectory of a moving robot (sampling.trajectory); offsets: from the stamp to the time
     of its pose, of the rotation behind the position (s), and drift (sampling.sweep).
     of_pass: samples of the single profiles of a pass, whose middle one this sample repeats.
@@ -248,7 +249,7 @@ class Sample:
     T_base_flange: Array
     features: tuple[Feature, ...]
     profiles: int = 1
-    flipped: tuple[Feature, ...] = ()
+    flipped: tuple[Feature, ...] | None = None
     motion: Any = None
     offsets: tuple[float, ...] = (0.0,)
     of_pass: tuple[Sample, ...] = ()

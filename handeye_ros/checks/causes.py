@@ -23,7 +23,7 @@ from handeye_ros.checks.refusals import (
     require_certain,
     UnexplainedError,
 )
-from handeye_ros.checks.settings import other_sign, require_settings
+from handeye_ros.checks.settings import require_settings, require_sign
 from handeye_ros.checks.surfaces import require_one_surface
 from handeye_ros.config import Config
 from handeye_ros.data import Sample
@@ -45,7 +45,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     stated, refusal = Explanation.of(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
-        refuse_better(stated, [other_sign(samples, problem.config, stated)])
+        require_sign(samples, problem.config, stated)
     if refusal or solution.variance_factor >= MISFITTING:
         refuse_better(stated, convention_errors(problem, stated))
     if refusal and orientations_scatter(problem.poses):

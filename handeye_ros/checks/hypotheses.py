@@ -30,7 +30,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING, first_guesses, robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.sweep import problem_at_poses
+from handeye_ros.sampling.sweep import problem_at_poses, synchronised
 from handeye_ros.targets import target_for
 import numpy as np
 
@@ -109,7 +109,8 @@ class Explanation:
         if not self.parts:
             return 'no stop fits'
         rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
-        return f'{self.fitting} of {self.q.shape[1]} stops fit ({mm(rms)} RMS)'
+        what = 'profiles' if self.parts[0].whole.config.sampling.moving else 'stops'
+        return f'{self.fitting} of {self.q.shape[1]} {what} fit ({mm(rms)} RMS)'
 
 
 def _squares(found: Solution) -> Array:
@@ -147,6 +148,7 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
     every = Explanation.nothing(len(results))
     if len(ordered) < target_for(config).minimum:
         return every
+    ordered = synchronised(ordered, config).samples  # of a sweep: its clocks, as these show them
     fit = refitted(problem_at_poses(ordered, config), all_starts)
     every.q[:, [number[sample.stamp] for sample in ordered]] = fit.q
     return replace(every, parts=fit.parts)

@@ -67,12 +67,20 @@ def to_set(values: dict[str, str], stated: Explanation, fit: Explanation) -> Dat
     return DataError(f'{fit.compared(stated, named)}: set {to}', reason='settings')
 
 
-def other_sign(samples: Sequence[Sample], config: Config, stated: Explanation) -> Hypothesis:
-    """Return the hypothesis of the opposite profile.range_sign, of stations in order."""
-    others = [replace(s, features=s.flipped) if s.flipped else None for s in samples]
+def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation) -> None:
+    """
+    Raise DataError (settings) where the opposite profile.range_sign explains stations better.
+
+    samples: of the stations of the stated fit, in order; compared are those with flipped features.
+    """
+    asked = [k for k, sample in enumerate(samples) if sample.flipped is not None]
+    stated = replace(stated, q=stated.q[:, asked])
+    others = [replace(samples[k], features=samples[k].flipped or ()) for k in asked]
     flipped = flipped_range(config)
     values = {SIGN: str(flipped.profile.range_sign)}
-    return Hypothesis(partial(fit_of, others, flipped), partial(to_set, values, stated))
+    refuse_better(stated, [Hypothesis(
+        partial(fit_of, [one if one.features else None for one in others], flipped),
+        partial(to_set, values, stated))])
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:

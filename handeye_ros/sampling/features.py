@@ -39,6 +39,7 @@ SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
 LEAST_AGREEING = 0.6  # smallest share of the profiles of a stop
 ALONG = 0.1  # weight of a distance along a surface against one across, to match lines
 MOST_TIMES = 4  # profiles of one stop count as at most this many for an edge
+FLIPPED = 8  # every such profile of a pass tells whether the range counts the other way
 MOST_SINGLE = 32  # profiles of a pass that are evaluated, twice as many if few show the target
 
 
@@ -72,7 +73,7 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     T = interpolate(stop.poses, [profile.stamp for profile, _ in found])
     single = tuple(
         Sample(profile.stamp, pose, features,
-               flipped=() if k % 8 else _flipped(profile, config))  # some suffice
+               flipped=_flipped(profile, config) if k % FLIPPED == 0 else None)
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     middle = single[len(single) // 2]
     return replace(middle, profiles=len(single), of_pass=single,

@@ -167,11 +167,13 @@ def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
 
 
 @pytest.mark.parametrize('name, seed', [
-    pytest.param('plate', 0, marks=pytest.mark.thorough), ('plate_z_up', 1)])
+    pytest.param('plate', 0, marks=pytest.mark.thorough), ('plate_z_up', 1),
+    ('small_plate_sweep', 0)])
 def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
     scenario = replace(SCENARIOS[name], sensor=replace(SCENARIOS[name].sensor, rate=10.0))
     made = simulate(scenario, np.random.default_rng(seed))
-    right = with_values(Config(), settings(scenario), 'the test')
+    mode = 'moving' if scenario.sweep else 'still'
+    right = with_values(Config(), {**settings(scenario), 'sampling.mode': mode}, 'the test')
     with pytest.raises(DataError, match=f'range_sign {right.profile.range_sign}, '):
         pipeline.calibrate(made.profiles, made.poses, flipped_range(right))
 
