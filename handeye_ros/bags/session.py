@@ -210,7 +210,10 @@ class SessionFiles:
     def _begun(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
         parent, stamp = self._parent(config), datetime.now(UTC).strftime(STAMP)
+        missing = [above for above in (parent, *parent.parents) if not above.exists()]
         parent.mkdir(parents=True, exist_ok=True)
+        for made in missing:
+            sync(made.parent)
         for attempt in count():
             folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
             with suppress(FileExistsError):

@@ -53,7 +53,7 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
     """Raise UnexplainedError when there are fewer samples than the target needs."""
     if len(samples) < target.minimum:
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
-        why = (f' ({len(rejects)} stations gave none, most often: {reasons[0][0]})' if reasons
+        why = (f' ({len(rejects)} stops gave none, most often: {reasons[0][0]})' if reasons
                else '')
         raise UnexplainedError(
             f'{len(samples)} usable samples{why}; {target.name} needs at least {target.minimum}: '

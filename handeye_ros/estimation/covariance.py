@@ -110,8 +110,8 @@ def budget(solution: Solution) -> Budget:
         gain = wide.covariance[:6, own]
         parts[block.name] = gain @ gain.T
     away, inside = solution.shift_of_report, wide.covariance[:6, :6]
-    parts |= {'scales of the estimate': np.outer(away, away), **solution.added_covariances}
-    parts['best fit'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
+    parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
+    parts['fit against a free pose'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
                          - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),

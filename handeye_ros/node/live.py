@@ -74,9 +74,10 @@ class LiveSession:
     """
     All functions of the running node; those that are no add_* are for the worker: see ask.
 
-    Whoever holds lock may use session, waiting, early, joints and the latest messages; all else is
-    changed by the worker alone, and read at any time. attempt: the last one; refused:
-    T_base_flange (4, 4) of stops without a sample, by their beginnings; running: the long
+    What messages change (session, verification, waiting, early, joints, the latest messages and
+    their counts) is used under lock. The stops of the session, and all else, are changed by the
+    worker alone: it reads them without, others see them at any time. attempt: the last one;
+    refused: T_base_flange (4, 4) of stops without a sample, by their beginnings; running: the long
     computations in words, '' for a review.
     """
 
@@ -189,7 +190,7 @@ class LiveSession:
             self.wake()
 
     def wake(self) -> None:
-        """Have the worker look for what is due."""
+        """Have the worker look for what is due; threads that meet here at worst ask twice."""
         if not self._woken:
             self._woken = True
             self.worker.later(self._go_on)

@@ -212,7 +212,7 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
     """
     Declare all parameters; return the configuration and the session to continue.
 
-    Types are dynamic, so that 3 is accepted for 3.0; config/ checks every value. Raises
+    Types are dynamic, so that 3 is accepted for 3.0; config.py checks every value. Raises
     UnknownKeyError and BadValueError for the user's settings, InputError for a session that cannot
     be read.
     """

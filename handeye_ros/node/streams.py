@@ -316,6 +316,7 @@ class Streams:
         return '; '.join(sentences)
 
 
-def _topics_named(config: Config) -> tuple[str, str, str]:
+def _topics_named(config: Config) -> tuple[str, ...]:
     """Return the settings of topics that may change at run time."""
-    return config.profile_topic, config.pose_source, config.pose_topic
+    return (config.profile_topic, config.pose_source, config.pose_topic, config.joint_topic,
+            config.kinematics)

@@ -280,6 +280,6 @@ def _scatter(arc: Arc, circle: Array) -> float:
 
 def _disagreeing(what: str, apart: float) -> FeatureError:
     """Return the refusal of profiles that show the target at places so far apart (m)."""
-    return FeatureError(f'the profiles of this station do not agree on {what}: they are '
+    return FeatureError(f'the profiles of this stop do not agree on {what}: they are '
                         f'{mm(apart)} apart; something moved, or some of them show another '
                         'object; take the sample again', reason='disagreeing')

@@ -143,7 +143,7 @@ def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> 
     with pytest.raises(DataError, match='usable samples') as caught:
         pipeline.solve(few, rejects, made.config, 'laser')
     message = str(caught.value)
-    assert message.startswith(f'{len(few)} usable samples (3 stations gave none')
+    assert message.startswith(f'{len(few)} usable samples (3 stops gave none')
     assert 'most often: no edge' in message and str(TARGETS[name].minimum) in message
     with pytest.raises(DataError, match='usable samples'):
         pipeline.solve([], [], made.config, 'laser')

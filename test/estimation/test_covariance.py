@@ -149,7 +149,7 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     solution = pipeline.answer(made.samples, (), config).consensus()
     found = budget(solution)
     assert found.samples == len(made.samples)
-    assert {'sensor, white', 'poses, white', 'robot_smooth', 'best fit'} <= {
+    assert {'sensor, white', 'poses, white', 'robot_smooth', 'fit against a free pose'} <= {
         term.name for term in found.terms}
     for size in ('translation', 'rotation', 'mapped'):
         squares = sum(getattr(term, size) ** 2 for term in found.terms)
