@@ -28,12 +28,12 @@ from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of, input_values
 from handeye_ros.results.report import Evidence
 from handeye_ros.results.scene import StopSnapshot
+from handeye_ros.results.table import figures_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import Pairing, passes_expanded, problem_at_poses
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
@@ -254,9 +254,7 @@ def samples_table(session: Session, answer: Answer, config: Config) -> Table:
         agreement = found.get(stop.number)
         return -agreement.left_out if agreement else 1.0, stop.number
 
-    table = Table('number', 'residual', 'left out', '', '', box=SIMPLE_HEAD, pad_edge=False)
-    for column in table.columns[:3]:
-        column.justify = 'right'
+    table = figures_table('number', 'residual', 'left out', '', '', right=range(3))
     for stop in sorted(session.stops, key=order):
         agreement = found.get(stop.number)
         residuals = (agreement.residual, agreement.left_out) if agreement else (None, None)

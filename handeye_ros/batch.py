@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-import csv
 from dataclasses import dataclass, replace
 from functools import partial
 import io
@@ -23,6 +22,7 @@ from handeye_ros import __version__, trend
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, page, write_whole
 from handeye_ros.results.calibration_file import content_of
+from handeye_ros.tables import Table
 
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
@@ -133,24 +133,16 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
 
 def _listed(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
-    try:
-        rows = csv.DictReader(path.read_text(encoding='utf-8-sig').splitlines(),
-                              skipinitialspace=True)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f'cannot read {path}: {error}') from error
-    header = rows.fieldnames or ()
-    if 'bag' not in header or not COLUMNS.issuperset(header):
-        raise InputError(f'{path}: it has the columns {", ".join(header)}; expected bag and, if '
-                         'wanted, label, config, settings, args')
-    folder = path.absolute().parent
-    for row in rows:
-        if None in row or not row['bag']:
-            raise InputError(f'{path}: line {rows.line_num} names no bag, or holds more values '
-                             'than the header: put quotes around a value with commas')
-        bag, own = folder / row['bag'], words_of(
-            row.get('args') or '', row.get('config'), (row.get('settings') or '').split(), folder)
-        yield replace(base, bag=str(bag), label=row.get('label') or bag.stem,
-                      words=(*base.words, *own))
+    table, folder = Table(path), path.absolute().parent
+    if not COLUMNS.issuperset(table.names) or '' in table.text('bag'):
+        raise InputError(f'{path}: it has the columns {", ".join(table.names)}; expected bag, '
+                         'with a value in each row, and, if wanted, label, config, settings, args')
+    for values in zip(*map(table.text, table.names), strict=True):
+        row = dict(zip(table.names, values, strict=True))
+        own = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
+                       folder)
+        yield replace(base, bag=str(folder / row['bag']), words=(*base.words, *own),
+                      label=row.get('label') or Path(row['bag']).stem)
 
 
 @contextmanager
@@ -275,10 +267,10 @@ def result_of(row: Row) -> str:
 
 def write_table(rows: Sequence[Row], out: Path) -> None:
     """Write results.csv and report.html; raises UnwritableError."""
-    ordered = sorted(rows, key=lambda row: str(row['label']))
-    names = list(dict.fromkeys(name for row in ordered for name in row))
+    rows = sorted(rows, key=lambda row: row['label'])
+    names = list(dict.fromkeys(name for row in rows for name in row))
     write_whole(out / 'results.csv',
-                csv_text(names, ([row.get(name) for name in names] for row in ordered)))
+                csv_text(names, ([row.get(name) for name in names] for row in rows)))
     worst_first = sorted(rows, key=lambda row: (
         -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
     causes: dict[str, list[Row]] = {}

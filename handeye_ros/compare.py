@@ -27,6 +27,7 @@ from handeye_ros.estimation.search import fit as fit_target
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.results.calibration_file import transform_values
+from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth_file import errors_against, FIELD, field_points
 from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.hand_eye import Views
@@ -34,9 +35,7 @@ from handeye_ros.tabulated.values import Input, solve, Values
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
 from numpy.typing import NDArray
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 FOLDS = 10
@@ -358,15 +357,12 @@ def _left_out(given: Given, estimator: Estimator, folds: int, progress: Progress
 def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
-    transforms, figures = (Table(box=box.SIMPLE_HEAD, pad_edge=False) for _ in range(2))
-    for column in ('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)'):
-        transforms.add_column(column)
     with_errors = any(row.error_mapped_points for row in rows)
     shown = {name: column for name, column in FIGURES.items()
              if with_errors or not name.startswith('error')}
-    figures.add_column('estimator')
-    for head, _, _ in shown.values():
-        figures.add_column(head, justify='right', no_wrap=True)
+    transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)')
+    figures = figures_table('estimator', *(head for head, _, _ in shown.values()),
+                            right=range(1, 1 + len(shown)))
     for row in rows:
         T, texts = row.T_flange_sensor, []
         transforms.add_row(row.name, Text(

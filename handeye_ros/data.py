@@ -173,6 +173,11 @@ class FaceLine:
     points_std: Array = field(default_factory=lambda: np.empty(0))
     blocks: Array = field(default_factory=lambda: np.empty((0, 2)))
 
+    @property
+    def ends(self) -> Array:
+        """Return its ends (2, 2): of evenly spread points they are sqrt(3) spreads away."""
+        return self.centre + np.outer([-1.0, 1.0], 3 ** 0.5 * self.spread * self.direction)
+
 
 @dataclass(frozen=True, eq=False)
 class EdgePoint:

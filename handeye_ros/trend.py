@@ -95,11 +95,11 @@ def table(entries: Sequence[Entry]) -> Table:
                    'p to the first', 'p to the previous', ''):
         result.add_column(escape(column), justify='right')  # [mm] is no markup
     for e in entries:
-        note = ('CHANGED' if e.p_before < CHANGED else
-                'watch' if min(e.p_before, e.p_first) < WARNING else '')
-        result.add_row(e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
-                       f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
-                       f'{e.p_before:.3g}', note)
+        result.add_row(
+            e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
+            f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
+            f'{e.p_before:.3g}', 'CHANGED' if e.p_before < CHANGED else
+            'watch' if min(e.p_before, e.p_first) < WARNING else '')
     return result
 
 

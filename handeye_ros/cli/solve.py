@@ -10,19 +10,19 @@ from typing import Annotated
 
 from handeye_ros.cli.common import (
     Angles,
-    app,
     Assignments,
     ConfigFile,
     configuration,
     doing,
-    File,
-    Folder,
+    Files,
     Input,
     KinematicsFile,
+    NoFile,
     NoPath,
     opened,
     OutFile,
     show,
+    verb,
     warn,
 )
 from handeye_ros.config import SAVE_FORMATS
@@ -33,20 +33,22 @@ Saved = Annotated[Path, typer.Argument(
     metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
-@app.command()
+@verb
 def solve(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],
     angles: Angles = '',
     kinematics: KinematicsFile = None,
-    out: Annotated[NoPath, Folder(
-        help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
-        'in out.')] = None,
-    budget: Annotated[bool, typer.Option(
-        '--budget', help='Also show which causes the uncertainty comes from.')] = False,
+    out: Annotated[NoPath, typer.Option(metavar='DIR')] = None,
+    budget: bool = False,
 ) -> None:
-    """Find the transform from a recording or a file."""
+    """
+    Find the transform from a recording or a file.
+
+    out: Where calibration.yaml is written; if not given, the folder NAME in output_dir, or in out.
+    budget: Also show which causes the uncertainty comes from.
+    """
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_file import errors_against, true_transform
@@ -68,10 +70,7 @@ def solve(
         with doing('solving'):
             answer = pipeline.answer_of(given.session, settings)
         if budget and answer.fits:
-            found = budget_of(answer.consensus())
-            causes = table.budget_table([
-                (term.name, term.mapped, term.translation, term.rotation)
-                for term in (*found.terms, found.total)], found.samples)
+            causes = table.budget_table(budget_of(answer.consensus()))
             if not answer.calibration:  # what a refused answer is uncertain from
                 show(causes)
         calibration = answer.required()
@@ -90,14 +89,15 @@ def solve(
     typer.echo(saved)
 
 
-@app.command()
+@verb
 def calibrate(
-    resume: Annotated[bool, typer.Option(
-        '--resume', help='Continue the last session; the default is a new one.')] = False,
-    config: ConfigFile = None,
-    assignments: Assignments = [],
+    resume: bool = False, config: ConfigFile = None, assignments: Assignments = [],
 ) -> None:
-    """Start the node that takes samples (needs ROS)."""
+    """
+    Start the node that takes samples (needs ROS).
+
+    resume: Continue the last session; the default is a new one.
+    """
     from handeye_ros.units import assigned
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
@@ -110,14 +110,17 @@ def calibrate(
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
 
 
-@app.command()
+@verb
 def samples(
-    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
-        'The folder of a session, or a bag.'))],
+    path: Annotated[Path, typer.Argument(metavar='SESSION')],
     config: ConfigFile = None,
     assignments: Assignments = [],
 ) -> None:
-    """Show the samples of a session, the worst first."""
+    """
+    Show the samples of a session, the worst first.
+
+    path: The folder of a session, or a bag.
+    """
     from handeye_ros import pipeline
     from handeye_ros.agreement import samples_table
     given = opened(path, config, assignments)
@@ -133,17 +136,20 @@ def samples(
     show(rows)
 
 
-@app.command()
+@verb
 def report(
     path: Saved,
-    bag: Annotated[NoPath, typer.Option(
-        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
-        'names.')] = None,
-    out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
-    verification: Annotated[list[Path], File(
-        help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
+    bag: Annotated[NoPath, typer.Option(metavar='BAG')] = None,
+    out: NoFile = None,
+    verification: Files = [],
 ) -> None:
-    """Show a calibration or verification in one HTML file."""
+    """
+    Show a calibration or verification in one HTML file.
+
+    bag: The recording or session; if not given, the one that the calibration names.
+    out: If not given, report.html beside the calibration.
+    verification: A result of "handeye verify --out" to show too; may be repeated.
+    """
     from handeye_ros.agreement import evidence
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results import exports, verification_file
@@ -167,16 +173,19 @@ def report(
     typer.echo(f'wrote {page}')
 
 
-@app.command()
+@verb
 def export(
     path: Saved,
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: Annotated[NoPath, File(help=(
-        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
+    out: NoFile = None,
 ) -> None:
-    """Write a saved calibration for other programs."""
+    """
+    Write a saved calibration for other programs.
+
+    out: The file to write, - for the screen; if not given, one beside the calibration.
+    """
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
     form, file = exports.format_of(name), file_of(path)
@@ -188,7 +197,7 @@ def export(
     typer.echo(exports.export(calibration, name, target))
 
 
-@app.command()
+@verb
 def compare(
     path: Input,
     config: ConfigFile = None,

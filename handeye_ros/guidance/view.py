@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3
-from handeye_ros.data import Arc, Array, FaceLine, Feature, Sample
+from handeye_ros.data import Array, Sample
+from handeye_ros.results.scene import drawn
+from handeye_ros.results.truth_file import field_points
 import numpy as np
 
 ROOM = 0.88  # share of the view for features: the rest is a margin for the operator
-STEPS = 13  # points of the field of view along each side: fewer would be mostly its corners
 
 _ANGLES = np.arange(32) * 2 * np.pi / 32
 NORMALS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # outwards from the borders
@@ -66,19 +67,9 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
     There must be one sample, or one point, at least.
     """
-    points = [_points(feature) for sample in samples for feature in sample.features]
-    points += [] if seen is None else [seen]
+    lines, spots = drawn(feature for sample in samples for feature in sample.features)
+    points = [*lines, *spots, *([] if seen is None else [seen])]
     return View((extremes(np.concatenate(points)) @ NORMALS.T).max(axis=0))
-
-
-def _points(feature: Feature) -> Array:
-    """Return points (n, 2) of a feature up to its ends."""
-    if isinstance(feature, Arc):
-        return feature.points
-    if isinstance(feature, FaceLine):  # as if it were sampled evenly
-        half = 3 ** 0.5 * feature.spread * feature.direction
-        return feature.centre + np.outer([-1.0, 1.0], half)
-    return feature.point[None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +102,5 @@ class MappedPoints:
 
 def mapped_points(X: Array, view: View) -> MappedPoints:
     """Return a grid over the field of view, mapped by X (4, 4)."""
-    share = np.linspace(0.0, 1.0, STEPS)
-    x, z = np.meshgrid(*(view.low + share[:, None] * view.size).T)
-    lever = np.column_stack([x.ravel(), z.ravel()]) @ X[:3, [0, 2]].T
-    shift = np.tile(np.eye(3), (len(lever), 1, 1))
-    return MappedPoints(np.concatenate([shift, -se3.skew(lever)], axis=2))
+    points = field_points(*zip(view.low, view.high, strict=True))
+    return MappedPoints(se3.by_perturbation(points @ X[:3, :3].T))

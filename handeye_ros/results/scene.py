@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-import math
 from typing import Any
 
 from handeye_ros import se3
@@ -115,8 +114,8 @@ def drawn(features: Iterable[Feature]) -> tuple[list[Array], list[Array]]:
     """Return the lines (n, 2) and the single points (1, 2) of features in the sensor plane."""
     lines, spots = [], []
     for f in features:
-        if isinstance(f, FaceLine):  # of evenly spread points the ends are sqrt(3) spreads away
-            lines.append(f.centre + np.outer([-1, 0, 1], math.sqrt(3) * f.spread * f.direction))
+        if isinstance(f, FaceLine):
+            lines.append(np.insert(f.ends, 1, f.centre, axis=0))
         elif isinstance(f, Arc):
             lines.append(f.points)
         elif isinstance(f, EdgePoint):

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 import math
 import re
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD
@@ -18,6 +18,9 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from handeye_ros.estimation.covariance import Budget
 
 # Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
 # value, factor to their unit, digits.
@@ -50,8 +53,7 @@ def table(calibration: Calibration) -> RenderableType:
     parent, child = calibration.parent_frame, calibration.child_frame
     title = Text(f'{calibration.name}: {child} in {parent}. T maps points of {child} into '
                  f'{parent}: p_{parent} = T @ p_{child}')
-    numbers = Table('', 'value', '1 sigma', '', box=box.SIMPLE_HEAD, pad_edge=False)
-    numbers.columns[1].justify = numbers.columns[2].justify = 'right'
+    numbers = figures_table('', 'value', '1 sigma', '', right=(1, 2))
     for row in transform_rows(calibration):
         numbers.add_row(*row)
     others = Table(box=None, show_header=False, pad_edge=False)
@@ -60,29 +62,29 @@ def table(calibration: Calibration) -> RenderableType:
     return Group(title, numbers, others)
 
 
-def budget_table(terms: Sequence[tuple[str, float, float, float]], samples: int
-                 ) -> RenderableType:
-    """
-    Return the table of what the uncertainty comes from.
+def figures_table(*heads: str, right: Iterable[int] = ()) -> Table:
+    """Return a table without rows; right: its columns of figures, which are never wrapped."""
+    rows = Table(*heads, box=box.SIMPLE_HEAD, pad_edge=False)
+    for k in right:
+        rows.columns[k].justify, rows.columns[k].no_wrap = 'right', True
+    return rows
 
-    terms: a cause with its 1 sigma of mapped points (m), of the translation (m, RMS of the axes)
-    and of the rotation (rad), the largest first, the last one of all together; samples: number.
-    """
-    total = terms[-1][1]
-    small = [term for term in terms if (term[1] / total) ** 2 < LITTLE]
-    if small:
-        others = np.sqrt((np.array([term[1:] for term in small]) ** 2).sum(axis=0))
-        terms = [*(term for term in terms[:-1] if term not in small),
-                 (f'{len(small)} others', *others.tolist()), terms[-1]]
-    rows = Table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
-                 box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in rows.columns[1:]:
-        column.justify = 'right'
-    for name, mapped, translation, rotation in terms:
+
+def budget_table(budget: Budget) -> RenderableType:
+    """Return the table of what the uncertainty comes from."""
+    total = budget.total.mapped
+    terms = {term.name: np.array([term.mapped, term.translation, term.rotation])
+             for term in budget.terms}
+    if small := [name for name, (mapped, *_) in terms.items() if (mapped / total) ** 2 < LITTLE]:
+        terms[f'{len(small)} others'] = np.linalg.norm([terms.pop(name) for name in small], axis=0)
+    terms[budget.total.name] = np.array([total, budget.total.translation, budget.total.rotation])
+    rows = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
+                         right=range(1, 5))
+    for name, (mapped, translation, rotation) in terms.items():
         rows.add_row(name, f'{100 * (mapped / total) ** 2:.1f} %', f'{1e3 * mapped:.4f} mm',
                      f'{1e3 * translation:.4f} mm', f'{math.degrees(rotation):.4f} degrees')
-    return Group(rows, Text(f'squares add up; {samples} samples; mapped points: RMS over the '
-                            'field of view;\nposition, rotation: RMS of the axes'))
+    return Group(rows, Text(f'squares add up; {budget.samples} samples; mapped points: RMS over '
+                            'the field of view;\nposition, rotation: RMS of the axes'))
 
 
 def transform_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 NAME = 'truth.yaml'
-STEPS = 13  # points along each side of the field of view
+STEPS = 13  # points along each side of the field of view: fewer would be mostly its corners
 FIELD = 'x within +-20 mm, range 160-190 mm'
 
 

@@ -24,11 +24,10 @@ from handeye_ros.data import Calibration
 from handeye_ros.output import write_whole, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated, transform_values
+from handeye_ros.results.table import figures_table
 from handeye_ros.robot.outcome import ArmOutcome, UNCHANGED
 import numpy as np
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 URDF_FILE = 'corrected.urdf'
@@ -113,9 +112,8 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
 
 def table(answer: ArmAnswer) -> RenderableType:
     """Return the joints with their errors, and the cross-validation error of each model."""
-    joints, models = (Table(*header, box=box.SIMPLE_HEAD, pad_edge=False) for header in (
-        ('joint', 'zero offset', 'axis direction', 'axis position', 'not known'),
-        ('model', 'residual RMS', 'left out RMS', 'left out median', '')))
+    joints = figures_table('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
+    models = figures_table('model', 'residual RMS', 'left out RMS', 'left out median', '')
     for joint in answer.joints:
         cells, unknown = [], []
         for kind in GEOMETRY:

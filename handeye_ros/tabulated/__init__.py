@@ -7,13 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from handeye_ros.config import Config
-from handeye_ros.errors import BadValueError
+from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.tabulated import hand_eye, points, tracker
 from handeye_ros.tabulated.values import Input, Values
 
-READERS: dict[type[Values], Callable[[Path, Config], Input]] = {
-    points.Pairs: points.read, hand_eye.Views: hand_eye.read, tracker.TrackerSession: tracker.read}
-FILE_TARGETS = {values.name: values for values in READERS}
+FILE_TARGETS: dict[str, tuple[type[Values], Callable[[Path, Config], Input]]] = {
+    values.name: (values, read) for values, read in (
+        (points.Pairs, points.read), (hand_eye.Views, hand_eye.read),
+        (tracker.TrackerSession, tracker.read))}
 
 
 def is_solved_from_files(config: Config) -> bool:
@@ -22,17 +23,23 @@ def is_solved_from_files(config: Config) -> bool:
 
     Raises BadValueError for a method or a calibration type that it cannot be of.
     """
-    values = FILE_TARGETS.get(config.target.type)
-    if values is None:
+    name = config.target.type
+    if name not in FILE_TARGETS:
         return False
-    for key, value, fitting in (('method', config.method, ('auto', values.name)),
-                                ('calibration_type', config.calibration_type, values.mounts)):
+    for key, value, fitting in (('method', config.method, ('auto', name)),
+                                ('calibration_type', config.calibration_type,
+                                 FILE_TARGETS[name][0].mounts)):
         if value not in fitting:
-            raise BadValueError(key, value, f'{" or ".join(fitting)} with target.type '
-                                f'{values.name}')
+            raise BadValueError(key, value, f'{" or ".join(fitting)} with target.type {name}')
     return True
 
 
 def read(path: Path, config: Config) -> Input:
     """Return the values of the configuration's target in a file; raises InputError, DataError."""
-    return READERS[FILE_TARGETS[config.target.type]](path, config)
+    if not is_solved_from_files(config):
+        fitting = list(FILE_TARGETS)
+        raise InputError(f'{path} is a table of measured values, but target.type '
+                         f'{config.target.type} is seen by the profiles of a recording: set '
+                         f'target.type to {" or ".join(fitting)}, as in --set '
+                         f'target.type={fitting[0]}')
+    return FILE_TARGETS[config.target.type][1](path, config)
