@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 import re
 
-from cells import Cell, cell, config, exact
+from cells import Cell, cell, exact, settings_of
 from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.compare import compare, Comparison, ESTIMATORS, Row
@@ -108,7 +108,7 @@ def test_stations_that_disagree_are_given_to_nobody(only) -> None:
 def test_axes_other_than_x_z_turn_every_answer(only) -> None:
     only('plate', 'plate', 'plane, the face lines alone', CHEN_RIGID)
     made = nearly_exact('plate')
-    turned = replace(made.config, profile=config(SCENARIOS['plate_y_along_line']).profile)
+    turned = replace(made.config, profile=settings_of(SCENARIOS['plate_y_along_line']).profile)
     assert turned.profile.axes == ('y', 'z')
     T_true = made.truth.T_flange_sensor @ se3.inverse(sensor_axes(turned))
     for row in compare(made.samples, (), turned, T_true, folds=0).rows:

@@ -9,12 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from cells import Recorded, recorded
+from cells import Recorded, recorded, squared_error
 from handeye_ros import Config, gather, pipeline, se3
 from handeye_ros.config import load
 from handeye_ros.data import Calibration, Profile, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.simulate import FAULTS, SCENARIOS, settings
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, settings
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
@@ -39,12 +39,6 @@ def answer(name: str, seed: int = 0) -> Calibration:
     return calibrated(recording(name, seed))
 
 
-def squared_error(made: Recorded, found: Calibration) -> float:
-    """Return the squared Mahalanobis length of the error, over its six dimensions."""
-    error = se3.difference(found.T_flange_sensor, made.truth.T_flange_sensor)
-    return float(error @ np.linalg.solve(found.covariance, error) / 6)
-
-
 # -- accuracy
 
 
@@ -64,26 +58,25 @@ def test_points_are_mapped_as_well_as_asked_for(name: str, seeds: int) -> None:
 def test_surroundings_drivers_and_mounts_change_nothing(name: str) -> None:
     made, found = recording(name), answer(name)
     assert made.error(found.T_flange_sensor) < 9e-5
-    assert squared_error(made, found) < 4
+    assert squared_error(found, made.truth) < 24
     frames = ('base', 'laser') if name == 'eye_on_base' else ('flange', 'laser')
     assert (found.parent_frame, found.child_frame) == frames
 
 
-@pytest.mark.parametrize('what', ['lower', 'higher'])
-def test_of_a_surface_beside_the_plate_all_stations_take_the_same(what: str) -> None:
-    made = recorded(FAULTS[f'neighbour {what}, 3 mm'], rate=6.0)
-    found = calibrated(made)
-    assert found.quality.samples_rejected == 0
-    assert made.error(found.T_flange_sensor) < 9e-5
+def beside(height: float, gap: float, width: float) -> Scenario:
+    """Return a plate beside which something stands."""
+    return replace(SCENARIOS['plate'], target=PlateTarget(
+        clutter=height, clutter_gap=gap, clutter_width=width))
 
 
-@pytest.mark.parametrize(('height', 'gap', 'width'), [
-    (0.001, 0.012, 0.06), (0.002, 0.008, 0.01)])
-def test_it_does_not_depend_on_how_much_of_each_is_seen(height: float, gap: float, width: float
-                                                        ) -> None:
-    target = PlateTarget(clutter=height, clutter_gap=gap, clutter_width=width)
-    made = recorded(replace(SCENARIOS['plate'], target=target), rate=6.0)
+@pytest.mark.parametrize(('scenario', 'rejected'), [
+    (FAULTS['neighbour lower, 3 mm'], 0), (FAULTS['neighbour higher, 3 mm'], 0),
+    (beside(0.001, 0.012, 0.06), 1), (beside(0.002, 0.008, 0.01), 1)])
+def test_of_a_surface_beside_the_plate_all_stations_take_the_same(
+        scenario: Scenario, rejected: int) -> None:
+    made = recorded(scenario, rate=6.0)
     found = calibrated(made)
+    assert found.quality.samples_rejected <= rejected
     assert made.error(found.T_flange_sensor) < 9e-5
 
 
@@ -92,7 +85,7 @@ def test_a_sphere_is_enough_too(name: str) -> None:
     made, found = recording(name), answer(name)
     # the rim of a ball is biased in the simulation, as on the real recording
     assert made.error(found.T_flange_sensor) < 4e-4
-    assert squared_error(made, found) < 6
+    assert squared_error(found, made.truth) < 36
 
 
 def test_a_sphere_of_unknown_radius_is_measured() -> None:
@@ -155,40 +148,6 @@ def test_streams_may_be_generators_and_stay_as_they_are() -> None:
         pose.quaternion.setflags(write=False)
     found = calibrated(made, iter(made.profiles), iter(made.poses))
     assert np.array_equal(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
-
-
-# -- symmetries of whole recordings
-
-
-def test_another_base_frame_gives_the_same_transform() -> None:
-    made, turn = recording('plate_5_5'), se3.exp_rotation(np.array([0.3, -1.2, 2.0]))
-    A = se3.transform(turn, np.array([1.0, -2.0, 0.5]))
-
-    def carried(pose: TimedPose) -> TimedPose:
-        T = A @ se3.from_quaternion(pose.translation, pose.quaternion)
-        return replace(pose, translation=T[:3, 3], quaternion=se3.quaternion(T))
-    found = calibrated(made, poses=[carried(pose) for pose in made.poses])
-    off = se3.difference(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
-    assert np.abs(off).max() < 1e-6
-
-
-def test_reversed_columns_and_signs_of_quaternions_give_the_same_transform() -> None:
-    made = recording('plate_5_5')
-    profiles = [replace(p, points=p.points[::-1]) for p in made.profiles]
-    poses = [replace(p, quaternion=-p.quaternion) for p in made.poses]
-    found = calibrated(made, profiles, poses)
-    off = se3.difference(found.T_flange_sensor, answer('plate_5_5').T_flange_sensor)
-    assert np.abs(off).max() < 3e-5  # other pairs of points vote for the lines
-
-
-def test_profiles_between_the_stops_are_no_matter() -> None:
-    made = recording('plate_5_5')
-    spans = [(s.start, s.end) for s in made.truth.stations]
-    still = [p for p in made.profiles if any(a <= p.stamp <= b for a, b in spans)]
-    assert len(still) < len(made.profiles)
-    off = se3.difference(calibrated(made, still).T_flange_sensor,
-                         answer('plate_5_5').T_flange_sensor)
-    assert np.abs(off).max() < 1e-12
 
 
 # -- what carries no answer

@@ -4,12 +4,12 @@
 from dataclasses import replace
 import re
 
-from handeye_ros import config as configs
+from cells import settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError
-from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate_samples
+from handeye_ros.simulate import Scenario, SCENARIOS, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
 import pytest
@@ -25,9 +25,7 @@ def solved(scenario: Scenario, seed: int, scale: float = 1.0, **changes: object
     samples, truth = simulate_samples(scenario, np.random.default_rng(seed))
     samples = [replace(s, T_base_flange=se3.transform(
         s.T_base_flange[:3, :3], scale * s.T_base_flange[:3, 3])) for s in samples]
-    values = settings(scenario) | {'noise.distortion': 0.0}
-    values |= {key.replace('__', '.'): value for key, value in changes.items()}
-    config = configs.with_values(Config(), values, 'the test')
+    config = settings_of(scenario, **({'noise__distortion': 0.0} | changes))
     found = pipeline.solve(samples, (), config, 'laser')
     return found, float(np.linalg.norm(
         se3.difference(found.T_flange_sensor, truth.T_flange_sensor)[:3]))
@@ -104,7 +102,7 @@ def test_faces_alone_do_not_answer_for_edges_that_fit_nowhere(seed: int) -> None
         shift = 8e-3 * rng.choice([-1.0, 1.0]) * rng.uniform(0.4, 1) * (rng.random() < 0.6)
         moved = replace(edge, point=edge.point + shift * edge.direction)
         bent.append(replace(sample, features=(face, moved)))
-    config = configs.with_values(Config(), settings(SCENARIOS['plate']), 'the test')
+    config = settings_of(SCENARIOS['plate'])
     with pytest.raises(DataError, match='an answer that leaves out so many'):
         pipeline.solve(bent, (), config, 'laser')
 

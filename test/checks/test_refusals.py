@@ -7,7 +7,7 @@ from dataclasses import replace
 import math
 import re
 
-from cells import Cell, cell, config, every_method, exact_cell, scenario_of
+from cells import Cell, cell, every_method, exact_cell, scenario_of, settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.refusals import turning
 from handeye_ros.data import Array, FaceLine, Reject
@@ -184,10 +184,10 @@ def test_an_answer_that_is_uncertain_by_millimetres_is_refused(seed: int) -> Non
         return se3.transform(se3.exp_rotation(about), np.zeros(3)) @ T
 
     given_way = [replace(s, T_base_flange=bent(s.T_base_flange)) for s in made.samples]
-    settings_of_a_cell = config(made.scenario)
+    config = settings_of(made.scenario)
     with pytest.raises(DataError, match='limits.points'):
-        pipeline.solve(given_way, [], settings_of_a_cell, 'laser')
-    known = pipeline.solve(made.samples, [], settings_of_a_cell, 'laser')
+        pipeline.solve(given_way, [], config, 'laser')
+    known = pipeline.solve(made.samples, [], config, 'laser')
     assert made.error(known.T_flange_sensor) < 2e-3
 
 

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 import re
 
-from cells import cell
+from cells import cell, settings_of, squared_error
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
@@ -18,7 +18,7 @@ from handeye_ros.bags.reader import CLOUD, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import deviance, Explanation, refitted
 from handeye_ros.checks.settings import require_settings
-from handeye_ros.config import Config, flipped_range, with_values
+from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.sampling.sweep import problem_at_poses
@@ -27,7 +27,6 @@ from handeye_ros.simulate import (
     Scenario,
     SCENARIOS,
     scenes,
-    settings,
     simulate,
     Simulated,
 )
@@ -49,8 +48,7 @@ def made(name: str) -> Simulated:
 
 
 def solved(name: str, **values: object) -> object:
-    config = with_values(Config(), settings(FAULTS[name]) | {
-        key.replace('__', '.'): value for key, value in values.items()}, 'the test')
+    config = settings_of(FAULTS[name], **values)
     return pipeline.calibrate(made(name).profiles, made(name).poses, config)
 
 
@@ -90,18 +88,17 @@ def test_a_wedge_beside_another_block_is_answered(monkeypatch: pytest.MonkeyPatc
         scenes.SCENES['wedge'], solids=beside_another))
     cell = replace(FAULTS['wedge'], scene='beside', stated=(('target.type', 'wedge'),),
                    layout=Layout(no_return='omit'), stations=(18, 0))
-    config = with_values(Config(), settings(cell), 'the test')
+    config = settings_of(cell)
     recording = simulate(cell, np.random.default_rng(seed))
     found = pipeline.calibrate(recording.profiles, recording.poses, config)
-    error = se3.difference(found.T_flange_sensor, recording.truth.T_flange_sensor)
-    assert error @ np.linalg.solve(found.covariance, error) < 12.6
+    assert squared_error(found, recording.truth) < 12.6
 
 
 def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
     poses = [replace(p, quaternion=se3.quaternion(se3.from_quaternion(
         np.zeros((1, 3)), np.random.default_rng(k // 20).normal(size=(1, 4))))[0])
         for k, p in enumerate(made('baseline').poses)]
-    config = with_values(Config(), settings(FAULTS['baseline']), 'the test')
+    config = settings_of(FAULTS['baseline'])
     with pytest.raises(DataError) as caught:
         pipeline.calibrate(made('baseline').profiles, poses, config)
     assert caught.value.reason != 'settings'
@@ -109,7 +106,7 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
 
 @pytest.mark.thorough
 def test_right_settings_are_not_blamed() -> None:
-    config, cell = with_values(Config(), settings(FAULTS['baseline']), 'test'), made('baseline')
+    config, cell = settings_of(FAULTS['baseline']), made('baseline')
     require_settings(pipeline.gather(cell.profiles, cell.poses, config), config)
 
 
@@ -120,7 +117,7 @@ NS = 1_000_000_000
 def recorded(target: str) -> tuple[Simulated, Config]:
     scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=10.0))
     return (simulate(scenario, np.random.default_rng(1)),
-            with_values(Config(), settings(scenario), 'the test'))
+            settings_of(scenario))
 
 
 def solved_late(target: str, late: float) -> object:
@@ -155,7 +152,7 @@ def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
     (FAULTS['4 + 3, two bad'], 16)], ids=['one stop that ends early', 'few samples, two wrong'])
 def test_clocks_are_not_blamed_for(scenario: Scenario, seed: int) -> None:
     made = simulate(scenario, np.random.default_rng(seed))
-    config = with_values(Config(), settings(scenario), 'the test')
+    config = settings_of(scenario)
     require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
 
 
@@ -172,8 +169,7 @@ def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
 def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
     scenario = replace(SCENARIOS[name], sensor=replace(SCENARIOS[name].sensor, rate=10.0))
     made = simulate(scenario, np.random.default_rng(seed))
-    mode = 'moving' if scenario.sweep else 'still'
-    right = with_values(Config(), {**settings(scenario), 'sampling.mode': mode}, 'the test')
+    right = settings_of(scenario, sampling__mode='moving' if scenario.sweep else 'still')
     with pytest.raises(DataError, match=f'range_sign {right.profile.range_sign}, '):
         pipeline.calibrate(made.profiles, made.poses, flipped_range(right))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cells import ANY_POSE, Cell, cell, solved
+from cells import ANY_POSE, Cell, cell, set_to, solved
 from command import bench_of
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import with_values
@@ -51,8 +51,7 @@ def advice(made: tuple[Cell, Solution], refused: tuple[Array, ...] = (),
            refusal: DataError | None = None, **values: object) -> Advice:
     """Return the advice after the samples of a cell; values: settings, __ for the dot."""
     found, solution = made
-    dotted = {key.replace('__', '.'): value for key, value in values.items()}
-    return advise(found.samples, with_values(found.config, dotted, 'test'),
+    return advise(found.samples, set_to(found.config, **values),
                   answer(found, solution, refusal), refused=refused)
 
 

@@ -15,10 +15,10 @@ import subprocess
 import sys
 import threading
 
-from cells import recorded
+from cells import recorded, set_to, settings_of
 from command import PATIENCE, ROOT
 from handeye_ros import pipeline, se3
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
@@ -26,7 +26,7 @@ from handeye_ros.node import live as lives
 from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
 from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.sampling.features import result_of
-from handeye_ros.simulate import SCENARIOS, settings, simulate
+from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import SCENES, Stops
 from handeye_ros.simulate.sensor import lift
@@ -37,10 +37,6 @@ from recordings import halves
 import yaml
 
 PARTS = halves(SPHERE, 8)
-
-
-def set_to(config: Config, **values: object) -> Config:
-    return with_values(config, {key.replace('__', '.'): v for key, v in values.items()}, 'test')
 
 
 TO_VERIFY = set_to(SPHERE.config, verify__routine='sphere', verify__radius=0.04,
@@ -89,7 +85,7 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
 @pytest.mark.thorough
 def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> None:
     made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
-    config = with_values(Config(), settings(made.scenario) | {'sampling.mode': 'moving'}, 'test')
+    config = settings_of(made.scenario, sampling__mode='moving')
     live = fed(config, made)
     text = computed(live)
     offline = pipeline.calibrate(made.profiles, made.poses, config)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 from handeye_ros import pipeline, se3, targets
 from handeye_ros.config import Config, with_values
@@ -53,14 +54,25 @@ def cell(scenario: str | Scenario = 'plate', seed: int = 0, **values: object) ->
     """
     made = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
     samples, truth = simulate_samples(made, np.random.default_rng(seed))
-    return Cell(made, samples, truth, config(made, **(NO_DOUBTS | values)))
+    return Cell(made, samples, truth, settings_of(made, **(NO_DOUBTS | values)))
 
 
-def config(scenario: Scenario, **values: object) -> Config:
-    """Return the settings of a scenario, with values put in; __ stands for the dot of a key."""
+def set_to(config: Config, **values: object) -> Config:
+    """Return settings with values put in; __ stands for the dot of a key."""
     dotted = {key.replace('__', '.'): value for key, value in values.items()}
-    # features are made in the standard frame, whatever the driver publishes in
-    return with_values(Config(), settings(scenario) | dotted, 'test')
+    return with_values(config, dotted, 'test')
+
+
+def settings_of(scenario: Scenario, **values: object) -> Config:
+    """Return the settings of a scenario, with values put in."""
+    return set_to(Config(), **{key.replace('.', '__'): value for key, value in
+                               settings(scenario).items()} | values)
+
+
+def squared_error(found: Any, truth: Any) -> float:
+    """Return the squared error of a transform, in its covariance: of chi-squared over 6."""
+    error = se3.difference(found.T_flange_sensor, truth.T_flange_sensor)
+    return float(error @ np.linalg.solve(found.covariance, error))
 
 
 def exact(scenario: str | Scenario = 'plate') -> Scenario:
@@ -125,7 +137,7 @@ def recorded(scenario: str | Scenario = 'plate', seed: int = 0, rate: float = 10
     made = replace(made, sensor=sensor, robot=replace(made.robot, rate=50.0))
     simulated = simulate(made, np.random.default_rng(seed))
     return Recorded(made, simulated.profiles, simulated.poses, simulated.truth,
-                    config(made, **values))
+                    settings_of(made, **values))
 
 
 every_method = pytest.mark.parametrize('name', targets.TARGETS)

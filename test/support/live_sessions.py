@@ -7,9 +7,9 @@ from concurrent.futures import Future
 from dataclasses import replace
 import tempfile
 
-from cells import recorded
+from cells import recorded, set_to
 from handeye_ros.bags.session import OutputFolders, resumed, SessionFiles
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.pool import Pool
@@ -73,8 +73,7 @@ def update(live: LiveSession) -> None:
 
 
 def changed(live: LiveSession, **values: object) -> None:
-    dotted = {key.replace('__', '.'): value for key, value in values.items()}
-    live.configure(with_values(live.config, dotted, 'test'))
+    live.configure(set_to(live.config, **values))
     update(live)
 
 
