@@ -15,13 +15,13 @@ from pathlib import Path
 
 from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
-from handeye_ros.bags.session import is_session, read_session
+from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, rms_by, tested_points
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, EdgePoint, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.estimation.problem import Problem, UNUSED
-from handeye_ros.estimation.search import relabelled
+from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.pipeline import Answer
@@ -196,7 +196,7 @@ def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: So
         number = number[at.inside]
     if not ones:
         return np.full(len(samples), np.nan)
-    problem = relabelled(problem_at_poses(ones, config), solution.estimate)
+    problem = reassigned(problem_at_poses(ones, config), solution.estimate)
     measured = measured_points(ones, problem)
     return rms_by(number[measured.station], measured.residuals(problem, solution.estimate),
                 len(samples))

@@ -119,7 +119,7 @@ def _joint(solution: Solution) -> dict[str, Any]:
     """
     problem = solution.problem
     size = 6 + len(problem.target.labels)
-    C, rows = np.zeros((size, size)), problem.columns
+    C, rows = np.zeros((size, size)), problem.free_columns
     C[np.ix_(rows, rows)] = solution.covariance[:solution.unknowns, :solution.unknowns]
     return {'state': solution.estimate.state.tolist(), 'covariance': C.ravel().tolist(),
             'variance_factor': solution.variance_factor}

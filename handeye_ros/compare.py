@@ -102,8 +102,8 @@ class _GivenTransform(Problem):
     """A problem with only the target unknown."""
 
     @property
-    def columns(self) -> NDArray[np.intp]:
-        return super().columns[6:]
+    def free_columns(self) -> NDArray[np.intp]:
+        return super().free_columns[6:]
 
 
 Given: TypeAlias = Stations | Values

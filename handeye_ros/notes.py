@@ -43,7 +43,7 @@ def parameters(solution: Solution) -> dict[str, Parameter]:
         n = float(solution.nuisance[own][0])
         p = min(float(variances[own][0]), 1 - 1e-9)  # of a prior variance of 1
         alone, variance = n / (1 - p), p / (1 - p)
-        stated = 1 / solution.noise.scales.get(block.name, 1.0)
+        stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
         found[block.name] = Parameter(block, n * block.std, p ** 0.5 * block.std,
                                       alone / math.sqrt(stated + variance),
                                       alone / math.sqrt(max(variance, 1e-300)))
@@ -162,11 +162,11 @@ def _edge_notes(solution: Solution) -> Iterator[str]:
 
 def lost_edges(solution: Solution) -> str:
     """Return in words the edges that an answer does not use, '' if it uses all."""
-    if not len(solution.unused):
+    if not len(solution.without_edges):
         return ''
     shown = int(solution.whole.subset(solution.used).shows_essential.sum())
-    part, estimate = solution.whole.subset(solution.unused), solution.estimate
+    part, estimate = solution.whole.subset(solution.without_edges), solution.estimate
     where = part.target.elsewhere(part.observations, part.points_in_base(estimate.X),
                                   estimate.state, part.config)
-    return (f'the edges of {len(solution.unused)} of the {shown} samples that show one lie on '
-            'none of the target' + (f': {where}' if where else ''))
+    return (f'the edges of {len(solution.without_edges)} of the {shown} samples that show one lie '
+            'on none of the target' + (f': {where}' if where else ''))

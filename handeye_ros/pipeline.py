@@ -26,9 +26,9 @@ from handeye_ros.checks.refusals import (
     missing_motion,
     require_certain,
     require_certain_points,
+    require_distinct_frame,
     require_edges,
     require_left_out,
-    require_own_frame,
     require_rotations,
     require_samples,
     require_tested,
@@ -150,15 +150,15 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 1. Use only edges whose shape is the same over all stops.
         ordered = with_common_shape(ordered)
         # 2. Refuse what no solver can answer: the sensor's frame, too few samples, no rotation.
-        require_own_frame(frame_id, config)
+        require_distinct_frame(frame_id, config)
         require_samples(ordered, rejects, target)
         require_rotations(mounted(ordered, config), mount_frame(config), target.one_axis)
         # 3. Of a sweep, find the offset between the clocks: it gives each profile its pose.
-        moved = synchronised(ordered, config)
-        ordered, rejects = moved.samples, [*rejects, *moved.rejects]
+        synced = synchronised(ordered, config)
+        ordered, rejects = synced.samples, [*rejects, *synced.rejects]
         # 4. Linear starts, graduated non-convexity, and outliers dropped one by one.
         problem = problem_of(ordered, config)
-        solution = robust_solution(problem, rng, True, moved.estimate)
+        solution = robust_solution(problem, rng, True, synced.estimate)
         # 5. Free a stated measure of the target where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng)
         # 6. Where they do not agree, name the assumption that is wrong, if it is certain.

@@ -121,7 +121,7 @@ def _squares(found: Solution) -> Array:
     q = np.full((2, len(found.whole.poses)), np.inf)
     q[:, found.used] = found.left_out()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])
-    q[:, found.unused] = np.inf
+    q[:, found.without_edges] = np.inf
     return q
 
 

@@ -28,7 +28,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     """Return the consensus, with free target measures if only these make the stations agree."""
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
-    poor = (agreed.dropped or len(agreed.unused)
+    poor = (agreed.dropped or len(agreed.without_edges)
             or agreed.variance_factor > CONVINCING)
     if config == stated_config or not poor:
         return agreed
@@ -76,7 +76,7 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
     measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    J = np.column_stack([white(np.column_stack([by_scale, measures])), solution.columns])
+    J = np.column_stack([white(np.column_stack([by_scale, measures])), solution.derivatives])
     covariance = covariance_of(J)
     return float(covariance[0] @ (J.T @ solution.whitened)), float(covariance[0, 0]) ** 0.5
 

@@ -163,7 +163,7 @@ class _Steps:
     def of(cls, solution: Solution, changes: NDArray[np.intp]) -> _Steps:
         """Return the sums at a solution."""
         white = whitening(solution.linear, solution.noise)
-        D, J = white(_by_steps(solution)), solution.columns
+        D, J = white(_by_steps(solution)), solution.derivatives
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, changes))
         values, axes = np.linalg.eigh(solution.covariance)

@@ -34,7 +34,7 @@ class UnexplainedError(DataError):
     """A refusal that another setting may explain; any other names a cause that is certain."""
 
 
-def require_own_frame(frame_id: str, config: Config) -> None:
+def require_distinct_frame(frame_id: str, config: Config) -> None:
     """
     Raise DataError if the profiles are in a frame with the name of a robot frame.
 

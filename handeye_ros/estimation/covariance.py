@@ -46,7 +46,7 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
     for at in configured.problem.groups:
         i = configured.problem.observations.station[at.rows[:, 0]]
-        K, J = wrong[at.rows], configured.columns[at.rows]
+        K, J = wrong[at.rows], configured.derivatives[at.rows]
         across = np.swapaxes(J, 1, 2) @ K
         moved = configured.covariance @ across
         inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
@@ -121,10 +121,10 @@ def budget(solution: Solution) -> Budget:
 def _of_noise(wide: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    for at, root in zip(wide.problem.groups, wide.whitening.factors, strict=True):
+    for at, root in zip(wide.problem.groups, wide.whitening.roots, strict=True):
         V = covariances(wide.linear, at)
-        V = V * wide.noise.factors[:len(V), None, None, None]
-        gain = (wide.columns[at.rows] @ wide.covariance[:, :6]).swapaxes(1, 2) @ root
+        V = V * wide.noise.variance_factors[:len(V), None, None, None]
+        gain = (wide.derivatives[at.rows] @ wide.covariance[:, :6]).swapaxes(1, 2) @ root
         for name, some in zip(parts, (V[:3].sum(axis=0), V[3:].sum(axis=0)), strict=True):
             parts[name] += (gain @ some @ gain.swapaxes(1, 2)).sum(axis=0)
     return parts

@@ -46,33 +46,33 @@ class Noise:
     """
     Factors on the configured variances in (3), and the scales of blocks.
 
-    factors: (5,) of the features' own errors, by variance component (2); of the distortion that
-    differs between stations; of the pose noise; of the white errors of the pose values, such as
-    time. scales: tau^2 of each block by name; lumped: whether blocks count as errors of each
-    station.
+    variance_factors: (5,) of the features' own errors, by variance component (2); of the
+    distortion that differs between stations; of the pose noise; of the white errors of the pose
+    values, such as time. block_variances: tau^2 of each block by name; lumped: whether blocks
+    count as errors of each station.
     """
 
-    factors: Array = field(default_factory=lambda: np.ones(5))
-    scales: Mapping[str, float] = field(default_factory=dict)
+    variance_factors: Array = field(default_factory=lambda: np.ones(5))
+    block_variances: Mapping[str, float] = field(default_factory=dict)
     lumped: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Rows and whitening factors of groups of stations with equally many observations."""
+    """Rows, and roots of the inverse covariances, of groups of stations of one size."""
 
     rows: tuple[NDArray[np.intp], ...]
-    factors: tuple[Array, ...]
+    roots: tuple[Array, ...]
 
     def __call__(self, values: Array) -> Array:
         """Return values (m, ...) whitened to unit covariance."""
         if len(self.rows) == 1:  # all rows, in their order
             own = values.reshape(*self.rows[0].shape, -1)
-            return np.asarray((self.factors[0] @ own).reshape(values.shape))
+            return np.asarray((self.roots[0] @ own).reshape(values.shape))
         white = np.empty_like(values)
-        for rows, factor in zip(self.rows, self.factors, strict=True):
+        for rows, root in zip(self.rows, self.roots, strict=True):
             own = values[rows]
-            white[rows] = (factor @ own.reshape(*rows.shape, -1)).reshape(own.shape)
+            white[rows] = (root @ own.reshape(*rows.shape, -1)).reshape(own.shape)
         return white
 
 
@@ -89,7 +89,7 @@ def covariances(linear: Linear, at: StationGroup) -> Array:
     # no covariance between the components, so that any factors keep the sum positive
     features = _squared(linear.by_feature[at.rows]) * at.shared
     features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
-    parts = [*features * at.components, at.near * _squared(linear.by_point[at.rows], local),
+    parts = [*features * at.components, at.correlation * _squared(linear.by_point[at.rows], local),
              _squared(linear.by_pose[at.rows], pose)]
     if linear.by_values is not None:
         parts.append(_squared(linear.by_values[at.rows]))
@@ -100,10 +100,10 @@ def total_covariance(linear: Linear, at: StationGroup, noise: Noise) -> Array:
     """Return the covariance (stations, c, c), (3), including the blocks if they are lumped."""
     problem, config = linear.problem, linear.problem.config.noise
     parts = covariances(linear, at)
-    total = np.asarray(np.tensordot(noise.factors[:len(parts)], parts, 1))
+    total = np.asarray(np.tensordot(noise.variance_factors[:len(parts)], parts, 1))
     if noise.lumped:  # the sensor's distortion, the robot's smooth error, and the target's own
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
-        total += at.near * _squared(linear.by_point[at.rows], config.distortion ** 2)
+        total += at.correlation * _squared(linear.by_point[at.rows], config.distortion ** 2)
         total += _squared(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
         own = problem.target.feature_errors(linear)
         total += _squared(own[at.rows]) * at.shared

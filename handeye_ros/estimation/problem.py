@@ -188,7 +188,7 @@ class Target(ABC):
         stated = self.stated(config)
         return np.array([label not in stated for label in self.labels])
 
-    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
         return observations
@@ -224,19 +224,19 @@ class StationGroup:
     """
     s stations with c observations each.
 
-    rows: (s, c) row numbers; near: (s, c, c) correlations of the distortion; shared: (s, c, c) 1
+    rows: (s, c) row numbers; correlation: (s, c, c) of the distortion; shared: (s, c, c) 1
     where two observations share the error of one feature; components: (2, s, c, c) 1 where both
     are of the first variance component, or both of the second.
     """
 
     rows: NDArray[np.intp]
-    near: Array
+    correlation: Array
     shared: Array
     components: Array
 
     def every(self, step: int) -> StationGroup:
         """Return every step-th of the stations."""
-        return StationGroup(self.rows[::step], self.near[::step], self.shared[::step],
+        return StationGroup(self.rows[::step], self.correlation[::step], self.shared[::step],
                             self.components[:, ::step])
 
 
@@ -249,10 +249,10 @@ def station_groups(observations: Observations) -> tuple[StationGroup, ...]:
         second = observations.end[rows] > 0
         apart = points[:, :, None] - points[:, None, :]
         # 0.01 m: correlation length of the sensor's distortion
-        near = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
+        correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
         shared = (source[:, :, None] == source[:, None, :]).astype(float)
         pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
-        grouped.append(StationGroup(rows, near, shared, np.array(pairs, dtype=float)))
+        grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
     return tuple(grouped)
 
 
@@ -279,7 +279,7 @@ class Problem:
             object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
 
     @cached_property
-    def columns(self) -> NDArray[np.intp]:
+    def free_columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
         free = self.target.free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
@@ -347,7 +347,7 @@ class Problem:
     def retracted(self, estimate: Estimate, step: Array) -> Estimate:
         """Return the estimate, or several, after a step (..., u) in the unknown columns."""
         delta = np.zeros((*step.shape[:-1], 6 + len(self.target.labels)))
-        delta[..., self.columns] = step
+        delta[..., self.free_columns] = step
         return Estimate(se3.perturb(estimate.X, delta[..., :6]),
                         self.target.retract(estimate.state, delta[..., 6:]))
 

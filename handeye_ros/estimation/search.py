@@ -128,10 +128,10 @@ def refined(problem: Problem, estimate: Estimate) -> Solution:
     def refit(at: Linear, weights: Array) -> Linear:
         before = at.problem
         at = _system(before).reweighted(at, weights)
-        labelled = relabelled(problem, at.estimate, before)
+        labelled = reassigned(problem, at.estimate, before)
         return at if labelled is before else linearise(labelled, at.estimate)
 
-    start = linearise(relabelled(problem, estimate), estimate)
+    start = linearise(reassigned(problem, estimate), estimate)
     at = graduated(start, mean_squares, refit)
     return replace(Solution.at(at, LUMPED), whole=problem)
 
@@ -188,7 +188,7 @@ def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Ite
         yield next(part.target.guess(part, rng))
 
 
-def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
+def reassigned(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
     """
     Return the problem with its observations assigned again, without those that do not fit.
 
@@ -196,7 +196,7 @@ def relabelled(problem: Problem, estimate: Estimate, before: Problem | None = No
     same, to keep its cached properties.
     """
     p = problem.points_in_base(estimate.X)
-    labelled = problem.target.relabel(problem.observations, p, estimate.state, problem.config)
+    labelled = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
     used = labelled.select(labelled.kind != UNUSED)
     for earlier in (problem, before):
         if earlier and used.same(earlier.observations):
@@ -212,7 +212,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     """
     def linear(states: States) -> tuple[Array, Array]:
         at = linearise(problem, Estimate(*states))
-        return at.residuals, at.jacobian[..., problem.columns]
+        return at.residuals, at.jacobian[..., problem.free_columns]
 
     def retract(states: States, steps: Array) -> States:
         moved = problem.retracted(Estimate(*states), steps)
@@ -254,7 +254,7 @@ def mean_squares(linear: Linear) -> Array:
 def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
     """Return the least-squares system of a problem; each station is a block."""
     def rows(at: Linear) -> Rows:
-        return Rows(at.residuals, lambda: at.jacobian[:, problem.columns],
+        return Rows(at.residuals, lambda: at.jacobian[:, problem.free_columns],
                     lambda: white_at(at, noise))
 
     def retracted(at: Linear, step: Array) -> Linear:

@@ -91,7 +91,7 @@ class Solution:
                 residuals = residuals - block.columns @ (block.value / block.std)
         white = whitening(linear, noise)
         problem = linear.problem
-        own = white(np.column_stack([linear.jacobian[:, problem.columns],
+        own = white(np.column_stack([linear.jacobian[:, problem.free_columns],
                                      *(block.columns for block in blocks), residuals]))
         A = own[:, :-1]
         return cls(linear, noise, blocks, white, own[:, -1], A, A.T @ A, problem,
@@ -105,7 +105,7 @@ class Solution:
     @property
     def unknowns(self) -> int:
         """Return the number of unknowns without the nuisance parameters."""
-        return len(self.problem.columns)
+        return len(self.problem.free_columns)
 
     @cached_property
     def scales(self) -> Array:
@@ -120,7 +120,7 @@ class Solution:
     @property
     def _variances(self) -> Array:
         """Return the variance of each block (d,) relative to the configured one."""
-        return np.array([self.noise.scales.get(block.name, 1.0) for block in self.priors])
+        return np.array([self.noise.block_variances.get(block.name, 1.0) for block in self.priors])
 
     @cached_property
     def blocks(self) -> tuple[ParameterBlock, ...]:
@@ -147,7 +147,7 @@ class Solution:
         return self._solved[0][self.unknowns:]
 
     @cached_property
-    def columns(self) -> Array:
+    def derivatives(self) -> Array:
         """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
         return self.A * self.scales
 
@@ -180,15 +180,15 @@ class Solution:
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
-        J = self.columns[rows]
+        J = self.derivatives[rows]
         gain = (J.reshape(-1, J.shape[2]) @ self.covariance).reshape(J.shape)
         return np.asarray(gain @ np.swapaxes(J, 1, 2))
 
-    def factors(self, stated: Array | float = 1.0) -> Array:
+    def estimated_factors(self, stated: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
         sums = np.zeros((len(PRIOR_FACTORS), 2))
         every = -(-len(self.problem.poses) // MANY)
-        for group, roots in zip(self.problem.groups, self.whitening.factors, strict=True):
+        for group, roots in zip(self.problem.groups, self.whitening.roots, strict=True):
             at, root = group.every(every), roots[::every]
             V = covariances(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
@@ -196,7 +196,7 @@ class Solution:
             left = np.eye(r.shape[1]) - self.predicted_covariance(at.rows)
             both = r[:, :, None] * r[:, None]
             sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
-        before = self.noise.factors
+        before = self.noise.variance_factors
         sums *= before[:, None]
         after = before * (sums[:, 0] + PRIOR_FREEDOM * stated / before) / (
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
@@ -213,11 +213,11 @@ class Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
         named = {block.name: max(float(v), block.least)
                  for block, v in zip(self.priors, variances, strict=True)}
-        return replace(self, noise=replace(self.noise, scales=named))
+        return replace(self, noise=replace(self.noise, block_variances=named))
 
     def with_factors(self, factors: Array) -> Solution:
         """Return the solution with other variance factors (5,), at the same estimate."""
-        return Solution.at(self.linear, replace(self.noise, factors=factors), self.priors)
+        return Solution.at(self.linear, replace(self.noise, variance_factors=factors), self.priors)
 
     def rescaled(self, steps: int) -> Solution:
         """
@@ -310,7 +310,7 @@ class Solution:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
         std, wide = np.zeros(len(self.problem.target.labels)), self.for_report
         variances = np.diag(wide.covariance)
-        std[self.problem.columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
+        std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
         for block, own in slices(wide.blocks, self.unknowns):
             if block.parameter is not None:
                 std[block.parameter] = block.std * variances[own][0] ** 0.5
@@ -342,13 +342,13 @@ class Solution:
     def deviance(self) -> float:
         """Return -2 log of the marginal likelihood, the prior of the noise factors included."""
         spread = -2 * sum(float(np.log(np.einsum('nii->ni', f)).sum())
-                          for f in self.whitening.factors)
-        factors = self.noise.factors
+                          for f in self.whitening.roots)
+        factors = self.noise.variance_factors
         prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
         return float(spread + np.linalg.slogdet(self.information)[1] + self.squares + prior)
 
     @property
-    def unused(self) -> NDArray[np.intp]:
+    def without_edges(self) -> NDArray[np.intp]:
         """Return the used stations that show essential observations, but of which none is used."""
         shown = self.whole.subset(self.used).shows_essential
         return self.used[shown & ~self.problem.shows_essential]
@@ -356,7 +356,7 @@ class Solution:
     @property
     def fully_used(self) -> int:
         """Return the number of used stations with their essential observations used."""
-        return len(self.used) - len(self.unused)
+        return len(self.used) - len(self.without_edges)
 
     @property
     def unused_share(self) -> float:
@@ -405,7 +405,7 @@ class Solution:
         of_row, u = fold[self.problem.observations.station], self.unknowns
         steps = np.empty((fold.max() + 1, len(self.scales)))
         for k in range(len(steps)):
-            J, r = self.columns[of_row == k], self.whitened[of_row == k]
+            J, r = self.derivatives[of_row == k], self.whitened[of_row == k]
             if len(r) < J.shape[1]:
                 left_out = leave_own_out((J @ self.covariance @ J.T)[None], r[None])[0]
                 steps[k] = self.covariance @ (J.T @ left_out)
@@ -454,9 +454,10 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
         if diverged and count > 1:  # the first steps may grow with the scale of a block
             return best, True
         best, least = best if diverged else found, min(size, least)
-        factors, before = found.factors(), found.noise.factors
+        factors, before = found.estimated_factors(), found.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
-        found = Solution.at(found.stepped(), replace(found.noise, factors=factors)).rescaled(1)
+        noise = replace(found.noise, variance_factors=factors)
+        found = Solution.at(found.stepped(), noise).rescaled(1)
         if size < CONVERGED and steady:
             break
     return found, False
@@ -470,7 +471,7 @@ def _answer(found: Solution) -> Solution:
         for_estimate, for_report = wide.prior_scales()
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
-        best = best.with_factors(best.factors(PRIOR_FACTORS))
+        best = best.with_factors(best.estimated_factors(PRIOR_FACTORS))
     return _reported(Solution.at(best.stepped(), best.noise), found.noise, LAST_STEPS)
 
 
@@ -491,5 +492,5 @@ def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) ->
     linear = linearise(solution.problem, solution.estimate)
     found = Solution.at(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        found = found.with_factors(found.factors()).rescaled(2)
+        found = found.with_factors(found.estimated_factors()).rescaled(2)
     return found

@@ -198,7 +198,7 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     elif len(obs) == together[0].sum():  # an edge point alone
         good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)
     # and with the same labels
-    labelled = target.relabel(problem.observations, problem.points_in_base(linear.estimate.X),
+    labelled = target.reassign(problem.observations, problem.points_in_base(linear.estimate.X),
                               linear.estimate.state, replace(problem.config, sampling=strict))
     return np.asarray(good & (labelled.kind.reshape(A.shape[:2]) == obs.kind).all(axis=1))
 
@@ -265,7 +265,7 @@ def with_one_more(solution: Solution, seen: Problem) -> Array:
     seen: equally many observations at each. The blocks count as errors of the station.
     """
     C, noise = solution.reported, replace(solution.noise, lumped=True)
-    A = Solution.at(linearise(seen, solution.estimate), noise).columns
+    A = Solution.at(linearise(seen, solution.estimate), noise).derivatives
     A = A.reshape(len(seen.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
     carried = A @ C

@@ -184,7 +184,7 @@ class LiveAnswer:
         if asked:
             self.asked_with = values_of(config, ANSWER_KEYS)
         session = Session(config)  # the messages of the streams stay here
-        session.restore(now.stops, now.numbers, now.frame_id)
+        session.restore(now.stops, now.last_number, now.frame_id)
         sampled = {stop.began for stop in now.stops if stop.sample}
         refused = [T for began, T in live.refused.items() if began not in sampled]
         return live.compute(

@@ -11,8 +11,8 @@ session. After each such piece of work the worker (pool.py) calls `changed`, whi
 samples is in answer.py and verification.py.
 
 When ~/take_sample answers, its stop is on the disk as a file of its own, synced (SessionFiles in
-bags/session.py); metadata.yaml, which repeats what the files say, is synced after the answer.
-During a verification nothing is stored until its result.
+bags/session_files.py); metadata.yaml, which repeats what the files say, is synced after the
+answer. During a verification nothing is stored until its result.
 
 Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
@@ -34,7 +34,7 @@ from typing import Any, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.agreement import count_of, sample_summary
-from handeye_ros.bags.session import (
+from handeye_ros.bags.session_files import (
     CONFIGURED,
     OutputFolders,
     REMOVED,

@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from handeye_ros import config as configuration
-from handeye_ros.bags.session import (
+from handeye_ros.bags.session_files import (
     OutputFolders,
     PARAMETERS,
     read_session,

@@ -13,7 +13,7 @@ from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.agreement import stop_snapshot
 from handeye_ros.bags.reader import CLOUD, POSE
-from handeye_ros.bags.session import read_session, sessions_in
+from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration

@@ -16,7 +16,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
-from handeye_ros.profiles.search import circles_among
+from handeye_ros.profiles.ransac import circles_among
 from handeye_ros.profiles.segment import MOST_NOISE, noise_level, returned, without_clutter
 import numpy as np
 from numpy.typing import NDArray

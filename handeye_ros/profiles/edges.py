@@ -6,7 +6,7 @@ Where a face of a profile ends in an edge, and where it only ends.
 `edge_at` decides from one end of a face: all that makes it real, or speaks against it, stands
 there. `face_features` (faces.py) chooses the face; `combine` (sampling/features.py) needs the edge
 in most profiles of a stop; in the solve a target leaves an edge unused that lies on none of its
-own (`relabel`).
+own (`reassign`).
 
 The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
 gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at its
@@ -60,20 +60,20 @@ RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 
 
 @dataclass(frozen=True, eq=False)
-class End:
+class FaceEnd:
     """
     The end of a straight piece with the last of its rows, and the frame of the face there.
 
     The other end is the last one in the reversed profile, see ends_of_segments. segments: all of
     the profile, in the order of its rows; points: (n, 2) of the profile; returns: (k,) rows with a
-    return; near: sign for which near * range is larger for nearer points.
+    return; near_sign: times a range, it is larger for nearer points.
     """
 
     segment: Segment
     segments: Sequence[Segment]
     points: Array
     returns: NDArray[np.intp]
-    near: int
+    near_sign: int
 
     @cached_property
     def behind(self) -> list[Segment]:
@@ -91,7 +91,7 @@ class End:
         return last - first - int(found[1] - found[0])
 
     @cached_property
-    def column(self) -> float:
+    def column_pitch(self) -> float:
         """Return the mean distance along x between neighbouring columns of the segment."""
         first, last = self.segment.first, self.segment.last
         return abs(float(self.points[last, 0] - self.points[first, 0])) / (last - first)
@@ -99,7 +99,7 @@ class End:
     @property
     def pitch(self) -> float:
         """Return the mean distance between neighbouring points along the face."""
-        return self.column * math.hypot(1.0, self.segment.slope)
+        return self.column_pitch * math.hypot(1.0, self.segment.slope)
 
     @cached_property
     def frame(self) -> Array:
@@ -112,7 +112,7 @@ class End:
         x, middle = (self.points.item(row, 0) for row in
                      (self.row, segment.rows.item(len(segment.rows) // 2)))
         outward = -1.0 if x < middle else 1.0
-        length, near = math.hypot(1.0, segment.slope), self.near
+        length, near = math.hypot(1.0, segment.slope), self.near_sign
         return np.array([[x, segment.height(x)],
                          [outward / length, outward * segment.slope / length],
                          [near * segment.slope / length, -near / length]])
@@ -131,20 +131,20 @@ class End:
     def rise_of(self, row: int) -> float:
         """Return by how much a point is nearer than the face line (m, along the range)."""
         x, z = self.points[row].tolist()
-        return float(self.near * (z - self.segment.height(x)))
+        return float(self.near_sign * (z - self.segment.height(x)))
 
 
 def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
-            ) -> Iterator[tuple[End, End]]:
+                     ) -> Iterator[tuple[FaceEnd, FaceEnd]]:
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
     n, returns, near = len(points), returned(points), -config.profile.range_sign
     turned = [segment.reversed(n) for segment in reversed(segments)]
     for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].rows)):
-        yield (End(turned[-1 - k], turned, points[::-1], n - 1 - returns[::-1], near),
-               End(segments[k], segments, points, returns, near))
+        yield (FaceEnd(turned[-1 - k], turned, points[::-1], n - 1 - returns[::-1], near),
+               FaceEnd(segments[k], segments, points, returns, near))
 
 
-def edge_at(end: End) -> EdgePoint | str:
+def edge_at(end: FaceEnd) -> EdgePoint | str:
     """
     Return the edge at the end of a face, or in words why it is none.
 
@@ -191,12 +191,12 @@ def edge_at(end: End) -> EdgePoint | str:
     return _last_point(end, rows, other if kind in ('step', 'shadow') else None, kind)
 
 
-def smallest_step(end: End, other: Segment) -> float:
+def smallest_step(end: FaceEnd, other: Segment) -> float:
     """Return the smallest height (m) between a face and another surface that is a step."""
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
-def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
+def _is_bevel(end: FaceEnd, other: Segment, rows: NDArray[np.intp]) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
     if other.first not in rows:
         return False
@@ -205,7 +205,7 @@ def _is_bevel(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     return size <= LARGEST_BEVEL and down > 0 and abs(u[1] - u[0]) > WALL_SLOPE * down
 
 
-def _meet_in_a_corner(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
+def _meet_in_a_corner(end: FaceEnd, other: Segment, rows: NDArray[np.intp]) -> bool:
     """Return whether two pieces end in a common corner."""
     a, b = end.segment, other
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
@@ -214,12 +214,12 @@ def _meet_in_a_corner(end: End, other: Segment, rows: NDArray[np.intp]) -> bool:
     x_end, x_start = end.points[end.row, 0], end.points[other.first, 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     bent = len(rows) > 0 and other.first - rows[-1] <= MOST_LOST
-    reach = max(ROOF_REACH * end.column, LARGEST_BEVEL if bent else 0.0)
+    reach = max(ROOF_REACH * end.column_pitch, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
 
 
-def _corner(end: End, other: Segment) -> EdgePoint:
+def _corner(end: FaceEnd, other: Segment) -> EdgePoint:
     """Return the edge where the lines of two pieces cross."""
     a, b = end.segment, other
     x = (b.offset - a.offset) / (a.slope - b.slope)
@@ -238,7 +238,7 @@ def _std_at(segment: Segment, x: float, points: Array) -> float:
     return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
 
 
-def _continuation(end: End) -> NDArray[np.intp]:
+def _continuation(end: FaceEnd) -> NDArray[np.intp]:
     """
     Return the rows behind the last point of a segment that continue its surface, outwards.
 
@@ -260,13 +260,13 @@ def _continuation(end: End) -> NDArray[np.intp]:
     return np.array(found[1:], dtype=np.intp)
 
 
-def _follows(end: End, row: int, after: int) -> bool:
+def _follows(end: FaceEnd, row: int, after: int) -> bool:
     """Return whether a row continues the surface of another one, and may curve away."""
     (x, z), (x_after, z_after) = end.points[row].tolist(), end.points[after].tolist()
-    aside, drop = abs(x_after - x), end.near * (z - z_after)
+    aside, drop = abs(x_after - x), end.near_sign * (z - z_after)
     slack = SLACK_SIGMAS * end.segment.noise
     # a driver may leave lost points out: then the next row need not be near
-    return (0 < after - row <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column
+    return (0 < after - row <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column_pitch
             and -slack < drop < STEEPEST * aside + slack)
 
 
@@ -276,7 +276,7 @@ def _leading(values: NDArray[np.bool_]) -> int:
     return len(values) if not len(values) or values[first] else first
 
 
-def _wall(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
+def _wall(end: FaceEnd, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     """
     Return position and 1 sigma (m) where a wall in the continuation (rows) meets the face line.
 
@@ -294,20 +294,21 @@ def _wall(end: End, rows: NDArray[np.intp]) -> tuple[float, float] | None:
     slope = float((v - mean) @ (u - u.mean())) / len(v) / spread ** 2
     if abs(slope) > WALL_SLOPE:
         return None
-    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.column / 12 ** 0.5
+    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.column_pitch / 12 ** 0.5
     std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
     place, least = float(u.mean() - slope * mean), _end_of_face(end, all_u, all_v)
     # a wall seen so steeply that it seems to stand below the face is badly measured
     return max(place, least), float(np.hypot(std, max(least - place, 0.0)))
 
 
-def _end_of_face(end: End, u: Array, v: Array) -> float:
+def _end_of_face(end: FaceEnd, u: Array, v: Array) -> float:
     """Return the end of the flat part of a face, with points at u along and v below it."""
     flat = _leading(v <= FLAT_SIGMAS * end.segment.noise)
     return float(u[flat - 1]) if flat else 0.0
 
 
-def _last_point(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: str) -> EdgePoint:
+def _last_point(end: FaceEnd, rows: NDArray[np.intp], ground: Segment | None, kind: str
+                ) -> EdgePoint:
     """
     Return the end of a plate before a drop, its continuation (rows) included.
 
@@ -340,7 +341,7 @@ def _last_point(end: End, rows: NDArray[np.intp], ground: Segment | None, kind: 
                    arc=(out - place) * outwards + below * downwards, arc_std=bend.middle_std)
 
 
-def _transition(end: End, last: int, ground: Segment | None) -> tuple[int, float]:
+def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, float]:
     """
     Return the number of mixed points between plate and ground, and the middle of their ramp.
 

@@ -15,7 +15,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edges import edge_at, End, ends_of_segments, smallest_step
+from handeye_ros.profiles.edges import edge_at, ends_of_segments, FaceEnd, smallest_step
 from handeye_ros.profiles.lines import face_line, on_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
@@ -68,7 +68,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     return (line, *(on_line(edge, line, line.std / white) for edge in edges))
 
 
-def _is_above(end: End, other: Segment) -> bool:
+def _is_above(end: FaceEnd, other: Segment) -> bool:
     """Return whether the adjacent surface, behind a gap or a wall, is nearer."""
     rise = end.rise_of(other.rows.item(len(other.rows) // 2))
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):

@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.profiles.search import dominant_line, NARROWEST
+from handeye_ros.profiles.ransac import dominant_line, NARROWEST
 import numpy as np
 from numpy.typing import NDArray
 

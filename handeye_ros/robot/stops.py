@@ -63,7 +63,7 @@ class Profiles:
     @property
     def unknowns(self) -> int:
         """Return the number of unknown parameters of the target."""
-        return len(self.problem.columns) - 6
+        return len(self.problem.free_columns) - 6
 
     @property
     def station(self) -> NDArray[np.intp]:
@@ -74,8 +74,8 @@ class Profiles:
         """Return the residuals with the sensor in its mount X (4, 4) and a state of the target."""
         problem = replace(self.problem, poses=in_mount(T_base_flange, self.problem.config))
         linear = linearise(problem, Estimate(X, target))
-        return Residuals(linear.residuals, linear.jacobian[:, problem.columns], linear.by_pose,
-                         whitening(linear, Noise()))
+        return Residuals(linear.residuals, linear.jacobian[:, problem.free_columns],
+                         linear.by_pose, whitening(linear, Noise()))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""

@@ -29,7 +29,7 @@ from handeye_ros.sampling.stops import (
     Stop,
     StopFinder,
 )
-from handeye_ros.sampling.stream import Copied, LARGEST_STEP, Stream
+from handeye_ros.sampling.stream import Copyable, LARGEST_STEP, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
@@ -59,11 +59,11 @@ def duplicate_pose(sample: Sample, others: Iterable[Stop], config: Config) -> st
     return ''
 
 
-class Session(Copied):
+class Session(Copyable):
     """
     Receives poses and profiles, returns each stop once, and keeps what it gives.
 
-    numbers: the last number assigned.
+    last_number: the last one assigned.
     """
 
     def __init__(self, config: Config) -> None:
@@ -75,7 +75,7 @@ class Session(Copied):
     def clear(self) -> None:
         """Forget all samples and all messages."""
         self._stops: dict[int, Stop] = {}  # the evaluated ones, by their beginnings
-        self.numbers = 0
+        self.last_number = 0
         self._next_check: tuple[int, float] = -1, 0.0  # beginning of a stop, time in it
         self._finder = StopFinder(self._config.sampling)
         self._waiting: list[Stop] = []  # for profiles
@@ -239,7 +239,7 @@ class Session(Copied):
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        if self._taken or self.numbers:
+        if self._taken or self.last_number:
             return
         poses, sampling = self._pose_stream, self._config.sampling
         if not poses.count:
@@ -390,13 +390,13 @@ class Session(Copied):
                   if other is not before and not self.excludes(other)]
         why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
             result, others, self._config)
-        return replace(stop, number=before.number if before else self.numbers + 1,
+        return replace(stop, number=before.number if before else self.last_number + 1,
                        result=Reject(result.stamp, why, final=True) if why else result)
 
     def put(self, stop: Stop, over: bool = True) -> Stop:
         """Store and return an evaluated stop, in place of an earlier part of it."""
         self._stops[stop.began] = stop
-        self.numbers = max(self.numbers, stop.number)
+        self.last_number = max(self.last_number, stop.number)
         if over:
             self.mark_taken(stop)
         return stop
@@ -406,10 +406,10 @@ class Session(Copied):
         self.mark_taken(stop)
         self._stops.pop(stop.began, None)
 
-    def restore(self, stops: Sequence[Stop], numbers: int, frame_id: str) -> None:
-        """Continue from the stops of an earlier run; numbers: how many were assigned."""
+    def restore(self, stops: Sequence[Stop], last_number: int, frame_id: str) -> None:
+        """Continue from the stops of an earlier run; last_number: the last one assigned."""
         self.clear()
-        self.numbers, self._profile_stream.frame = numbers, frame_id or None
+        self.last_number, self._profile_stream.frame = last_number, frame_id or None
         for stop in stops:
             self.put(stop)
 

@@ -20,7 +20,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.sampling.stream import around, by_stamp, Copied
+from handeye_ros.sampling.stream import around, by_stamp, Copyable
 import numpy as np
 from numpy.typing import NDArray
 
@@ -172,7 +172,7 @@ class Motion:
                 f'{np.degrees(self.turning):.1f} degrees/s')
 
 
-class StopFinder(Copied):
+class StopFinder(Copyable):
     """
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
@@ -260,7 +260,7 @@ def _turned(a: TimedPose, b: TimedPose) -> float:
     return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
 
 
-class ProfileBuffer(Copied):
+class ProfileBuffer(Copyable):
     """
     The profiles that the current stop and those that wait for profiles can use, in order.
 

@@ -37,21 +37,21 @@ by_stamp = attrgetter('stamp')
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
 
 
-class Copied:
+class Copyable:
     """Something that messages change, of which an independent copy can be made."""
 
     def copied(self) -> Self:
         """Return an independent copy; messages, which never change, are shared."""
         other = copy(self)
         for name, value in vars(self).items():
-            if isinstance(value, Copied):
+            if isinstance(value, Copyable):
                 setattr(other, name, value.copied())
             elif isinstance(value, list | set | dict | deque):
                 setattr(other, name, copy(value))
         return other
 
 
-class Stream(Copied, Generic[Stamped]):
+class Stream(Copyable, Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 

@@ -31,7 +31,7 @@ from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.least_squares import graduated, Rows, System, typical
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
-from handeye_ros.estimation.search import CONVINCING, mean_squares, relabelled, white_at
+from handeye_ros.estimation.search import CONVINCING, mean_squares, reassigned, white_at
 from handeye_ros.frames import mounted
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
@@ -230,8 +230,8 @@ def _refined(problem: Problem, start: Estimate) -> Linear:
     def refit(at: Linear, weights: Array) -> Linear:
         at = _system(at.problem).reweighted(at, np.append(weights, 1.0))
         whole = replace(at.problem, observations=problem.observations)
-        return linearise(relabelled(whole, at.estimate, at.problem), at.estimate)
-    return graduated(linearise(relabelled(problem, start), start), mean_squares, refit)
+        return linearise(reassigned(whole, at.estimate, at.problem), at.estimate)
+    return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
 
 
 def _system(problem: Problem) -> System[Linear]:
@@ -244,7 +244,7 @@ def _system(problem: Problem) -> System[Linear]:
             model = at.problem.pose_model
             assert model is not None
             by_clocks = at.by_twists(model.at(at.problem.pose_values)[1])
-            J = np.hstack([at.jacobian[:, at.problem.columns], by_clocks])
+            J = np.hstack([at.jacobian[:, at.problem.free_columns], by_clocks])
             return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
 
         def white(values: Array) -> Array:

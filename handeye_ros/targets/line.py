@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import best_of
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
-from handeye_ros.targets.target import ENDS, FACE, FaceTarget, xyz
+from handeye_ros.targets.target import END_KINDS, FACE, FaceTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +41,7 @@ TYPICAL_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 CONDITIONS = 2  # of one edge point
 # of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
-GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDS)])
+GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in END_KINDS)])
 
 
 def _turns(observations: Observations, p: Array, state: Array) -> Array:
@@ -155,7 +155,7 @@ class Line(FaceTarget):
         """Return that the turn about the line is none, without a face."""
         return {} if config.target.use_face else {'rx': (0.0, 0.0)}
 
-    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """
         Return the observations labelled, unused ones marked.

@@ -68,7 +68,7 @@ def one_surface(problem: Problem) -> list[Problem]:
 def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     """Return the distance (m) from the plane within which most stations have a surface."""
     p = problem.points_in_base(estimate.X)
-    labelled = PLANE.relabel(problem.observations, p, estimate.state, problem.config)
+    labelled = PLANE.reassign(problem.observations, p, estimate.state, problem.config)
     used = labelled.kind != UNUSED
     station, n = labelled.station[used], len(problem.poses)
     away = PLANE.conditions(p[used], labelled.kind[used], estimate.state, problem.config).g
@@ -125,7 +125,7 @@ class Plane(FaceTarget):
         return local[..., 2], np.broadcast_to([0.0, 0.0, 1.0], local.shape), np.empty(
             (*local.shape[:-1], 0))
 
-    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return the observations with one surface per station: the longest of the near ones."""
         if not self.ambiguous(observations):

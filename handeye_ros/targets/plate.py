@@ -215,7 +215,7 @@ class Plate(FaceTarget):
             'edge_angle': (np.pi / 2, target.edge_angle_std)}
         return {'size_p': (size_p, std), 'size_q': (size_q, std), **angle}
 
-    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """
         Return the observations with each edge point assigned to the nearest edge.

@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import Conditions, Linear, Observations, Tar
 import numpy as np
 from numpy.typing import NDArray
 
-ENDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
+END_KINDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
 SOURCES_PER_FEATURE = 64  # per feature, at most
@@ -54,7 +54,7 @@ class ObservationRows:
         """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
         self.points.append(points)
         self.noise.append(noise)
-        self.numbers.append((station, kind, source, 1 + ENDS.index(edge.kind) if edge else 0))
+        self.numbers.append((station, kind, source, 1 + END_KINDS.index(edge.kind) if edge else 0))
         self.outward.append(edge.direction if edge else NOWHERE)
         self.shape.append(edge.shape_std if edge else 0.0)
 
@@ -200,7 +200,7 @@ def out_of_face(linear: Linear) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Ends:
+class EndRows:
     """
     The ends of faces, m observations in all.
 
@@ -220,7 +220,7 @@ class Ends:
         return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
 
 
-def face_ends(obs: Observations) -> Ends:
+def face_ends(obs: Observations) -> EndRows:
     """Return the ends of faces among observations."""
     source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
     _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
@@ -228,7 +228,7 @@ def face_ends(obs: Observations) -> Ends:
     found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
     slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
                       where=obs.outward[:, 0] != 0)
-    return Ends(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
+    return EndRows(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
 
 
 def setbacks(linear: Linear) -> Blocks:
@@ -240,11 +240,11 @@ def setbacks(linear: Linear) -> Blocks:
     # the visible part of a bevel or a blurred step depends on the tilt
     by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
     for (kind, end), rows in ends.parts.items():
-        name = f'setback_{kinds[kind]}_{ENDS[end - 1]}'
+        name = f'setback_{kinds[kind]}_{END_KINDS[end - 1]}'
         yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std, report=name)
     for end in sorted({end for _, end in ends.parts}):
         tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
-        yield ParameterBlock(f'incidence_{ENDS[end - 1]}', tilted * std, std)
+        yield ParameterBlock(f'incidence_{END_KINDS[end - 1]}', tilted * std, std)
 
 
 def edge_shapes(linear: Linear) -> Blocks:

@@ -88,7 +88,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
     alike: dict[bytes, tuple[Problem, list[Estimate]]] = {}  # by their labels
     for start in starts:
         p = problem.points_in_base(start.X)
-        labelled = WEDGE.relabel(problem.observations, p, start.state, problem.config)
+        labelled = WEDGE.reassign(problem.observations, p, start.state, problem.config)
         part = replace(problem, observations=labelled)
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
     found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
@@ -180,7 +180,7 @@ class Wedge(FaceTarget):
         turns = delta[..., 4:5] + SHARE * delta[..., 5:]
         return super().retract(state, np.concatenate([delta[..., :4], turns], axis=-1))
 
-    def relabel(self, observations: Observations, p: Array, state: Array, config: Config
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                 ) -> Observations:
         """Return two lines per station, the best fitting ones, assigned to the two faces."""
         kind, pair = observations.kind, self.pieces(observations)

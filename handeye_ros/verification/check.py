@@ -239,7 +239,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
     problem = Problem(target, frames.mounted(samples, config), target.observe(samples),
                       replace(config, noise=noise))
     require_stations([len(np.unique(problem.observations.station))], others)
-    obs = target.relabel(problem.observations, problem.points_in_base(X), state, config)
+    obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
     return _Comparison(problem, Estimate(X, state), root_of(covariance),
                        problem.points_in_base(X).mean(axis=0), scale)

@@ -16,7 +16,7 @@ from command import assert_refused, handeye, ROOT
 from handeye_ros.agreement import evidence
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
-from handeye_ros.bags.session import (
+from handeye_ros.bags.session_files import (
     files_of,
     is_session,
     OutputFolders,

@@ -150,7 +150,7 @@ def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> Non
     made = cell(name, 0)
     solution = robust_solution(made.problem, np.random.default_rng(0))
     assert (solution.ranks == rank).all()
-    assert solution.redundancy == rank * len(made.samples) - solution.columns.shape[1]
+    assert solution.redundancy == rank * len(made.samples) - solution.derivatives.shape[1]
 
 
 def wrong(sample: Sample, rng: np.random.Generator) -> Sample:

@@ -60,7 +60,7 @@ def test_the_covariance_is_true_though_the_noise_was_stated_wrongly(factor: floa
 @pytest.mark.thorough
 def test_noise_that_was_stated_rightly_is_kept() -> None:
     noises = [final(cell('plate', seed)).noise for seed in range(10)]
-    factors = [[noise.factors[i] for i in (0, 1, 3)] for noise in noises]
+    factors = [[noise.variance_factors[i] for i in (0, 1, 3)] for noise in noises]
     sensor, edge, robot = np.abs(np.log(factors)).max(axis=0)
     assert max(sensor, robot) < math.log(2.5)
     # the own noise of 18 edge points is a fifth of their residuals' variance: they say little

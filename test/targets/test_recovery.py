@@ -96,13 +96,13 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     made = exact_cell(scenario, **VALUES.get(name, {}))
     problem, estimate = made.problem, at_truth(made)
     p = problem.points_in_base(estimate.X)
-    observations = problem.target.relabel(problem.observations, p, estimate.state,
+    observations = problem.target.reassign(problem.observations, p, estimate.state,
                                                    problem.config)
     used = observations.select(observations.kind != UNUSED)
     problem = replace(problem, observations=used)
     linear = linearise(problem, estimate)
     assert np.abs(linear.residuals).max() < 1e-9
-    J = linear.jacobian[:, problem.columns]
+    J = linear.jacobian[:, problem.free_columns]
     return np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
 
 

@@ -103,14 +103,14 @@ class Stored:
     A session on the disk.
 
     config: the last settings; stops: by number, without removed ones; taken: how many of them gave
-    a sample; numbers: the largest number so far.
+    a sample; last_number: the largest so far.
     """
 
     path: Path
     config: Config
     stops: dict[int, Stop]
     taken: int
-    numbers: int
+    last_number: int
 
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
@@ -118,7 +118,7 @@ class Stored:
         frames = (profile.frame_id for stop in self.stops.values()
                   for profile in stop.load(config).profiles)
         stops = [with_result(stop, config) for _, stop in sorted(self.stops.items())]
-        session.restore(stops, self.numbers, next(frames, ''))
+        session.restore(stops, self.last_number, next(frames, ''))
         return session
 
 
@@ -299,17 +299,17 @@ def read_session(path: Path) -> Stored:
     if not is_session(path):
         raise InputError(f'{path} is no session: expected a folder that the node made')
     stops: dict[int, Stop] = {}
-    taken, numbers, config = set[int](), 0, Config()
+    taken, last_number, config = set[int](), 0, Config()
     for file in files_of(path):
         kind, config, stop, gave_a_sample = _event_of(file)
-        numbers = max(numbers, stop.number)
+        last_number = max(last_number, stop.number)
         if kind != CONFIGURED:
             stops.pop(stop.number, None)
             taken.discard(stop.number)
         if kind == STOP:
             stops[stop.number] = stop
             taken |= {stop.number} if gave_a_sample else set()
-    return Stored(path, config, stops, len(taken), numbers)
+    return Stored(path, config, stops, len(taken), last_number)
 
 
 def load(file: Path, began: int, config: Config) -> Stop:
