@@ -37,7 +37,7 @@ from scipy.stats import chi2
 @every_method
 def test_the_solution_is_the_minimum(name: str) -> None:
     solution = solution_of(name)
-    gradient = solution.columns.T @ solution.whitened
+    gradient = solution.derivatives.T @ solution.whitened
     scale = np.sqrt(np.diag(solution.covariance))
     assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import tempfile
 
 from cells import recorded, set_to
-from handeye_ros.bags.session import OutputFolders, resumed, SessionFiles
+from handeye_ros.bags.session_files import OutputFolders, resumed, SessionFiles
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
