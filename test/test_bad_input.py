@@ -43,10 +43,6 @@ def solve(tmp_path):
     return run
 
 
-def test_a_file_that_is_not_there(tmp_path, solve):
-    assert_refused(solve(tmp_path / 'x.mcap'), 2, 'x.mcap', 'no such file or folder')
-
-
 def stamps_since_boot(profiles, poses):
     first = profiles[0].stamp
     return [replace(p, stamp=p.stamp - first + 1) for p in profiles], poses

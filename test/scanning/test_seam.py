@@ -25,7 +25,7 @@ import yaml
 START, PERIOD = 1_700_000_000_000_000_000, 10_000_000
 SMALL = {'length': 0.12, 'spacing': 5e-4}
 KINDS = {'butt': 'butt', 'lap': 'lap', 'vee': 'v', 'tee': 'fillet', 'corner': 'fillet'}
-QUICK = ('butt 3 on a table, seen all round', 'vee 6, root 2', 'tee 30, lean 45')
+QUICK = ('vee 6, root 2', 'tee 30, lean 45')
 # lean 45: its rough course bends at the ends
 
 
@@ -84,12 +84,12 @@ def test_joints_as_a_sensor_sees_them(name):
     assert off_approach(truth, frames.T_base_tool) < 1.0
     assert seam.curve.length == pytest.approx(0.04, abs=1e-3)
     assert seam.residual < 10 * seam.noise
+    if name == 'vee 6, root 2':
+        assert seam.line == 'root'
+        assert frames.measures[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
 
 
 def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
-    vee = find_seam(joint_of('vee 6, root 2').points)
-    assert vee.line == 'root'
-    assert tool_frames(vee, 5e-3).measures[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
     points = joint_of('lap 5, lean -20').points
     second = find_seam(points, line='second')
     last = second.curve.position(second.curve.last)
