@@ -22,6 +22,7 @@ from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.se3 import inverse
+from handeye_ros.targets import target_for
 import numpy as np
 
 BESIDE = 1e-3  # m: a face that is farther from the plane is another surface
@@ -51,7 +52,7 @@ class OtherSurfaceError(DataError):
 
 def require_one_surface(session: Session, config: Config) -> None:
     """Raise OtherSurfaceError where the faces of some stops lie beside the plane of all."""
-    if config.target.type not in ('plate', 'line'):
+    if not target_for(config).essential:
         return
     taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
     as_plane = changed(config, {'target.type': 'plane'})

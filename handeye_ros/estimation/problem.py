@@ -136,7 +136,8 @@ class Target(ABC):
     FeatureError without them. kinds: names of the conditions; labels: names of the parameters;
     essential: kinds of which a station must use one, if it shows any; minimum: fewest samples;
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
-    it has one; one_axis: what rotations about one axis alone leave undetermined, in words.
+    it has one; one_axis: what rotations about one axis alone leave undetermined, in words. faces:
+    how many straight lines of it one view has, 0 of a round target.
     """
 
     name: str
@@ -147,6 +148,7 @@ class Target(ABC):
     minimum = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
+    faces = 0
 
     @property
     def essential_kinds(self) -> list[int]:

@@ -193,7 +193,7 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     towards = (A[..., 1] * seen) @ together > SMALLEST_COSINE * size
     good &= (towards | (size <= SMALLEST_COSINE)).all(axis=1)
     # with as much of the faces as is needed to find what lies between them
-    if not target.essential and len(target.kinds) == 2:
+    if target.faces == 2:
         good &= _corner_seen(A, points, before, view)
     elif len(obs) == together[0].sum():  # an edge point alone
         good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)

@@ -119,8 +119,8 @@ class FaceTarget(ProfileTarget):
 
     moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
     it the same. The measures are parameters after them. edge_kinds: of the conditions of one edge
-    point; faces: how many lines one view of the target has; many: whether a profile may show
-    several surfaces, or pairs of them, of which one is the target.
+    point; many: whether a profile may show several surfaces, or pairs of them, of which one is the
+    target.
     """
 
     moves: ClassVar[Sequence[int]]
