@@ -144,7 +144,7 @@ def edges_used(problem: Problem) -> list[str]:
 
 
 def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[SampleReport]:
-    return [SampleReport(samples[i].stamp, False, reason='contradicts the other stations: its '
+    return [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
                          f'residual is {square ** 0.5:.1f} times what its noise explains')
             for i, square in solution.dropped.items()]
 

@@ -43,7 +43,7 @@ FORMAT = 'handeye_ros/comparison/1'
 FAILURES = (DataError, np.linalg.LinAlgError)  # of an estimator
 FIGURES = {  # of a row: the head of its column, in which unit, with how many digits
     'residual_rms': ('residual\nmm', 1e3, 4),
-    'holdout_rms': ('held out\nmm', 1e3, 4),
+    'holdout_rms': ('left out\nmm', 1e3, 4),
     'error_translation': ('error\nmm', 1e3, 4),
     'error_rotation': ('\ndegrees', math.degrees(1), 4),
     'error_mapped_points': ('mapped\nmm', 1e3, 4),
@@ -378,7 +378,7 @@ def tables(comparison: Comparison) -> RenderableType:
              f'{rows[0].name} finds: which samples agree, and the labels, sides or start that '
              'they need.')
     legend = ('residual: RMS of what the first method minimises, with each transform, the target '
-              'fitted to it; held out: of samples the estimator was not given')
+              'fitted to it; left out: of samples the estimator was not given')
     if with_errors:
         legend += f'\nerror: against truth.yaml; mapped: RMS over {comparison.over}'
     return Group(Text(title), transforms, figures, Text(legend))

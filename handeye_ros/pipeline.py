@@ -158,12 +158,13 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         ordered, rejects = synced.samples, [*rejects, *synced.rejects]
         # 4. Linear starts, graduated non-convexity, and outliers dropped one by one.
         problem = problem_of(ordered, config)
-        solution = robust_solution(problem, rng, True, synced.estimate)
-        # 5. Free a stated measure of the target where only this makes the samples agree.
+        solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
+        # 5. Estimate a stated shape of the target where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng)
         # 6. Where they do not agree, name the assumption that is wrong, if it is certain.
         require_agreement(ordered, problem, solution)
-        # 7. Estimate all systematic errors with their scales, and the noise; outliers again.
+        # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
+        # lengths of the target where they are stated wrongly. Refuse scales that differ.
         solution = with_free_size_if_needed(with_blocks(solution))
         require_one_scale(solution)
         fits = True

@@ -106,7 +106,7 @@ def contradiction(solution: Solution) -> UnexplainedError | None:
     total = len(solution.whole.poses)
     if len(dropped) > LARGEST_DROPPED_SHARE * total:
         return UnexplainedError(
-            f'{len(dropped)} of {total} stations contradict the others, so no answer can be '
+            f'{len(dropped)} of {total} samples contradict the others, so no answer can be '
             'trusted: check that target and sensor are fixed and that the laser crosses only the '
             'target', reason='misfit')
     times = rms / solution.expected_rms

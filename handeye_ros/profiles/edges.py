@@ -8,6 +8,15 @@ there. `face_features` (faces.py) chooses the face; `combine` (sampling/features
 in most profiles of a stop; in the solve a target leaves an edge unused that lies on none of its
 own (`reassign`).
 
+The sensor looks down on a face (===) that ends at its right:
+
+    ======         ======         ======                     ======
+         |               |              .
+         |_____          |              ._____
+    step: the      roof: a wall   shadow: a step whose       gap: nothing is
+    next surface   or face goes   foot the sensor or its     seen behind it
+    is lower       down in sight  own light does not reach
+
 The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
 gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at its
 last point before the drop, the bent end included. What lies behind the end is searched in the

@@ -65,7 +65,7 @@ def test_reasons_name_the_misfit() -> None:
     answer = solve(samples, made)
     (report,) = [r for r in answer.samples if not r.used]
     assert report.stamp == made.samples[4].stamp
-    assert 'contradicts the other stations' in report.reason and 'times' in report.reason
+    assert 'contradicts the other samples' in report.reason and 'times' in report.reason
     assert report.residual is None and answer.quality.samples_rejected == 1
     assert [r.stamp for r in answer.samples] == sorted(s.stamp for s in samples)
 
