@@ -18,11 +18,11 @@ from typing import Any
 from handeye_ros import orientations, se3
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest
+from handeye_ros.units import METRES, RADIANS
 import numpy as np
 
 LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
-UNITS = {LENGTH: {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
-         ANGLE: {'rad': 1.0, 'deg': math.radians(1.0), 'degrees': math.radians(1.0)}}
+UNITS = {LENGTH: METRES, ANGLE: RADIANS}
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}

@@ -1,12 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Lengths on the command line: plain numbers are metres, `0.3mm` and `12.5 mm` have a unit."""
+"""Units of lengths and angles: plain numbers of a command are SI, `0.3mm`, `5 deg` state one."""
 from collections.abc import Iterable
 import math
 import re
 
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
-RADIANS = {'rad': 1.0, 'deg': math.pi / 180}
+RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?\d*\.?\d+(?:e[-+]?\d+)?) *([a-z]+)')
 
 

@@ -94,11 +94,10 @@ def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str])
     settings = replace(configuration(config, assignments, stored.config if stored else None),
                        kinematics='')
     if stored:
-        joints = read_poses(path, settings, arm)
-        return source_of(stored.session(settings), joints, arm, settings, [{'path': str(path)}])
+        return source_of(stored.session(settings), read_poses(path, settings, arm), arm, settings,
+                         [{'path': str(path)}])
     recording = read_bag(path, settings, arm)
-    session = gathered(recording, settings)
-    return source_of(session, recording, arm, settings, recording.inputs)
+    return source_of(gathered(recording, settings), recording, arm, settings, recording.inputs)
 
 
 def run_verb(words: list[str]) -> int:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.arm import (
-    Arm,
     corrected_urdf,
     FORMAT,
     GEOMETRY,
@@ -50,14 +49,9 @@ class ArmAnswer:
     warnings: tuple[str, ...]
 
     @property
-    def arm(self) -> Arm:
-        """Return the arm with its errors."""
-        return self.outcome.arm
-
-    @property
     def joints(self) -> list[dict[str, Any]]:
         """Return of each joint what the URDF states, and value, std and known by kind of error."""
-        arm, entries = self.arm, []
+        arm, entries = self.outcome.arm, []
         assert arm.covariance is not None
         columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'known': self.outcome.known}
@@ -85,13 +79,13 @@ class ArmAnswer:
         saved = exports.save_all(calibration, folder, formats)
         write_whole(folder / KINEMATICS_FILE,
                     HEADER.format(limit=UNKNOWN) + yaml_text(_content(self)))
-        write_whole(folder / URDF_FILE, corrected_urdf(urdf, self.arm))
+        write_whole(folder / URDF_FILE, corrected_urdf(urdf, self.outcome.arm))
         return f'{saved}, {KINEMATICS_FILE}, {URDF_FILE}'
 
 
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
-    outcome, arm, calibration = answer.outcome, answer.arm, answer.calibration
+    outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
     assert arm.covariance is not None
     assert arm.configurations is not None
     return {

@@ -232,7 +232,7 @@ def test_two_recordings_give_one_answer(recorded):
     whole = sources.source_of(session, recording, arm, config)
     both, one = (sources.solve_sources(given, arm) for given in (
         [every_other(whole, 0), every_other(whole, 1)], [whole]))
-    assert both.arm.kinds == GEOMETRY
+    assert both.outcome.arm.kinds == GEOMETRY
     assert both.outcome.chosen.left_out_rms < 6e-5
     assert both.calibration.quality.samples_used == len(whole.samples)
     assert squared_error(both.calibration, one.calibration) < 6
