@@ -271,6 +271,30 @@ class Sample:
 
 
 @dataclass(frozen=True)
+class Term:
+    """
+    A part of the reported covariance by its 1 sigma; the squares of all parts add up.
+
+    translation (m), rotation (rad): root of the mean over the axes; mapped (m): RMS error of
+    points of the field of view, mapped by the transform.
+    """
+
+    name: str
+    translation: float
+    rotation: float
+    mapped: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The parts of the reported covariance of a solution, largest first, and their sum."""
+
+    terms: tuple[Term, ...]
+    total: Term
+    samples: int
+
+
+@dataclass(frozen=True)
 class TimeOffset:
     """Seconds to be added to the stamps of the profiles, and 1 sigma."""
 

@@ -10,10 +10,10 @@ would be hidden.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from handeye_ros import se3
-from handeye_ros.data import Array
+from handeye_ros.data import Array, Budget, Term
 from handeye_ros.estimation.basis import box
 from handeye_ros.estimation.blocks import slices
 from handeye_ros.estimation.least_squares import chi2_sf
@@ -69,30 +69,6 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, squares, 1)},
                    probability_wrong=float(probability.sum()),
                    surely_wrong=worst if sure else None)
-
-
-@dataclass(frozen=True)
-class Term:
-    """
-    A part of the reported covariance by its 1 sigma; the squares of all parts add up.
-
-    translation (m), rotation (rad): root of the mean over the axes; mapped (m): RMS error of
-    points of the field of view, mapped by the transform.
-    """
-
-    name: str
-    translation: float
-    rotation: float
-    mapped: float
-
-
-@dataclass(frozen=True)
-class Budget:
-    """The parts of the reported covariance of a solution, largest first, and their sum."""
-
-    terms: tuple[Term, ...]
-    total: Term
-    samples: int
 
 
 def budget(solution: Solution) -> Budget:

@@ -7,20 +7,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 import math
 import re
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD
-from handeye_ros.data import Array, Calibration, Quality
+from handeye_ros.data import Array, Budget, Calibration, Quality
 from handeye_ros.results.truth_file import Errors
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-
-if TYPE_CHECKING:
-    from handeye_ros.estimation.covariance import Budget
 
 # Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
 # value, factor to their unit, digits.
