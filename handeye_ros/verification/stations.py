@@ -224,8 +224,9 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     """
     Return samples of a moving robot with the poses at the best fitting time offset.
 
-    Also returns in words whether this offset is that of the calibration. X: (4, 4) sensor plane
-    in the mount. Samples that show another surface or edge are left out.
+    Also returns in words whether this offset is that of the calibration; where the robot hardly
+    moved, it stays near it. X: (4, 4) sensor plane in the mount. Samples that show another surface
+    or edge are left out.
     """
     samples = evenly(passes_expanded(samples), MOST)
     pairing = Pairing.of(samples)
@@ -244,7 +245,9 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
         scatter = 1.4826 * np.median(np.abs(r))
         if step >= ALL:
             inliers = np.abs(r) <= OUTLIER * scatter
-        x = x - np.linalg.lstsq(derivatives(distances, x)[inliers], r[inliers], rcond=None)[0]
+        prior = np.append(np.zeros(len(x) - 1), scatter / config.time_offset_std)
+        x = x - np.linalg.lstsq(np.vstack([derivatives(distances, x)[inliers], prior]),
+                                np.append(r[inliers], prior @ x), rcond=None)[0]
     r, gain = distances(x), np.linalg.pinv(derivatives(distances, x)[inliers])
     time = stations.stamps[obs.station[inliers]] // CORRELATED
     parts = np.bincount(np.unique(time, return_inverse=True)[1], gain[-1] * r[inliers])
