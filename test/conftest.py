@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 import os
 from pathlib import Path
 import signal
@@ -90,19 +90,3 @@ def client() -> Iterator[Any]:
     client = Client()
     yield client
     client.close()
-
-
-@pytest.fixture
-def handeye(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-            ) -> Callable[..., tuple[int, str, str]]:
-    """Return what runs the command in this process: its exit code, output and errors."""
-    from handeye_ros.cli import main
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, 'argv', ['handeye', *map(str, arguments)])
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(SystemExit) as caught:
-            main()
-        output = capsys.readouterr()
-        return int(caught.value.code or 0), output.out, output.err
-    return run

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 import hashlib
 from pathlib import Path
+from subprocess import CompletedProcess
 
 from calibrations import equal
-from command import ROOT
+import command
+from command import assert_refused, ROOT
 from handeye_ros import orientations, se3, tabulated
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli import simulated
@@ -28,7 +31,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 TABLES = {'points': 'points.csv', 'hand_eye': 'poses.csv', 'tracker': 'tracker.csv'}
-Run = Callable[..., tuple[int, str, str]]
+Run = Callable[..., CompletedProcess[str]]
+
+
+@pytest.fixture
+def handeye(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """Return what runs the command in the folder of the test, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    return partial(command.handeye, cwd=tmp_path)
 
 
 def target_of(name: str) -> str:
@@ -64,10 +74,10 @@ def test_solve_answers_near_the_truth_and_says_how_near(name: str, handeye: Run,
                                                         ) -> None:
     folder, table = tmp_path / 'cell', TABLES[target_of(name)]
     for seed, options, expected in ((2, (), 0), (1, (), 2), (1, ('--force',), 0)):
-        code, out, _ = handeye('simulate', name, folder, '--seed', seed, *options)
-        assert code == expected and (table in out or code)
-    code, out, err = handeye('solve', *given(name, folder), '--out', 'out')
-    assert (code, err) == (0, '')
+        made = handeye('simulate', name, folder, '--seed', seed, *options)
+        assert made.returncode == expected and (table in made.stdout or expected)
+    run = handeye('solve', *given(name, folder), '--out', 'out')
+    assert (run.returncode, run.stderr) == (0, '')
     found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     T_true = true_transform(folder)
     assert T_true is not None
@@ -88,7 +98,8 @@ def test_solve_answers_near_the_truth_and_says_how_near(name: str, handeye: Run,
         assert hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
     read = read_configured(name, folder)
     errors = errors_against(found.T_flange_sensor, T_true, read.values.field())
-    assert f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.values.over}' in out
+    told = f'mapped points {errors.mapped_points * 1e3:.3f} mm RMS over {read.values.over}'
+    assert told in run.stdout
     found.provenance.pop('created')
     assert equal(found, calibrate(read))
 
@@ -102,8 +113,8 @@ def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Pat
     else:
         folder.mkdir()
         (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))
-    code, _, err = handeye('solve', *given(name, folder), '--out', 'out')
-    assert code == 0, err
+    run = handeye('solve', *given(name, folder), '--out', 'out')
+    assert run.returncode == 0, run.stderr
     found = calibration_file.read_calibration(Path('out', 'calibration.yaml'))
     comparison = compare_files(read_configured(name, folder), made.T_flange_sensor, folds=0)
     assert comparison.refusal is None
@@ -155,13 +166,10 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     np.testing.assert_allclose(T_turned @ sensor_axes(turned), found.T_flange_sensor, atol=1e-9)
 
 
-def refused(result: tuple[int, str, str], code: int, *words: str) -> None:
+def refused(run: CompletedProcess[str], code: int, *words: str) -> None:
     """Check that a run ended with a sentence, and that nothing was answered or written."""
-    assert (result[0], result[1]) == (code, ''), result
-    assert 'Traceback' not in result[2] and len(result[2].splitlines()) == 1
-    for word in words:
-        assert word in result[2]
-    assert not Path('out').exists()
+    assert_refused(run, code, *words)
+    assert len(run.stderr.splitlines()) == 1 and not Path('out').exists()
 
 
 def rows(change: Callable[[list[str]], list[str]]) -> Callable[[str], str]:
@@ -262,10 +270,10 @@ def test_an_answer_beyond_the_limits_is_refused_and_others_may_answer(handeye: R
     for limit, words in (('translation', 'the position along'), ('rotation', 'the rotation about'),
                          ('residual', 'samples differ by 0.04')):
         refused(handeye('solve', *arguments, '--set', f'limits.{limit}=1e-6'), 3, words)
-    code, out, err = handeye('compare', *arguments, '--set', 'limits.translation=1e-6')
-    assert code == 3 and 'the position along' in err
-    assert 'points failed: the position along' in ' '.join(out.split())
-    assert 'Wu 2017' in out
+    run = handeye('compare', *arguments, '--set', 'limits.translation=1e-6')
+    assert run.returncode == 3 and 'the position along' in run.stderr
+    assert 'points failed: the position along' in ' '.join(run.stdout.split())
+    assert 'Wu 2017' in run.stdout
 
 
 @pytest.mark.parametrize(('settings', 'words'), [
