@@ -539,19 +539,19 @@ def yaml_content(text: str) -> Any:
         raise yaml.YAMLError('it is nested too deeply') from error
 
 
-def load(path: Path, config: Config | None = None) -> Config:
+def load(path: Path | str, config: Config | None = None) -> Config:
     """
     Return a configuration (default: the defaults) with the values of a ROS parameter file.
 
     Also of a dump of the node (`ros2 param dump`) with any name and namespace. Raises InputError.
     """
     try:
-        content = yaml_content(path.read_text(encoding='utf-8'))
+        content = yaml_content(Path(path).read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f'cannot read the configuration {path}: {error}') from error
     except yaml.YAMLError as error:
         raise InputError(f'{path} is not valid YAML: {error}') from error
-    return with_values(config or Config(), _node_values(content, path), str(path))
+    return with_values(config or Config(), _node_values(content, Path(path)), str(path))
 
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:

@@ -3,10 +3,10 @@
 """Frozen values that pass between the stages (docs/contract.md): SI units, stamps in ns."""
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from handeye_ros.config import ProfileConfig
 from handeye_ros.errors import InputError
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
+T = TypeVar('T')
 # keys of estimated values: two times (s), and how much faster the clock of the profiles runs
 TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
 QUATERNION_TOLERANCE = 1e-3  # of its length
@@ -143,6 +144,20 @@ class TimedPose:
 def _require_stamp(what: str, stamp: object) -> None:
     if type(stamp) is not int and not isinstance(stamp, Integral):
         raise InputError(f'stamp of a {what} is {stamp!r}, expected whole nanoseconds (int)')
+
+
+def require_type(name: str, value: object, *types: type) -> None:
+    """Raise InputError, which names the argument, for a value of none of some types."""
+    if not isinstance(value, types):
+        raise InputError(f'{name}: {_form(value)}, expected {types[0].__name__}')
+
+
+def require_each(name: str, values: Iterable[T], *types: type) -> Iterator[T]:
+    """Yield values; raises InputError, which names the argument, for one of none of some types."""
+    require_type(name, values, Iterable)
+    for value in values:
+        require_type(name, value, *types)
+        yield value
 
 
 def _form(value: object) -> str:

@@ -35,7 +35,17 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
-from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
+from handeye_ros.data import (
+    AnyProfile,
+    Calibration,
+    Profile,
+    RawProfile,
+    Reject,
+    require_each,
+    require_type,
+    Sample,
+    TimedPose,
+)
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.problem import Problem
@@ -97,13 +107,15 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     """
     Return the samples and rejects of a recording, its messages in the order of their stamps.
 
-    Raises DataError when it holds no stops, InputError for numbers that are no pose.
+    Raises DataError when it holds no stops, InputError for other arguments, and for numbers that
+    are no pose.
     """
+    require_type('config', config, Config)
     session = Session(config)
-    for pose in poses:
+    for pose in require_each('poses', poses, TimedPose):
         pose.require_values()
         session.add_pose(pose)
-    for profile in profiles:
+    for profile in require_each('profiles', profiles, Profile, RawProfile):
         session.add_profile(profile)
     session.finish()
     session.require_stops()

@@ -245,7 +245,11 @@ ORIGIN, NO_TURN = np.zeros(3), np.array([0.0, 0, 0, 1])
     (lambda: TimedPose(1, [0, 0, 0], NO_TURN), 'translation of a pose is a list'),
     (lambda: gather([], [TimedPose(1, ORIGIN * np.nan, NO_TURN)], Config()),
      'translation of a pose'),
-    (lambda: gather([], [TimedPose(1, ORIGIN, 0 * NO_TURN)], Config()), 'quaternion of a pose')])
+    (lambda: gather([], [TimedPose(1, ORIGIN, 0 * NO_TURN)], Config()), 'quaternion of a pose'),
+    (lambda: gather([TimedPose(1, ORIGIN, NO_TURN)], [], Config()), 'profiles: a TimedPose, expe'),
+    (lambda: gather([], [np.eye(4)], Config()), r'poses: an array \(4, 4\) of float64, expected'),
+    (lambda: gather(None, [], Config()), 'profiles: a NoneType, expected Iterable'),
+    (lambda: gather([], [], {}), 'config: a dict, expected Config')])
 def test_wrong_input_is_refused_by_name(make: Callable[[], object], named: str) -> None:
     with pytest.raises(InputError, match=named):
         make()

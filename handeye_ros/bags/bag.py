@@ -29,7 +29,7 @@ from handeye_ros.bags.messages import (
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, Reader, TF
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.data import Array, Profile, RawProfile, require_type, TimedPose
 from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import (
@@ -97,7 +97,7 @@ def _left_out(reasons: Sequence[str], total: int, what: str) -> list[str]:
     return [f'{len(reasons)} of {total} {what} were left out; the first: {reasons[0]}']
 
 
-def read(path: Path, config: Config, progress: Callable[[float], None] = lambda share: None,
+def read(path: Path | str, config: Config, progress: Callable[[float], None] = lambda share: None,
          arm: Arm | None = None) -> Recording:
     """
     Return the profiles and flange poses in a rosbag2 folder or an .mcap or .db3 file.
@@ -107,11 +107,12 @@ def read(path: Path, config: Config, progress: Callable[[float], None] = lambda 
     Raises InputError when the bag or its topics cannot be read, and DataError when its stamps mix
     two runs, or profiles and poses do not overlap in time.
     """
+    require_type('config', config, Config)
     converter = ProfileReader(config.profile)
     clouds = _Topic('profile_topic', config.profile_topic, CLOUD,
                     lambda raw: converter.take(raw.data, raw.fetch))
     topics, poses_of = _pose_source(config, arm)
-    reader = _read_topics(path, (clouds, *topics), progress)
+    reader = _read_topics(Path(path), (clouds, *topics), progress)
     profiles: list[RawProfile] = []
     previous = None
     for message in clouds.ordered(reader):

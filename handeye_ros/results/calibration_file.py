@@ -37,14 +37,13 @@ LARGEST = sys.float_info.max  # also of whole numbers
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 
 
-def write_calibration(calibration: Calibration, path: Path) -> None:
+def write_calibration(calibration: Calibration, path: Path | str) -> None:
     """
     Write a calibration as YAML; the time is added to the provenance if missing.
 
     Raises UnwritableError; then nothing is left behind.
-
     """
-    write_whole(path, text(dated(calibration)))
+    write_whole(Path(path), text(dated(calibration)))
 
 
 def dated(calibration: Calibration) -> Calibration:
@@ -121,8 +120,9 @@ def file_of(path: Path) -> Path:
     return path / NAME if path.is_dir() else path
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
+    path = Path(path)
     file = Section(path, content_of(path))
     require_format(path, file.get('format', str), FORMAT)
     T = transform_from(path, 'transform', file.get('transform', dict))
