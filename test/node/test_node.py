@@ -73,6 +73,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
     poses = heard(client, PoseStamped, '/handeye/next_pose')
     with running_node(tmp_path, '--params-file', str(PLATE), '-p', 'guidance.accuracy:=1e-5'):
         client.connect()
+        client.until(lambda: client.node.count_publishers('/handeye/features'), 'all is there')
         client.until(lambda: texts, 'there is advice before the first sample')
         assert texts[0].data.startswith('Take the first sample: ')
         replay(bag)
@@ -246,9 +247,11 @@ def declared(*arguments: str):
     """Return the configuration of a node with these arguments."""
     context = Context()
     rclpy.init(args=['--ros-args', *arguments], context=context)
+    node = Node('declared', context=context)  # no second /handeye for the tests that follow
     try:
-        return declare(Node('handeye', context=context), OutputFolders())[0]
+        return declare(node, OutputFolders())[0]
     finally:
+        node.destroy_node()
         rclpy.shutdown(context=context)
 
 
