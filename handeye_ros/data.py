@@ -176,7 +176,7 @@ class FaceLine:
     centre, and of the change of the offset over one spread (m). So the offsets at
     centre +- spread * direction are uncorrelated, each with 1 sigma sqrt(2) * std.
     points: (k, 2) normal points: means of equal bins of measured points, in order; points_std:
-    (k,) 1 sigma of each across the line. blocks: (m, 2) means of finer bins, whose scatter gives
+    (k,) 1 sigma of each across the line. bins: (m, 2) means of finer parts, whose scatter gives
     std and points_std. All three are empty if only the line is known.
     """
 
@@ -186,7 +186,7 @@ class FaceLine:
     std: float
     points: Array = field(default_factory=lambda: np.empty((0, 2)))
     points_std: Array = field(default_factory=lambda: np.empty(0))
-    blocks: Array = field(default_factory=lambda: np.empty((0, 2)))
+    bins: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def ends(self) -> Array:

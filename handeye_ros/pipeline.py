@@ -215,7 +215,7 @@ def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answ
 
 
 def at_fixed_poses(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
-    """Return the samples that answer uses, and their problem with constant poses."""
+    """Return samples prepared as answer does, none dropped, and their problem at fixed poses."""
     ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
     ordered = synchronised(ordered, config).samples
     return ordered, problem_at_poses(ordered, config)

@@ -133,7 +133,7 @@ def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock
     """
     columns = np.hsplit(_by_steps(solution), 2)[kind]
     columns[solution.problem.observations.station < station] = 0.0
-    return tuple(ParameterBlock(name, columns[:, part], float(STEP[part][0]), largest=1.0)
+    return tuple(ParameterBlock(name, columns[:, part], float(STEP[part][0]), largest_variance=1.0)
                  for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 

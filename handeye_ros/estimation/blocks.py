@@ -54,8 +54,8 @@ class ParameterBlock:
     in Linear.by_pose; None: no change. best_fit(linear): (6, k) derivatives of the best-fit
     transform. Parameters that are not only corrections of the residuals: parameter: index of the
     target's parameter, pose_values: which values of the pose model; value: (k,) at present.
-    least, largest: bounds of the variance over the configured one. report: key in the answer, ''
-    for none; origin: added to the reported value of one parameter.
+    least_variance, largest_variance: bounds of the variance over the configured one. report: key
+    in the answer, '' for none; origin: added to the reported value of one parameter.
     """
 
     name: str
@@ -66,8 +66,8 @@ class ParameterBlock:
     parameter: int | None = None
     pose_values: slice | None = None
     value: Array | None = None
-    least: float = 0.0
-    largest: float = 400.0  # 20 times the sigma
+    least_variance: float = 0.0
+    largest_variance: float = 400.0  # 20 times the sigma
     report: str = ''
     origin: float = 0.0
 
@@ -100,7 +100,7 @@ def stated_measures(linear: Linear) -> Blocks:
         if std > 0:
             yield ParameterBlock(label, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
                                  value=own - stated,
-                                 largest=1e8)  # a stated measure may be plainly wrong
+                                 largest_variance=1e8)  # a stated measure may be plainly wrong
 
 
 def robot_scale(linear: Linear) -> Blocks:
@@ -201,7 +201,8 @@ def pose_model(linear: Linear) -> Blocks:
         some = slice(int(end) - count, int(end))
         own = twists[:, :, some]
         yield ParameterBlock(name, linear.by_twists(own) * std, std, own, pose_values=some,
-                             value=problem.pose_values[some], least=model.least, report=name)
+                             value=problem.pose_values[some],
+                             least_variance=model.least_variance, report=name)
 
 
 def slices(blocks: Sequence[ParameterBlock], first: int = 0

@@ -85,8 +85,8 @@ class PoseModel:
     both in the base frame. names, counts, stds: of the blocks of parameters in order, stds: 1
     sigma of the prior about 0. jitter: (k,) 1 sigma of independent errors of the values at each
     station, as of stamps; None: none. stations: indices of the problem's stations among
-    the N, None: all. least: see ParameterBlock. blocks: source of further blocks for such poses,
-    or None.
+    the N, None: all. least_variance: see ParameterBlock. blocks: source of further blocks for such
+    poses, or None.
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -94,7 +94,7 @@ class PoseModel:
     counts: tuple[int, ...]
     stds: tuple[float, ...]
     stations: NDArray[np.intp] | None = None
-    least: float = 0.0
+    least_variance: float = 0.0
     blocks: Any = None
     jitter: Array | None = None
 

@@ -206,12 +206,12 @@ class Solution:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         x, covariance = self._solved
         u, first = self.unknowns, np.cumsum([0, *self._counts])[:-1]
-        largest = np.array([block.largest for block in self.priors])
+        largest = np.array([block.largest_variance for block in self.priors])
         return prior_scales(covariance[u:, u:], x[u:], first, self._variances, largest)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
-        named = {block.name: max(float(v), block.least)
+        named = {block.name: max(float(v), block.least_variance)
                  for block, v in zip(self.priors, variances, strict=True)}
         return replace(self, noise=replace(self.noise, block_variances=named))
 

@@ -34,7 +34,7 @@ STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 NORMAL_POINTS = 12
-BLOCKS = 4  # per bin of an arc: their scatter gives the variance of its normal point
+BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
 MOST_SCATTER = 2.5  # largest RMS distance of an arc's points from their circle, in sigmas
 EXPECTED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
 SLOWEST = 0.5  # largest share of the normal points in the scatter
@@ -263,9 +263,9 @@ def normal_points(raw: Array) -> Arc:
 def _variance(residual: Array, of_bins: Array, size: float) -> float:
     """Return the variance of a normal point, the mean of a bin of the residuals (n,)."""
     white = float(residual @ residual) / max(len(residual) - 3, 1) / size
-    blocks = bin_means(residual, BLOCKS * len(of_bins))[0] if size > 2 * BLOCKS else of_bins
-    fine = variance_of_bins(blocks, white * len(blocks) / len(of_bins))
+    finer = bin_means(residual, BINS * len(of_bins))[0] if size > 2 * BINS else of_bins
+    fine = variance_of_bins(finer, white * len(finer) / len(of_bins))
     # what is alike over a whole bin scatters between them
     coarse = float(of_bins @ of_bins) / max(len(of_bins) - 3, 1)
     coarse = coarse if coarse > SURELY_MORE * white else white
-    return max(fine * len(of_bins) / len(blocks), coarse)
+    return max(fine * len(of_bins) / len(finer), coarse)

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 NORMAL_POINTS = 6
-BLOCKS = 24  # blocks whose scatter gives the variance of the normal points
-FEWEST_POINTS = 4  # of a block
-FEWEST_BLOCKS = 6
+BINS = 24  # bins whose scatter gives the variance of the normal points
+FEWEST_POINTS = 4  # of a bin
+FEWEST_BINS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
 
 
@@ -32,10 +32,10 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, std = float(measured[:, 0].mean()), float(measured[:, 0].std())
-    blocks, count = bin_means(measured, BLOCKS if n >= BLOCKS * FEWEST_POINTS else min(
+    bins, count = bin_means(measured, BINS if n >= BINS * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
     centre = np.array([middle, segment.height(middle)])
-    return _line(centre, segment.slope, std * length, blocks,
+    return _line(centre, segment.slope, std * length, bins,
                  (segment.noise / length) ** 2 * len(count) / n)
 
 
@@ -60,9 +60,9 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
     centre (2,), slope: of the combined line; scatter: 1 sigma of the lines' offsets (m). Errors
     that repeat in every profile, such as speckle, do not average out.
     """
-    size = min(len(line.blocks) for line in lines)
-    same = [line for line in lines if len(line.blocks) == size]
-    each, n = np.array([line.blocks for line in same]), len(same)
+    size = min(len(line.bins) for line in lines)
+    same = [line for line in lines if len(line.bins) == size]
+    each, n = np.array([line.bins for line in same]), len(same)
     across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
     white = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
              float(np.mean([line.std ** 2 for line in same])) * size)
@@ -73,14 +73,14 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
                    points_std=np.sqrt(line.points_std ** 2 + shared))
 
 
-def _line(centre: Array, slope: float, spread: float, blocks: Array, white: float) -> FaceLine:
-    """Return the line with blocks (m, 2); white: the variance of each for independent noise."""
+def _line(centre: Array, slope: float, spread: float, bins: Array, white: float) -> FaceLine:
+    """Return the line with bins (m, 2); white: the variance of each for independent noise."""
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
-    across = (blocks - centre) @ np.array([-direction[1], direction[0]])
+    across = (bins - centre) @ np.array([-direction[1], direction[0]])
     variance = variance_of_bins(across, white)
-    normal_points, size = bin_means(blocks, min(NORMAL_POINTS, len(blocks)))
-    return FaceLine(centre, direction, spread, math.sqrt(variance / len(blocks)),
-                    normal_points, np.sqrt(variance / size), blocks)
+    normal_points, size = bin_means(bins, min(NORMAL_POINTS, len(bins)))
+    return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
+                    normal_points, np.sqrt(variance / size), bins)
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
@@ -97,23 +97,23 @@ def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, np.diff(first, append=size)
 
 
-def variance_of_bins(blocks: Array, white: float) -> float:
+def variance_of_bins(bins: Array, white: float) -> float:
     """
-    Return the variance of the means (k,) of neighbouring blocks of residuals.
+    Return the variance of the means (k,) of neighbouring bins of residuals.
 
-    white: the variance for white noise; it is returned unless the blocks scatter significantly
+    white: the variance for white noise; it is returned unless the bins scatter significantly
     more.
     """
-    if len(blocks) < FEWEST_BLOCKS:
+    if len(bins) < FEWEST_BINS:
         return white
-    seen = _variance(blocks)
+    seen = _variance(bins)
     if seen <= SURELY_MORE * white:
         return white
-    # speckle that is wider than a block makes two neighbours alike
-    pairs = blocks[:len(blocks) // 2 * 2].reshape(-1, 2).mean(axis=1)
-    return max(seen, 2 * _variance(pairs)) if len(pairs) >= FEWEST_BLOCKS else seen
+    # speckle that is wider than a bin makes two neighbours alike
+    pairs = bins[:len(bins) // 2 * 2].reshape(-1, 2).mean(axis=1)
+    return max(seen, 2 * _variance(pairs)) if len(pairs) >= FEWEST_BINS else seen
 
 
-def _variance(blocks: Array) -> float:
-    second = blocks[:-2] - 2 * blocks[1:-1] + blocks[2:]
+def _variance(bins: Array) -> float:
+    second = bins[:-2] - 2 * bins[1:-1] + bins[2:]
     return float(second @ second) / (6 * len(second))

@@ -133,7 +133,7 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     unknown, stds = _unknown(config)
     model = PoseModel(
         partial(_poses_and_twists, pairing, unknown), tuple(CLOCKS[k] for k in unknown),
-        (1,) * len(stds), tuple(stds.tolist()), least=1.0,
+        (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, pairing.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
     found = (*next(s.offsets for s in samples if s.moving), 0.0, 0.0)

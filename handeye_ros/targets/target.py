@@ -258,7 +258,7 @@ def edge_shapes(linear: Linear) -> Blocks:
         rows = np.any([own for (k, _), own in ends.parts.items() if k == kind], axis=0)
         # it comes from few points of a curve, and is extrapolated
         yield ParameterBlock(f'shape_{linear.problem.target.kinds[kind]}',
-                             np.where(rows, outwards, 0.0)[:, None], 1.0, least=1.0)
+                             np.where(rows, outwards, 0.0)[:, None], 1.0, least_variance=1.0)
 
 
 def face_kinds(target: Target) -> list[int]:
