@@ -108,7 +108,10 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
     # a smaller one may be part of the robot's smooth error
-    clear = evidence > DECISIVE or math.hypot(shift, TURN_LENGTH * turn) > LARGE * smooth
+    size = math.hypot(shift, TURN_LENGTH * turn)
+    clear = evidence > DECISIVE or size > LARGE * smooth
+    if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
+        clear = clear and size > config.noise.robot_smooth
     if evidence < STRONG or not clear or (p_value := at_noise_of(moved).p_value) >= RARELY:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]

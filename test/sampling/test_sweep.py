@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from streams import pose, START
 
@@ -123,6 +124,20 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     assert squared_error(found, made.truth) < 15
     assert abs(found.target['clock_drift'] + drift) < 4 * found.target['clock_drift_std'] < 1e-4
     assert 'drift apart by -' in found.target['note']
+    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+
+
+@pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.thorough)])
+def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> None:
+    scenario, rng = SCENARIOS['small_plate_sweep'], np.random.default_rng(100 + seed)
+    made = simulate(scenario, np.random.default_rng(seed))
+    seconds = (np.array([pose.stamp for pose in made.poses]) - made.poses[0].stamp) * 1e-9
+    knots = np.arange(0.0, seconds[-1] + 20.0, 6.0)
+    away = CubicSpline(knots, rng.normal(0.0, 3e-5, (len(knots), 3)))(seconds)
+    poses = [replace(pose, translation=pose.translation + error)
+             for pose, error in zip(made.poses, away, strict=True)]
+    found = pipeline.calibrate(made.profiles, poses, config_of(scenario))
+    assert squared_error(found, made.truth) < 15
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
 
 
