@@ -35,7 +35,7 @@ from handeye_ros.frames import in_mount, mount_frame
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.calibration_file import input_values, transform_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, TableAnswer, thousandth
+from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, scaled, TableAnswer
 import numpy as np
 
 MOST_PAIRS = 2000
@@ -210,7 +210,7 @@ def read(path: Path, config: Config) -> Input:
                 other = table.poses('flange', name)
                 yield Misreading(words, remedy, views(other))
                 yield Misreading(f'{words}, in mm', f'{remedy}, and write the unit in the header, '
-                                 'as in flange_x [mm]', views(thousandth(other)))
+                                 'as in flange_x [mm]', views(scaled(other, 1e-3)))
 
     return Input(views(flange), config.sensor_frame, (input_values(path),), tuple(otherwise()))
 

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
+NEAREST, FARTHEST = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
 CLEAR = 0.2  # of misfit and of spread: a misreading with more does not explain the values
 
 Index: TypeAlias = NDArray[np.intp]
@@ -109,23 +110,43 @@ class Lists(Values):
                          for values in (self.seen, self.robot)))
 
     def in_other_units(self, seen: str, robot: str) -> Iterator[Misreading]:
-        """Yield the values with the other ratio of units; seen, robot: prefixes of the columns."""
-        remedy = ('correct the unit in the header of ' + ', or of '.join(
-            ', '.join(f'{prefix}_{axis}' for axis in 'xyz') for prefix in (seen, robot)))
-        for prefix, other in ((seen, replace(self, seen=thousandth(self.seen))),
-                              (robot, replace(self, robot=thousandth(self.robot)))):
-            yield Misreading(f'the positions of the {prefix} 1000 times smaller', remedy, other)
+        """
+        Yield the values with the other ratio of units; seen, robot: prefixes of the columns.
+
+        The ratio does not say which list is wrong: the one is named that is nowhere in a cell.
+        """
+        lists = {seen: (self.seen, lambda values: replace(self, seen=values)),
+                 robot: (self.robot, lambda values: replace(self, robot=values))}
+        for large, small in ((seen, robot), (robot, seen)):
+            (values, with_values), (others, with_others) = lists[large], lists[small]
+            if _reach(others) < NEAREST and _reach(values) < FARTHEST:
+                yield Misreading(f'the positions of the {small} 1000 times larger',
+                                 _unit_of(small), with_others(scaled(others, 1e3)))
+            else:
+                wrong = (large,) if _reach(values) > FARTHEST else (large, small)
+                yield Misreading(f'the positions of the {large} 1000 times smaller',
+                                 _unit_of(*wrong), with_values(scaled(values, 1e-3)))
 
 
 def _positions(values: Array) -> Array:
     return values if values.ndim == 2 else values[:, :3, 3]
 
 
-def thousandth(values: Array) -> Array:
-    """Return points (n, 3) or poses (n, 4, 4) with their positions 1000 times smaller."""
+def _reach(values: Array) -> float:
+    """Return the typical distance (m) of positions from the origin of their frame."""
+    return float(np.median(np.linalg.norm(_positions(values), axis=1)))
+
+
+def _unit_of(*prefixes: str) -> str:
+    return 'correct the unit in the header of ' + ', or of '.join(
+        ', '.join(f'{prefix}_{axis}' for axis in 'xyz') for prefix in prefixes)
+
+
+def scaled(values: Array, factor: float) -> Array:
+    """Return points (n, 3) or poses (n, 4, 4) with their positions times a factor."""
     if values.ndim == 2:
-        return 1e-3 * values
-    return se3.transform(values[:, :3, :3], 1e-3 * values[:, :3, 3])
+        return factor * values
+    return se3.transform(values[:, :3, :3], factor * values[:, :3, 3])
 
 
 class Misreading(NamedTuple):

@@ -211,7 +211,7 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
     ('points', in_unit('camera', 'm'), 3, 'of the camera 1000 times smaller they agree'),
     ('hand_eye', rows(lambda lines: lines[:2]), 3, 'needs at least 3 poses, got 2'),
     ('hand_eye', rows(lambda lines: lines[:1] * 5), 3, 'all poses share one orientation'),
-    ('hand_eye', in_unit('flange', 'um'), 3, 'of the target 1000 times smaller they agree'),
+    ('hand_eye', in_unit('flange', 'um'), 3, 'of the flange 1000 times larger they agree'),
     ('hand_eye', in_unit('flange', 'm'), 3, 'of the flange 1000 times smaller they agree'),
     ('hand_eye', in_unit('target', 'm'), 3, 'of the target 1000 times smaller they agree'),
     ('hand_eye', in_order('flange', 'yzwx'), 3, 'flange quaternions as w x y z they agree'),
