@@ -9,7 +9,7 @@ as other units and notations would give them: what fits is named, never used.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
@@ -115,8 +115,9 @@ class Lists(Values):
 
         The ratio does not say which list is wrong: the one is named that is nowhere in a cell.
         """
-        lists = {seen: (self.seen, lambda values: replace(self, seen=values)),
-                 robot: (self.robot, lambda values: replace(self, robot=values))}
+        lists: dict[str, tuple[Array, Callable[[Array], Lists]]] = {
+            seen: (self.seen, lambda values: replace(self, seen=values)),
+            robot: (self.robot, lambda values: replace(self, robot=values))}
         for large, small in ((seen, robot), (robot, seen)):
             (values, with_values), (others, with_others) = lists[large], lists[small]
             if _reach(others) < NEAREST and _reach(values) < FARTHEST:
