@@ -15,6 +15,7 @@ from handeye_ros.estimation.solve import Solution
 import numpy as np
 
 CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+LENGTHS = 'size_p', 'size_q'  # of a plate
 SMALLEST_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
@@ -122,15 +123,19 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     target, state = solution.problem.target, solution.estimate.state
     stated, used = target.stated(config), target.stated(solution.problem.config)
     best = parameters(solution)
+    values = dict(zip(target.labels, state[-len(target.labels):].tolist(), strict=True))
+    # edge p may be either of the two stated lengths
+    lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
+        abs(size - values[name]) for name, size in zip(LENGTHS, sizes, strict=False)))
     for name, one in parameters(solution.for_report).items():
-        k = one.block.parameter
-        if k is None or one.block.count > 1:
+        if one.block.parameter is None or one.block.count > 1:
             continue
-        freed, estimated = used[name][1] > stated[name][1], float(state[k - len(target.labels)])
-        if freed or abs(one.contradiction) > NOTED_CONTRADICTION:
-            first = min(config.target.size, key=lambda size: abs(size - estimated)) if (
-                freed) else estimated - best[name].value
-            yield _measure_note(name, first, estimated, one.std)
+        first, noted = values[name] - best[name].value, one.contradiction
+        if used[name][1] > stated[name][1]:  # that was freed
+            first = lengths[LENGTHS.index(name)]
+            noted = NOTED_CONTRADICTION * (values[name] - first) / one.std
+        if abs(noted) > NOTED_CONTRADICTION:
+            yield _measure_note(name, first, values[name], one.std)
     for label, (first, tolerance) in stated.items():
         if label in used:
             continue  # others were given up, to make the stations agree

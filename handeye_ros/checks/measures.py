@@ -14,7 +14,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING, robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount
-from handeye_ros.notes import CONTRADICTION, parameters
+from handeye_ros.notes import CONTRADICTION, LENGTHS, parameters
 import numpy as np
 
 VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
@@ -57,7 +57,7 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
         agreed.linear, problem=replace(problem, config=free))))
     found, before = (parameters(one.for_report) for one in (other, agreed))
-    lengths = [found[name] for name in ('size_p', 'size_q') if name in found]
+    lengths = [found[name] for name in LENGTHS if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
     scales = [each['scale'] for each in (before, found) if 'scale' in each]
     seen = [abs(one.value) > FREED_FROM * one.std for one in scales]
