@@ -115,7 +115,7 @@ NS = 1_000_000_000
 
 @lru_cache(maxsize=2)
 def recorded(target: str) -> tuple[Simulated, Config]:
-    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=10.0))
+    scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
     return (simulate(scenario, np.random.default_rng(1)),
             settings_of(scenario))
 
