@@ -130,11 +130,12 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     for name, one in parameters(solution.for_report).items():
         if one.block.parameter is None or one.block.count > 1:
             continue
-        first, noted = values[name] - best[name].value, one.contradiction
-        if used[name][1] > stated[name][1]:  # that was freed
+        first = values[name] - best[name].value
+        noted = abs(one.contradiction) > NOTED_CONTRADICTION
+        if used[name][1] > stated[name][1]:  # both lengths were freed, though one may be right
             first = lengths[LENGTHS.index(name)]
-            noted = NOTED_CONTRADICTION * (values[name] - first) / one.std
-        if abs(noted) > NOTED_CONTRADICTION:
+            noted = abs(values[name] - first) > one.std
+        if noted:
             yield _measure_note(name, first, values[name], one.std)
     for label, (first, tolerance) in stated.items():
         if label in used:

@@ -75,12 +75,12 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation)
     """
     asked = [k for k, sample in enumerate(samples) if sample.flipped is not None]
     stated = replace(stated, q=stated.q[:, asked])
-    others = [replace(samples[k], features=samples[k].flipped or ()) for k in asked]
+    others = [replace(samples[k], features=seen) if (seen := samples[k].flipped) else None
+              for k in asked]
     flipped = flipped_range(config)
     values = {SIGN: str(flipped.profile.range_sign)}
-    refuse_better(stated, [Hypothesis(
-        partial(fit_of, [one if one.features else None for one in others], flipped),
-        partial(to_set, values, stated))])
+    refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped),
+                                      partial(to_set, values, stated))])
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:

@@ -70,6 +70,17 @@ def test_lengths_that_are_both_wrong_are_not_taken_for_a_scale(off: float, seed:
     assert error < 1e-4
 
 
+@pytest.mark.parametrize('seed', [1, 3, 4])
+def test_of_two_stated_lengths_only_the_wrong_one_is_named(seed: int) -> None:
+    length = SCENARIOS['plate'].target.size[0]
+    square = replace(SCENARIOS['plate'].target, size=(length, length))
+    found, error = solved(replace(SCENARIOS['plate'], target=square, wrong_edges=6), seed,
+                          target__size=[length + 1e-3, length])
+    assert f'not the configured {(length + 1e-3) * 1e3:.3f}: the' in found.target['note']
+    assert found.target['note'].count('not the configured') == 1
+    assert error < 1e-4
+
+
 @pytest.mark.parametrize('seed', [25, 42, 52])
 def test_a_scale_that_only_stated_lengths_show_is_not_believed(seed: int) -> None:
     size = [length + 0.3e-3 for length in SCENARIOS['plate'].target.size]
