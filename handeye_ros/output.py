@@ -107,12 +107,12 @@ def image(drawing: Any) -> str:
 
 
 def page(template: str, **values: Any) -> str:
-    """Return a page, or another text, by its template in results/assets."""
-    from jinja2 import Environment, PackageLoader, select_autoescape, StrictUndefined
+    """Return a page by its template in results/assets."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
     pages = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
-                        autoescape=select_autoescape(), undefined=StrictUndefined,
-                        trim_blocks=True, lstrip_blocks=True)
+                        autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                        lstrip_blocks=True)
     pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
     return pages.get_template(template).render(
         version=__version__, now=datetime.now(UTC).isoformat(timespec='seconds'), **values)

@@ -9,13 +9,11 @@ does not evaluate such annotations.
 """
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass, replace
-from inspect import cleandoc
+from functools import partial
 from pathlib import Path
-import re
 import sys
-from typing import Annotated, Any, get_args, get_origin, Optional, TYPE_CHECKING, TypeVar
+from typing import Annotated, Any, Optional, TYPE_CHECKING
 
 from handeye_ros import __version__
 from handeye_ros.errors import HandeyeError
@@ -32,12 +30,8 @@ if TYPE_CHECKING:
     from handeye_ros.sampling.trajectory import Trajectory
     from handeye_ros.tabulated.values import Input as TableInput
 
+File, Folder, Length = (partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
-File = Annotated[Path, typer.Option(metavar='FILE')]
-NoFile = Annotated[NoPath, typer.Option(metavar='FILE')]
-Files = Annotated[list[Path], typer.Option(metavar='FILE')]
-Folder = Annotated[Path, typer.Option(metavar='DIR')]
-Length = Annotated[str, typer.Option(metavar='L')]
 Bag = Annotated[Path, typer.Argument(help='A rosbag2 folder, or an .mcap or .db3 file.')]
 Input = Annotated[Path, typer.Argument(metavar='INPUT', help=(
     'A bag: a rosbag2 folder, or an .mcap or .db3 file; for points and hand_eye a CSV '
@@ -47,17 +41,17 @@ ConfigFile = Annotated[NoPath, typer.Option(
 Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
     'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
-KinematicsFile = Annotated[NoPath, typer.Option('--kinematics', metavar='FILE', help=(
+KinematicsFile = Annotated[NoPath, File('--kinematics', help=(
     'A kinematics.yaml, for a bag that holds joint values: the flange poses are those of its '
     'corrected arm.'))]
 Angles = Annotated[str, typer.Option(
     metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
     'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
-CalibrationFile = Annotated[Path, typer.Option(
-    '--calibration', metavar='FILE', help='The calibration.yaml of this sensor.')]
+CalibrationFile = Annotated[Path, File(
+    '--calibration', help='The calibration.yaml of this sensor.')]
 MeasureConfig = Annotated[NoPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
-OutFile = Annotated[NoPath, typer.Option(metavar='FILE', help='Write the result as YAML too.')]
+OutFile = Annotated[NoPath, File(help='Write the result as YAML too.')]
 INTERRUPTED = 130
 
 
@@ -224,25 +218,6 @@ def one_of(*names: str) -> Callable[[str], str]:
 
 app = typer.Typer(cls=Verbs, no_args_is_help=True, rich_markup_mode=None,
                   pretty_exceptions_enable=False)
-Verb = TypeVar('Verb', bound=Callable[..., None])
-
-
-def verb(function: Verb) -> Verb:
-    """
-    Add a verb to the command.
-
-    Its docstring is the help: what it does, then `name: text` of each argument whose type does not
-    say it already. Flags have no opposite.
-    """
-    does, *named = re.split(r'^(\w+): ', cleandoc(function.__doc__ or ''), flags=re.MULTILINE)
-    types: dict[str, Any] = function.__annotations__
-    for name, text in zip(named[::2], named[1::2], strict=True):
-        kind, option = (get_args(types[name]) if get_origin(types[name]) is Annotated else
-                        (types[name], typer.Option(*[f'--{name}'] * (types[name] is bool))))
-        option = copy(option)
-        option.help = ' '.join(text.split())
-        types[name] = Annotated[kind, option]
-    return app.command(help=does)(function)
 
 
 def _print_version(requested: bool) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
+    app,
     Assignments,
     calibrated,
     CalibrationFile,
@@ -15,11 +16,10 @@ from handeye_ros.cli.common import (
     gathered,
     KinematicsFile,
     MeasureConfig,
-    NoFile,
+    NoPath,
     OutFile,
     read_bag,
     show,
-    verb,
     warn,
 )
 import typer
@@ -33,20 +33,23 @@ if TYPE_CHECKING:
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
-Bags = Annotated[list[Path], typer.Argument(metavar='BAG...')]
+Bags = Annotated[list[Path], typer.Argument(
+    metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
 
 
-@verb
+@app.command()
 def verify(
-    name: Annotated[str, typer.Argument(metavar='ROUTINE')],
+    name: Annotated[str, typer.Argument(
+        metavar='ROUTINE', help='line, plane, point, sphere, ball_bar, step, square or tooth.')],
     bags: Bags,
     calibration: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    stations: NoFile = None,
-    protocol: NoFile = None,
+    stations: Annotated[NoPath, File(help='Write a table of the stops (CSV).')] = None,
+    protocol: Annotated[NoPath, File(help=(
+        'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
 ) -> None:
     """
     Measure something known with a calibration.
@@ -56,11 +59,6 @@ def verify(
     The artefact and the tolerances are keys, such as --set verify.radius=20mm
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
-
-    name: line, plane, point, sphere, ball_bar, step, square or tooth.
-    bags: Recordings with stops, one of each face or ball, in their order.
-    stations: Write a table of the stops (CSV).
-    protocol: Write a protocol for the file of an inspector (HTML; print it to PDF).
     """
     from handeye_ros.output import html_file, write_whole, yaml_text
     from handeye_ros.results import verification_file
@@ -113,10 +111,11 @@ def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
     return session.samples, session.rejects
 
 
-@verb
+@app.command()
 def check(
-    bags: Bags,
-    against: File,
+    bags: Annotated[list[Path], typer.Argument(
+        metavar='BAG...', help='Short recordings of the same target, the oldest first.')],
+    against: Annotated[Path, File(help='The calibration.yaml that is to be checked.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
@@ -126,9 +125,6 @@ def check(
     Check whether a calibration still holds.
 
     The exit code is 0 only if nothing has changed, and 1 otherwise.
-
-    bags: Short recordings of the same target, the oldest first.
-    against: The calibration.yaml that is to be checked.
     """
     from handeye_ros.output import write_whole
     from handeye_ros.verification.check import values
@@ -171,21 +167,16 @@ def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Chec
     return check.with_offset(result, offset, calibration) if offset else result
 
 
-@verb
+@app.command()
 def trend(
-    folder: Annotated[Path, typer.Argument(metavar='DIR')],
-    against: NoFile = None,
-    picture: NoFile = None,
-    csv: NoFile = None,
+    folder: Annotated[Path, typer.Argument(
+        metavar='DIR', help='The folder below which all calibration.yaml are taken.')],
+    against: Annotated[NoPath, File(
+        help='The calibration that the others are compared with; default: the oldest.')] = None,
+    picture: Annotated[NoPath, File(help='Draw it (needs matplotlib).')] = None,
+    csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
-    """
-    Show the trend of the calibrations below a folder.
-
-    folder: The folder below which all calibration.yaml are taken.
-    against: The calibration that the others are compared with; default: the oldest.
-    picture: Draw it (needs matplotlib).
-    csv: Write the calibrations as CSV.
-    """
+    """Show the trend of the calibrations below a folder."""
     from handeye_ros import trend as trends
     from handeye_ros.output import write_whole
     from handeye_ros.results.calibration_file import read_calibration

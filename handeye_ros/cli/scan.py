@@ -6,19 +6,20 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
+    app,
     Assignments,
     Bag,
     calibrated,
     CalibrationFile,
     doing,
+    File,
     flowing,
     Folder,
     KinematicsFile,
     Length,
     MeasureConfig,
-    NoFile,
+    NoPath,
     one_of,
-    verb,
 )
 import typer
 
@@ -33,30 +34,26 @@ THINNED = 2e-4  # m: edge of the cubes, each with one point
 LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
 
-@verb
+@app.command()
 def scan(
     bag: Bag,
     calibration: CalibrationFile,
-    out: Annotated[Path, typer.Option(metavar='CLOUD')],
+    out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
-    voxel: Length = '0',
-    limits: Annotated[tuple[str, str], typer.Option('--range', metavar='NEAR FAR')
-                      ] = ('-inf', 'inf'),
-    incidence: Annotated[float, typer.Option(min=0.0, max=90.0)] = 90.0,
-    std: bool = False,
+    voxel: Annotated[str, Length(
+        help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
+    limits: Annotated[tuple[str, str], typer.Option(
+        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
+    ] = ('-inf', 'inf'),
+    incidence: Annotated[float, typer.Option(
+        min=0.0, max=90.0, help='Keep points that the laser meets at no larger angle to the '
+        'surface normal, as far as a profile shows it (degrees).')] = 90.0,
+    std: Annotated[bool, typer.Option(
+        '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
 ) -> None:
-    """
-    Put profiles into the base: a cloud of points.
-
-    out: The file to write: .ply or .pcd.
-    voxel: Keep one point of each cube with this edge (0.2mm, or metres).
-    limits: Keep points in this range of the sensor.
-    incidence: Keep points that the laser meets at no larger angle to the surface normal, as far as
-    a profile shows it (degrees).
-    std: Add the 1 sigma of each point (m): calibration, sensor, robot.
-    """
+    """Put profiles into the base: a cloud of points."""
     from handeye_ros.scanning.cloud import require_format, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)
@@ -78,42 +75,37 @@ def scan(
     typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
 
 
-@verb
+@app.command()
 def seam(
-    path: Annotated[Path, typer.Argument(metavar='CLOUD_OR_BAG')],
-    out: Folder = Path('out/seam'),
-    calibration: NoFile = None,
+    path: Annotated[Path, typer.Argument(
+        metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
+    out: Annotated[Path, Folder(
+        help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
+    calibration: Annotated[NoPath, File(
+        help='The calibration.yaml that puts a bag into the base.')] = None,
     config: MeasureConfig = None,
     assignments: Assignments = [],
-    pitch: Length = '5mm',
-    box: Annotated[tuple[str, str, str, str, str, str], typer.Option(metavar='X X Y Y Z Z')
-                   ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
-    widest: Length = '12mm',
-    towards: Annotated[tuple[float, float, float], typer.Option(metavar='X Y Z')
-                       ] = (0.0, 0.0, -1.0),
-    travel: float = 0.0,
-    work: float = 0.0,
-    line: Annotated[str, typer.Option(callback=one_of(*LINES))] = 'auto',
-    start: Annotated[tuple[str, str, str], typer.Option(metavar='X Y Z')] = ('', '', ''),
-    bag: bool = False,
+    pitch: Annotated[str, Length(
+        help='Distance between tool frames along the seam (5mm, or metres).')] = '5mm',
+    box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
+        metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
+    ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
+    widest: Annotated[str, Length(
+        help='Largest distance between the edges of the seam.')] = '12mm',
+    towards: Annotated[tuple[float, float, float], typer.Option(
+        metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
+    ] = (0.0, 0.0, -1.0),
+    travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')] = 0.0,
+    line: Annotated[str, typer.Option(callback=one_of(*LINES), help=(
+        'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
+        'centre, root, first or second edge.'))] = 'auto',
+    start: Annotated[tuple[str, str, str], typer.Option(
+        metavar='X Y Z', help='A place near the end where the path starts.')] = ('', '', ''),
+    bag: Annotated[bool, typer.Option(
+        '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
 ) -> None:
-    """
-    Find the seam in a cloud, and tool frames along it.
-
-    path: A .ply or .pcd file, or a bag with --calibration.
-    out: Where seam.csv and seam.yaml are written.
-    calibration: The calibration.yaml that puts a bag into the base.
-    pitch: Distance between tool frames along the seam (5mm, or metres).
-    box: Use the points between these values; -inf, inf: no limit.
-    widest: Largest distance between the edges of the seam.
-    towards: The tool approaches the part this way rather than the other.
-    travel: The tool leans along the seam (degrees).
-    work: The tool leans across the seam (degrees).
-    line: What the path follows: auto (the root of V and fillet, the centre of butt and lap),
-    centre, root, first or second edge.
-    start: A place near the end where the path starts.
-    bag: Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.
-    """
+    """Find the seam in a cloud, and tool frames along it."""
     from handeye_ros import units
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     import numpy as np

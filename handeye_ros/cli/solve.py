@@ -10,19 +10,19 @@ from typing import Annotated
 
 from handeye_ros.cli.common import (
     Angles,
+    app,
     Assignments,
     ConfigFile,
     configuration,
     doing,
-    Files,
+    File,
+    Folder,
     Input,
     KinematicsFile,
-    NoFile,
     NoPath,
     opened,
     OutFile,
     show,
-    verb,
     warn,
 )
 from handeye_ros.config import SAVE_FORMATS
@@ -33,22 +33,20 @@ Saved = Annotated[Path, typer.Argument(
     metavar='CALIBRATION', help='A calibration.yaml, or the folder that holds it.')]
 
 
-@verb
+@app.command()
 def solve(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],
     angles: Angles = '',
     kinematics: KinematicsFile = None,
-    out: Annotated[NoPath, typer.Option(metavar='DIR')] = None,
-    budget: bool = False,
+    out: Annotated[NoPath, Folder(
+        help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
+        'in out.')] = None,
+    budget: Annotated[bool, typer.Option(
+        '--budget', help='Also show which causes the uncertainty comes from.')] = False,
 ) -> None:
-    """
-    Find the transform from a recording or a file.
-
-    out: Where calibration.yaml is written; if not given, the folder NAME in output_dir, or in out.
-    budget: Also show which causes the uncertainty comes from.
-    """
+    """Find the transform from a recording or a file."""
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_file import errors_against, true_transform
@@ -89,15 +87,14 @@ def solve(
     typer.echo(saved)
 
 
-@verb
+@app.command()
 def calibrate(
-    resume: bool = False, config: ConfigFile = None, assignments: Assignments = [],
+    resume: Annotated[bool, typer.Option(
+        '--resume', help='Continue the last session; the default is a new one.')] = False,
+    config: ConfigFile = None,
+    assignments: Assignments = [],
 ) -> None:
-    """
-    Start the node that takes samples (needs ROS).
-
-    resume: Continue the last session; the default is a new one.
-    """
+    """Start the node that takes samples (needs ROS)."""
     from handeye_ros.units import assigned
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
@@ -110,17 +107,14 @@ def calibrate(
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
 
 
-@verb
+@app.command()
 def samples(
-    path: Annotated[Path, typer.Argument(metavar='SESSION')],
+    path: Annotated[Path, typer.Argument(metavar='SESSION', help=(
+        'The folder of a session, or a bag.'))],
     config: ConfigFile = None,
     assignments: Assignments = [],
 ) -> None:
-    """
-    Show the samples of a session, the worst first.
-
-    path: The folder of a session, or a bag.
-    """
+    """Show the samples of a session, the worst first."""
     from handeye_ros import pipeline
     from handeye_ros.agreement import samples_table
     given = opened(path, config, assignments)
@@ -136,20 +130,17 @@ def samples(
     show(rows)
 
 
-@verb
+@app.command()
 def report(
     path: Saved,
-    bag: Annotated[NoPath, typer.Option(metavar='BAG')] = None,
-    out: NoFile = None,
-    verification: Files = [],
+    bag: Annotated[NoPath, typer.Option(
+        metavar='BAG', help='The recording or session; if not given, the one that the calibration '
+        'names.')] = None,
+    out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
+    verification: Annotated[list[Path], File(
+        help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
 ) -> None:
-    """
-    Show a calibration or verification in one HTML file.
-
-    bag: The recording or session; if not given, the one that the calibration names.
-    out: If not given, report.html beside the calibration.
-    verification: A result of "handeye verify --out" to show too; may be repeated.
-    """
+    """Show a calibration or verification in one HTML file."""
     from handeye_ros.agreement import evidence
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results import exports, verification_file
@@ -173,19 +164,16 @@ def report(
     typer.echo(f'wrote {page}')
 
 
-@verb
+@app.command()
 def export(
     path: Saved,
     name: Annotated[str, typer.Option(
         '--format', autocompletion=lambda: list(SAVE_FORMATS),
         help=f'One of {", ".join(SAVE_FORMATS)}.')],
-    out: NoFile = None,
+    out: Annotated[NoPath, File(help=(
+        'The file to write, - for the screen; if not given, one beside the calibration.'))] = None,
 ) -> None:
-    """
-    Write a saved calibration for other programs.
-
-    out: The file to write, - for the screen; if not given, one beside the calibration.
-    """
+    """Write a saved calibration for other programs."""
     from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
     form, file = exports.format_of(name), file_of(path)
@@ -197,7 +185,7 @@ def export(
     typer.echo(exports.export(calibration, name, target))
 
 
-@verb
+@app.command()
 def compare(
     path: Input,
     config: ConfigFile = None,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
+    app,
     Assignments,
     Bag,
     ConfigFile,
@@ -22,7 +23,6 @@ from handeye_ros.cli.common import (
     read_bag,
     show,
     stored_session,
-    verb,
     warn,
 )
 from handeye_ros.errors import NoRosError, UnknownNameError
@@ -36,28 +36,25 @@ if TYPE_CHECKING:
 VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
 
 
-@verb
+@app.command()
 def kinematics(
-    sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...')],
-    urdf: File,
-    base: str = '',
-    flange: str = '',
-    configs: Annotated[list[Path], typer.Option('--config', metavar='FILE')] = [],
+    sources: Annotated[list[Path], typer.Argument(metavar='SOURCE...', help=(
+        'A bag with profiles and joint values, a session, or a table of joint values and measured '
+        'points (CSV). Several bags or sessions, each with a target at another place, are '
+        'solved together.'))],
+    urdf: Annotated[Path, File(help='The URDF of the robot.')],
+    base: Annotated[str, typer.Option(help='The link that the arm stands on; default: the root '
+                                           'of the URDF.')] = '',
+    flange: Annotated[str, typer.Option(help='The link that carries the sensor; default: tool0, '
+                                             'flange, or the last link.')] = '',
+    configs: Annotated[list[Path], File('--config', help=(
+        'A ROS parameter file, for all sources; or one for each of them, in their order.'))] = [],
     assignments: Assignments = [],
-    out: Folder = Path('out/kinematics'),
+    out: Annotated[Path, Folder(
+        help='Where corrected.urdf, kinematics.yaml and calibration.yaml are written.')
+    ] = Path('out/kinematics'),
 ) -> None:
-    """
-    Find the errors of joints and axes, with the transform.
-
-    sources: A bag with profiles and joint values, a session, or a table of joint values and
-    measured points (CSV). Several bags or sessions, each with a target at another place, are
-    solved together.
-    urdf: The URDF of the robot.
-    base: The link that the arm stands on; default: the root of the URDF.
-    flange: The link that carries the sensor; default: tool0, flange, or the last link.
-    configs: A ROS parameter file, for all sources; or one for each of them, in their order.
-    out: Where corrected.urdf, kinematics.yaml and calibration.yaml are written.
-    """
+    """Find the errors of joints and axes, with the transform."""
     if len(configs) not in (0, 1, len(sources)):
         raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
                                  'for all of them, or one for each')
@@ -110,30 +107,27 @@ def run_verb(words: list[str]) -> int:
     return 0
 
 
-@verb
+@app.command()
 def batch(
-    sources: Annotated[list[str], typer.Argument(metavar='SOURCE...')],
-    out: Annotated[Path, typer.Option(metavar='FOLDER')],
-    name: Annotated[str, typer.Option('--verb', callback=one_of(*VERBS))] = 'solve',
-    args: str = '',
+    sources: Annotated[list[str], typer.Argument(
+        metavar='SOURCE...', help='Bags, folders of bags, or CSV lists of them (bag, label, '
+        'config, settings, args).')],
+    out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
+    verb: Annotated[str, typer.Option(
+        callback=one_of(*VERBS), help=f'{", ".join(VERBS)}.')] = 'solve',
+    args: Annotated[str, typer.Option(
+        help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
     assignments: Assignments = [],
-    scheduler: str = 'local',
+    scheduler: Annotated[str, typer.Option(
+        help='local: one process for each core of this machine; or the address of a Dask '
+        'scheduler, such as tcp://host:8786.')] = 'local',
 ) -> None:
-    """
-    Run a verb on many recordings; again: on the new ones.
-
-    sources: Bags, folders of bags, or CSV lists of them (bag, label, config, settings, args).
-    out: Where the results are put.
-    name: solve, verify, check, compare.
-    args: Words of the verb before the bag, such as "sphere --calibration FILE".
-    scheduler: local: one process for each core of this machine; or the address of a Dask
-    scheduler, such as tcp://host:8786.
-    """
+    """Run a verb on many recordings; again: on the new ones."""
     from handeye_ros import batch as batches
     from handeye_ros.output import writing
     words = batches.words_of(args, config, assignments)
-    jobs = batches.jobs_of(sources, batches.Job('', '', name, words))
+    jobs = batches.jobs_of(sources, batches.Job('', '', verb, words))
     if all(job.words == words for job in jobs):
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
@@ -156,15 +150,12 @@ def batch(
                f' {computed} computed, the others unchanged; wrote {out}')
 
 
-@verb
+@app.command()
 def replay(
-    bag: Bag, rate: float = 1.0,
+    bag: Bag,
+    rate: Annotated[float, typer.Option(help='Speed; 1 is as recorded.')] = 1.0,
 ) -> None:
-    """
-    Publish a recording on its topics (needs ROS).
-
-    rate: Speed; 1 is as recorded.
-    """
+    """Publish a recording on its topics (needs ROS)."""
     try:
         import_module('rclpy')  # told first: without ROS its message packages are missing too
         from handeye_ros.node.replay import replay as publish
@@ -190,24 +181,19 @@ def _print_scenarios(requested: bool) -> None:
         raise typer.Exit
 
 
-@verb
+@app.command()
 def simulate(
-    scenario: Annotated[str, typer.Argument(autocompletion=lambda: list(_scenarios()))],
-    directory: Annotated[Path, typer.Argument(metavar='DIR')],
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    force: bool = False,
-    listed: Annotated[bool, typer.Option('--list', callback=_print_scenarios, is_eager=True)
-                      ] = False,
+    scenario: Annotated[str, typer.Argument(help='The name of a scenario; see --list.',
+                                            autocompletion=lambda: list(_scenarios()))],
+    directory: Annotated[Path, typer.Argument(
+        metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
+    seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
+    force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
+    listed: Annotated[bool, typer.Option(
+        '--list', callback=_print_scenarios, is_eager=True,
+        help='Print all scenarios, and what differs from a plain recording, and exit.')] = False,
 ) -> None:
-    """
-    Make a recording with a known answer.
-
-    scenario: The name of a scenario; see --list.
-    directory: The folder to make: a bag, or files of measured values.
-    seed: Of all random numbers.
-    force: Replace a bag that is there.
-    listed: Print all scenarios, and what differs from a plain recording, and exit.
-    """
+    """Make a recording with a known answer."""
     if scenario not in _scenarios():
         raise UnknownNameError('scenario', scenario, list(_scenarios()),
                                'handeye simulate --list')

@@ -28,7 +28,7 @@ from xml.sax.saxutils import quoteattr
 from handeye_ros import __version__, orientations, se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.output import page, write_whole, writing
+from handeye_ros.output import write_whole, writing
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, transform_values
 import numpy as np
@@ -41,6 +41,37 @@ HISTORY = 'history'  # the folder of previous results, each in a folder named af
 SI = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes x, '
       'y, z, as in URDF.')
 DIGITS = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
+URDF = """\
+<?xml version="1.0"?>
+<!--
+{comment}
+Include it in the description of the robot, which has the link {parent} already.
+-->
+<robot name={robot} xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <link name={child}/>
+  {joint}
+</robot>
+"""
+
+JOINT = """\
+<joint name={name} type="fixed">
+    <parent link={parent}/>
+    <child link={child}/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+  </joint>"""
+
+LAUNCH = '''\
+"""Publishes the pose of the sensor on /tf_static: ros2 launch {file}."""
+{comment}from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        Node(package='tf2_ros', executable='static_transform_publisher', name={name!r},
+             arguments=[{arguments}]),
+    ])
+'''
 LAUNCH_FILE = 'static_transform.launch.py'
 TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
 # By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
@@ -129,19 +160,19 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
 def joint(calibration: Calibration) -> str:
     """Return the <joint> of a URDF that holds the calibration."""
-    T, parent, child = (calibration.T_flange_sensor, calibration.parent_frame,
-                        calibration.child_frame)
-    return page('joint.jinja', name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
-                child=quoteattr(child), xyz=numbers(T[:3, 3]), rpy=numbers(se3.rpy(T)))
+    parent, child = calibration.parent_frame, calibration.child_frame
+    return JOINT.format(name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
+                        child=quoteattr(child), xyz=numbers(calibration.T_flange_sensor[:3, 3]),
+                        rpy=numbers(se3.rpy(calibration.T_flange_sensor)))
 
 
 def urdf(calibration: Calibration) -> str:
     """Return a URDF with the sensor's link and its joint, which xacro can include."""
     # two dashes would end an XML comment
     comment = '\n'.join(preamble(calibration)).replace('--', '- -')
-    return page('urdf.jinja', comment=comment, joint=joint(calibration),
-                parent=calibration.parent_frame.replace('--', '- -'),
-                robot=quoteattr(calibration.name), child=quoteattr(calibration.child_frame)) + '\n'
+    return URDF.format(comment=comment, parent=calibration.parent_frame.replace('--', '- -'),
+                       robot=quoteattr(calibration.name), joint=joint(calibration),
+                       child=quoteattr(calibration.child_frame))
 
 
 def arguments(calibration: Calibration) -> dict[str, str]:
@@ -163,10 +194,10 @@ def launch(calibration: Calibration) -> str:
     """Return a launch file that publishes the calibration on /tf_static."""
     # ROS takes letters, digits and underscores in the name of a node
     node = ''.join(c if c.isascii() and c.isalnum() else '_' for c in calibration.child_frame)
-    return page('launch.jinja', file=LAUNCH_FILE, comment=commented(calibration),
-                name=repr(f'publish_{node}'), arguments=[
-                    f'{name!r}, {value!r}' for name, value in arguments(calibration).items()]
-                ) + '\n'
+    lines = ',\n                        '.join(
+        f'{name!r}, {value!r}' for name, value in arguments(calibration).items())
+    return LAUNCH.format(file=LAUNCH_FILE, comment=commented(calibration), arguments=lines,
+                         name=f'publish_{node}')
 
 
 def easy_handeye2(calibration: Calibration) -> str:
