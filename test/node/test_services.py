@@ -212,7 +212,8 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
     assert client.call('take_sample').success
-    assert 'clear_samples first' in set_parameter(client, 'profile_topic', '/other').reason
+    for topic in ('profile_topic', 'joint_topic'):
+        assert 'clear_samples first' in set_parameter(client, topic, '/other').reason
     assert set_parameter(client, 'sampling.min_points', 5000).successful
     client.until(lambda: client.state()['samples'] == '0', 'the sample is extracted again')
     assert set_parameter(client, 'sampling.min_points', 20).successful
