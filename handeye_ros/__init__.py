@@ -8,6 +8,7 @@ imported where it is first used, so that `import handeye_ros` costs nothing.
 """
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
@@ -46,6 +47,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
 
 
+@cache
 def _version() -> str:
     from importlib.metadata import PackageNotFoundError, version
     try:

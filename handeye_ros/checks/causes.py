@@ -45,7 +45,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     stated, refusal = Explanation.of(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
-        require_sign(samples, problem.config, stated)
+        require_sign(samples, problem.config, stated, clocks=refusal is not None)
     if refusal or solution.variance_factor >= MISFITTING:
         refuse_better(stated, convention_errors(problem, stated))
     if refusal and orientations_scatter(problem.poses):

@@ -136,19 +136,21 @@ def refitted(problem: Problem, all_starts: bool = False) -> Explanation:
     return Explanation.of(found) if found else Explanation.nothing(len(problem.poses))
 
 
-def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False
-           ) -> Explanation:
+def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False,
+           clocks: bool = True) -> Explanation:
     """
     Return the fit of what stops gave.
 
-    results: of each of the stops that are compared; all_starts: see refitted.
+    results: of each of the stops that are compared; all_starts: see refitted; clocks: of a sweep,
+    search them anew, as these results show them.
     """
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
     every = Explanation.nothing(len(results))
     if len(ordered) < target_for(config).minimum:
         return every
-    ordered = synchronised(ordered, config).samples  # of a sweep: its clocks, as these show them
+    if clocks:
+        ordered = synchronised(ordered, config).samples
     fit = refitted(problem_at_poses(ordered, config), all_starts)
     every.q[:, [number[sample.stamp] for sample in ordered]] = fit.q
     return replace(every, parts=fit.parts)

@@ -67,11 +67,13 @@ def to_set(values: dict[str, str], stated: Explanation, fit: Explanation) -> Dat
     return DataError(f'{fit.compared(stated, named)}: set {to}', reason='settings')
 
 
-def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation) -> None:
+def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation, clocks: bool
+                 ) -> None:
     """
     Raise DataError (settings) where the opposite profile.range_sign explains stations better.
 
     samples: of the stations of the stated fit, in order; compared are those with flipped features.
+    clocks: of a sweep, those of the samples are in doubt too.
     """
     asked = [k for k, sample in enumerate(samples) if sample.flipped is not None]
     stated = replace(stated, q=stated.q[:, asked])
@@ -79,7 +81,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation)
               for k in asked]
     flipped = flipped_range(config)
     values = {SIGN: str(flipped.profile.range_sign)}
-    refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped),
+    refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped, clocks=clocks),
                                       partial(to_set, values, stated))])
 
 

@@ -5,6 +5,8 @@ The command `handeye`: one module per group of verbs.
 
 A verb reads its arguments, calls one function of the library and prints what it returns.
 """
+import atexit
+import gc
 from importlib import import_module
 import os
 import sys
@@ -30,4 +32,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, 'reconfigure'):
             stream.reconfigure(errors='replace')
+    # what is alive at the end needs no search for garbage: a tenth of the time of a short verb
+    atexit.register(gc.freeze)
     command()(prog_name='handeye')
