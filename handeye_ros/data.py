@@ -48,6 +48,7 @@ class Profile:
     def __post_init__(self) -> None:
         """Raise InputError for a stamp or points of another form."""
         _require_stamp('profile', self.stamp)
+        require_type('frame_id of a profile', self.frame_id, str)
         points = self.points
         if not isinstance(points, np.ndarray) or points.shape[1:] != (2,) or (
                 points.dtype.kind != 'f'):
@@ -142,7 +143,7 @@ class TimedPose:
 
 
 def _require_stamp(what: str, stamp: object) -> None:
-    if type(stamp) is not int and not isinstance(stamp, Integral):
+    if type(stamp) is not int and (isinstance(stamp, bool) or not isinstance(stamp, Integral)):
         raise InputError(f'stamp of a {what} is {stamp!r}, expected whole nanoseconds (int)')
 
 

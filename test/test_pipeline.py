@@ -240,6 +240,8 @@ ORIGIN, NO_TURN = np.zeros(3), np.array([0.0, 0, 0, 1])
     (lambda: Profile(1, 'laser', np.zeros((5, 3))), r'points of a profile is an array \(5, 3\)'),
     (lambda: Profile(1, 'laser', [[0.0, 0.1]]), 'points of a profile is a list'),
     (lambda: Profile(2.5, 'laser', np.zeros((5, 2))), 'stamp of a profile is 2.5'),
+    (lambda: Profile(True, 'laser', np.zeros((5, 2))), 'stamp of a profile is True'),
+    (lambda: Profile(1, None, np.zeros((5, 2))), 'frame_id of a profile: a NoneType, expected'),
     (lambda: TimedPose(2e-9, ORIGIN, NO_TURN), 'stamp of a pose is 2e-09'),
     (lambda: TimedPose(1, np.zeros(2), NO_TURN), r'translation of a pose is an array \(2,\)'),
     (lambda: TimedPose(1, [0, 0, 0], NO_TURN), 'translation of a pose is a list'),

@@ -119,8 +119,9 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
             'before: sampling continues by itself if the clock was set back'
             ) if session.late else ''
-    troubles = (str(session.conflict or ''), late, _clocks(profiles, poses), session.unasked,
-                *live.troubles, trouble)
+    # what disturbs the node from outside comes first: the others may follow from it
+    troubles = (trouble, str(session.conflict or ''), late, _clocks(profiles, poses),
+                session.unasked, *live.troubles)
     return {
         'name': folder_name(config),
         'profiles': _stream(profiles, config.profile_topic, obstacles.get('profile', '')),
