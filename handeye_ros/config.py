@@ -479,28 +479,27 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
 def from_provenance(values: Any) -> Config:
     """Return the configuration of a calibration file; unknown keys are ignored."""
-    config, known = Config(), {p.key for p in parameters()}
+    known, usable = {p.key for p in parameters()}, {}
     for key, value in values.items() if isinstance(values, Mapping) else ():
         if key in known or str(key).startswith(RECORD):
-            try:
-                config = with_values(config, {key: value}, 'the calibration')
-            except BadValueError:
-                continue  # written by a newer version
-    return config
+            with suppress(BadValueError):  # of a newer version
+                with_values(Config(), {key: value})
+                usable[key] = value
+    return with_values(Config(), usable)
 
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
     """Return a configuration with `key=value` texts (values in YAML) applied."""
+    values = {}
     for text in assignments:
         key, equals, value = text.partition('=')
         if not equals:
             raise InputError(f'"{text}" is not of the form key=value')
         try:
-            parsed = yaml_content(value)
+            values[key.strip()] = yaml_content(value)
         except yaml.YAMLError as error:
             raise InputError(f'the value in "{text}" is not valid YAML') from error
-        config = with_values(config, {key.strip(): parsed}, '--set')
-    return config
+    return with_values(config, values, '--set')
 
 
 def flipped_range(config: Config) -> Config:

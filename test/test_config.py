@@ -9,6 +9,7 @@ from pathlib import Path
 from handeye_ros.config import (
     Config,
     flatten,
+    from_provenance,
     load,
     Parameter,
     parameters,
@@ -62,7 +63,7 @@ def test_values_put_in_come_out_again(values: dict[str, object]) -> None:
     config = with_values(Config(), values, 'test')
     flat = flatten(config)
     assert {key: flat[key] for key in values} == values
-    assert with_values(Config(), flat, 'test') == config
+    assert with_values(Config(), flat, 'test') == config == from_provenance(flat)
     rest, given = flatten(Config()), set(values)
     if values.get('noise.robot_class'):
         given.add('noise.robot_smooth')  # which the class states
@@ -230,3 +231,6 @@ def test_the_class_of_a_robot_sets_its_accuracy_unless_that_is_given() -> None:
     assert with_values(Config(), {key: 'calibrated'}, 't').noise.robot_smooth == 5e-5
     assert with_values(Config(), {key: 'unknown', 'noise.robot_smooth': 1e-5}, 't'
                        ).noise.robot_smooth == 1e-5
+    texts = ['noise.robot_smooth=1.0e-5', 'noise.robot_class=unknown']
+    assert with_assignments(Config(), texts) == with_assignments(Config(), texts[::-1])
+    assert with_assignments(Config(), texts).noise.robot_smooth == 1e-5
