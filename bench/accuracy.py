@@ -97,7 +97,7 @@ def bound(case: Case, solution: Solution) -> np.ndarray:
     """Return the bounds (3,) of the mean squares of translation, rotation and mapped points."""
     factors = np.array([case.sensor_factor ** -2] * 2 + [1.0] * 3)  # on the features' own errors
     problem = replace(solution.problem, config=configured(replace(case, priors=False), 1.0))
-    C = evaluated(problem, solution.estimate, Noise(factors, lumped=False)).covariance[:6, :6]
+    C = evaluated(problem, solution.estimate, Noise(factors)).covariance[:6, :6]
     lever = field_of_view() @ solution.estimate.X[:3, :3].T
     J = np.concatenate([np.tile(np.eye(3), (len(lever), 1, 1)), -se3.skew(lever)], axis=2)
     mapped = np.einsum('nij,jk,nik->', J, C, J) / len(lever)

@@ -18,7 +18,7 @@ from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, rms_by, tested_points
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, EdgePoint, Reject, Sample
+from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.estimation.problem import Problem, UNUSED
 from handeye_ros.estimation.search import reassigned
@@ -225,7 +225,7 @@ def _crossing(sample: Sample, points: Array, solution: Solution, name: str, conf
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
     found = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)
-             for kind in _with(solution.problem, target.kinds.index(name))]
+             for kind in _kinds_at(solution.problem, target.kinds.index(name))]
     distance = np.linalg.norm([one.g for one in found], axis=0)
     nearest = int(np.argmin(distance))
     across = np.array([one.dg_dp[nearest] for one in found])
@@ -234,15 +234,15 @@ def _crossing(sample: Sample, points: Array, solution: Solution, name: str, conf
     return float(distance[nearest]), float(np.arcsin(steepness))
 
 
-def _with(problem: Problem, kind: int) -> list[int]:
+def _kinds_at(problem: Problem, kind: int) -> list[int]:
     """Return the kinds of conditions that edge points of a kind have, this kind first."""
     obs = problem.observations
-    points = obs.station * (obs.source.max() + 1) + obs.source
+    points = obs.error_source
     seen = np.unique(obs.kind[np.isin(points, points[obs.kind == kind])])
     return [kind, *(int(k) for k in seen if k not in (kind, UNUSED))]
 
 
-NAMES = {'FaceLine': 'face line', 'EdgePoint': 'edge point', 'Arc': 'arc'}
+NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
 
 
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:
@@ -258,7 +258,7 @@ def samples_table(session: Session, answer: Answer, config: Config) -> Table:
     for stop in sorted(session.stops, key=order):
         agreement = found.get(stop.number)
         residuals = (agreement.residual, agreement.left_out) if agreement else (None, None)
-        state = ('no sample' if stop.sample is None else 'left out' if session.excludes(stop) else
+        state = ('no sample' if stop.sample is None else 'excluded' if session.excludes(stop) else
                  'not believed' if agreement and not agreement.used else '')
         table.add_row(
             str(stop.number), *('' if r is None else f'{r * 1e3:.3f} mm' for r in residuals),
@@ -270,7 +270,7 @@ def sample_summary(sample: Sample | Reject) -> str:
     """Return what a sample shows, or why there is none, in words."""
     if isinstance(sample, Reject):
         return sample.reason
-    counts = Counter(NAMES[type(feature).__name__] for feature in sample.features)
+    counts = Counter(NAMES[type(feature)] for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
     return f'{seen} from {count_of(sample.profiles, "profile")}'
 

@@ -50,23 +50,25 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     return assembled(
         config, problem.target.name, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(sensor_axes(config)), solution.reported[:6, :6],
-        (rms(residuals), rms(predicted)), _described_target(solution, config),
+        rms(residuals), rms(predicted), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
         {'warnings': list(warnings)} if warnings else {}, time_offset_of(solution))
 
 
 def assembled(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
-              covariance: Array, sizes: tuple[float, float], target: Mapping[str, Any],
-              reports: Sequence[SampleReport], provenance: Mapping[str, Any],
-              time_offset: TimeOffset | None = None) -> Calibration:
+              covariance: Array, residual_rms: float, holdout_rms: float,
+              target: Mapping[str, Any], reports: Sequence[SampleReport],
+              provenance: Mapping[str, Any], time_offset: TimeOffset | None = None
+              ) -> Calibration:
     """
     Return a calibration with its quality, by its statistics and the reports of all samples.
 
-    sizes: RMS of the residuals, and of those left out (m); provenance: beside version and config.
+    residual_rms, holdout_rms: of the residuals, and of those left out (m); provenance: beside
+    version and config.
     """
     parent, used = mount_frame(config), sum(report.used for report in reports)
     std, direction = se3.worst_translation(covariance)
-    quality = Quality(used, len(reports) - used, *sizes,
+    quality = Quality(used, len(reports) - used, residual_rms, holdout_rms,
                       f'position along {name_direction(direction, parent)} (m)', std)
     return Calibration(
         config.name or config.target.type, method, parent, sensor_frame, T_flange_sensor,
@@ -96,8 +98,7 @@ def _other_surfaces(solution: Solution) -> str:
     if problem.target.essential or not several:
         return ''
     estimate, obs = solution.estimate, observed.observations
-    unused = ~np.isin(np.column_stack([obs.station, obs.source]) @ [1, 1j], np.column_stack(
-        [problem.observations.station, problem.observations.source]) @ [1, 1j])
+    unused = ~np.isin(obs.error_source, problem.observations.error_source)
     sensors = problem.poses[obs.station[unused]] @ estimate.X[:, 3]
     height, of_sensor = (problem.target.conditions(
         p, obs.kind[unused], estimate.state, problem.config).g

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 T = TypeVar('T')
+NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and how much faster the clock of the profiles runs
 TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
 QUATERNION_TOLERANCE = 1e-3  # of its length
@@ -320,7 +321,7 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class Reject:
-    """A sample that was not used, and why; final: with other settings it is not used either."""
+    """A stop, or a profile of a pass, without a sample, and why; final: with any settings."""
 
     stamp: int
     reason: str
@@ -344,8 +345,8 @@ class Quality:
     How good the answer is; metres.
 
     residual_rms: of all used observations; holdout_rms: of the same, each predicted from
-    a fit without its station; weakest_direction: a sentence; weakest_std: its 1 sigma
-    (metres for a translation, radians for a rotation: the sentence says which).
+    a fit without its station; weakest_direction: of the translation, in words; weakest_std: its 1
+    sigma.
     """
 
     samples_used: int

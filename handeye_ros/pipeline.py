@@ -48,13 +48,12 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import passes_expanded, problem_at_poses, problem_of, synchronised
+from handeye_ros.sampling.sweep import passes_expanded, problem_of, synchronised
 import numpy as np
 
 SEED = 0  # of the random searches: the same samples give the same answer
@@ -211,11 +210,4 @@ def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answ
     rejects = [Reject(stamp, f'shows {found.why}') for stamp in found.stamps]
     return answer([sample for sample in session.samples if sample.stamp not in found.stamps],
                   [*session.rejects, *rejects], config, session.frame_id,
-                  warnings=[*session.warnings, found.left_out])
-
-
-def at_fixed_poses(samples: Sequence[Sample], config: Config) -> tuple[Sequence[Sample], Problem]:
-    """Return samples prepared as answer does, none dropped, and their problem at fixed poses."""
-    ordered = with_common_shape(sorted(samples, key=lambda sample: sample.stamp))
-    ordered = synchronised(ordered, config).samples
-    return ordered, problem_at_poses(ordered, config)
+                  warnings=[*session.warnings, found.warning])

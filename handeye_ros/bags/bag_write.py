@@ -22,7 +22,7 @@ from handeye_ros import se3
 from handeye_ros.bags.messages import DATATYPES, UNITS
 from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Profile, TimedPose
+from handeye_ros.data import Array, NS, Profile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_whole, writing
 from handeye_ros.results import truth_file
@@ -223,7 +223,7 @@ def _new(kind: str, *values: Any) -> Any:
 
 
 def _header(stamp: int, frame_id: str) -> Any:
-    time = _new('builtin_interfaces/msg/Time', *divmod(stamp, 1_000_000_000))
+    time = _new('builtin_interfaces/msg/Time', *divmod(stamp, NS))
     return _new('std_msgs/msg/Header', time, frame_id)
 
 

@@ -19,12 +19,11 @@ import sys
 from typing import Any, NamedTuple, TypeVar
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, MOST_BACK, Profile, RawProfile, TimedPose
+from handeye_ros.data import Array, MOST_BACK, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 import numpy as np
 from numpy.typing import NDArray
 
-NS = 1_000_000_000
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 INTENSITY = 'intensity'  # its field, if the driver publishes it
@@ -48,7 +47,7 @@ SHARED = 0.5  # smallest common fraction of the line in rows that are profiles
 FEWEST_COLUMNS = 10  # of rows that are compared
 BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}  # share of a message's time before its stamp
 
-PROBE = 1_000_000_000  # ns between two profiles whose points are checked
+PROBE = NS  # between two profiles whose points are checked
 OVERHEAD = 600  # bytes of memory for a message, without its data
 
 T = TypeVar('T')

@@ -44,7 +44,8 @@ from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced, writing
-from handeye_ros.sampling.session import Session, with_result
+from handeye_ros.sampling.features import result_of
+from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NOT_EVALUATED, Stop
 
 LAST = 'last'
@@ -102,14 +103,14 @@ class Stored:
     """
     A session on the disk.
 
-    config: the last settings; stops: by number, without removed ones; taken: how many of them gave
-    a sample; last_number: the largest so far.
+    config: the last settings; stops: by number, without removed ones; sample_count: how many of
+    them gave a sample; last_number: the largest so far.
     """
 
     path: Path
     config: Config
     stops: dict[int, Stop]
-    taken: int
+    sample_count: int
     last_number: int
 
     def session(self, config: Config) -> Session:
@@ -117,9 +118,15 @@ class Stored:
         session = Session(config)
         frames = (profile.frame_id for stop in self.stops.values()
                   for profile in stop.load(config).profiles)
-        stops = [with_result(stop, config) for _, stop in sorted(self.stops.items())]
+        stops = [_evaluated(stop, config) for _, stop in sorted(self.stops.items())]
         session.restore(stops, self.last_number, next(frames, ''))
         return session
+
+
+def _evaluated(stop: Stop, config: Config) -> Stop:
+    """Return the stop with what it gives with a configuration."""
+    return replace(stop, result=replace(stop.result, stamp=stop.load(config).start)
+                   if stop.refused else result_of(stop, config))
 
 
 class SessionFiles:

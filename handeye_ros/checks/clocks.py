@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3, targets
 from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, refuse_better
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Profile, Sample
+from handeye_ros.data import Array, NS, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.sampling.features import of_profiles
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import NS, Stop
+from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 import numpy as np
 

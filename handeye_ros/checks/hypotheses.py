@@ -27,7 +27,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import CONVINCING, first_guesses, robust_solution
+from handeye_ros.estimation.search import CONVINCING, quick_solution, robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.sweep import problem_at_poses, synchronised
@@ -119,7 +119,7 @@ def _squares(found: Solution) -> Array:
     white, metres = (np.bincount(station, r ** 2, minlength=n)
                      for r in (found.whitened, found.linear.residuals))
     q = np.full((2, len(found.whole.poses)), np.inf)
-    q[:, found.used] = found.left_out()[0] * np.stack(
+    q[:, found.used] = found.left_out_squares()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])
     q[:, found.without_edges] = np.inf
     return q
@@ -132,7 +132,7 @@ def refitted(problem: Problem, all_starts: bool = False) -> Explanation:
     all_starts: as in a solve, not only the first two.
     """
     found = (robust_solution(problem, np.random.default_rng(0), subsets=True)
-             if all_starts else first_guesses(problem))
+             if all_starts else quick_solution(problem))
     return Explanation.of(found) if found else Explanation.nothing(len(problem.poses))
 
 

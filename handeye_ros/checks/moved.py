@@ -23,7 +23,7 @@ from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import TURN_LENGTH, whitening
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import first_guesses
+from handeye_ros.estimation.search import quick_solution
 from handeye_ros.estimation.solve import covering, evaluated, reestimated, Solution
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
@@ -52,7 +52,7 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
     n = len(problem.poses)
 
     def refit() -> Explanation:
-        first, second = (first_guesses(problem.subset(part))
+        first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [k]))
         return Explanation.of(first, second) if first and second else Explanation.nothing(n)
 

@@ -24,14 +24,14 @@ from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop
 import numpy as np
 
-MOST_STOPS, MOST_PROFILES = 40, 4  # stops read again, profiles of each
+STOPS_READ, PROFILES_READ = 40, 4  # stops read again, profiles of each
 SIGN = 'profile.range_sign'
 
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise DataError (settings) where other settings explain the stops of a session better."""
     kept = [stop for stop in session.stops if not stop.refused and not session.excludes(stop)]
-    stops = [thinned(stop, config) for stop in kept[:MOST_STOPS]]
+    stops = [thinned(stop, config) for stop in kept[:STOPS_READ]]
     results = [result_of(stop, config) for stop in stops]
     seen = with_common_shape([r for r in results if isinstance(r, Sample)])
     with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
@@ -110,4 +110,4 @@ def changed(config: Config, values: dict[str, str]) -> Config:
 def thinned(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
     stop = stop.needed(config)
-    return replace(stop, profiles=tuple(evenly(stop.profiles, MOST_PROFILES)))
+    return replace(stop, profiles=tuple(evenly(stop.profiles, PROFILES_READ)))

@@ -44,7 +44,7 @@ class OtherSurfaceError(DataError):
                     f'that {seen} of {total} stops show, such as a clamp, a second plate or the '
                     'table')
         numbers = ', '.join(str(stop.number) for stop in stops)
-        self.left_out = f'the stops {numbers} show {self.why}: they are left out'
+        self.warning = f'the stops {numbers} show {self.why}: they are left out'
         super().__init__(f'the stops {numbers} show {self.why}: take them again where the laser '
                          'crosses the target alone; if it does, check profile.range_sign and '
                          'profile.axes', reason='surface')

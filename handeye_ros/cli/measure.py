@@ -1,7 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """What a calibrated robot measures, and whether its calibration still holds."""
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -11,6 +10,7 @@ from handeye_ros.cli.common import (
     Assignments,
     calibrated,
     CalibrationFile,
+    doing,
     File,
     flowing,
     gathered,
@@ -127,12 +127,14 @@ def check(
     The exit code is 0 only if nothing has changed, and 1 otherwise.
     """
     from handeye_ros.output import write_whole
-    from handeye_ros.verification.check import values
+    from handeye_ros.verification.check import check_recording, values
     import yaml
     calibration, settings = calibrated(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
-        result = _checked(bag, calibration, settings)
+        recording = read_bag(bag, settings)
+        with doing('comparing'):
+            result = check_recording(recording.profiles, recording.poses, calibration, settings)
         checks.append((str(bag), result))
         typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
                    f'{result.sentence}')
@@ -143,28 +145,6 @@ def check(
         write_whole(out, yaml.safe_dump(values(checks, str(against)), sort_keys=False))
     if changed:
         raise typer.Exit(NOT_AS_WANTED)
-
-
-def _checked(bag: Path, calibration: 'Calibration', settings: 'Config') -> 'Check':
-    """Return the check by a recording: by its stops, or by a sweep without stops."""
-    from handeye_ros import pipeline
-    from handeye_ros.errors import DataError
-    from handeye_ros.verification import check
-    recording = read_bag(bag, settings)
-    try:
-        session = gathered(recording, settings)
-    except DataError as error:
-        if error.reason != 'no_stops' or not calibration.time_offset:
-            raise
-        settings = replace(settings, sampling=replace(settings.sampling, mode='moving'))
-        session = gathered(recording, settings)
-    if not settings.sampling.moving:
-        return check.check(session.samples, calibration, settings, session.rejects)
-    answer = pipeline.answer_of(session, settings)
-    offset, solution = answer.required().time_offset, answer.consensus()
-    used = [answer.samples[i] for i in solution.used]
-    result = check.check(check.some_of_sweep(used), calibration, settings, session.rejects)
-    return check.with_offset(result, offset, calibration) if offset else result
 
 
 @app.command()

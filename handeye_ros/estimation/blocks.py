@@ -14,7 +14,7 @@ on (a time offset, the joints of the robot) belong to the problem instead, as a 
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
 
     offset = PoseModel(poses_and_twists, names=('time_offset',), counts=(1,), stds=(0.05,))
-    solution = map_solution(Problem(target, poses, observations, config, offset), start)
+    solution = map_solution(Problem(target, poses, observations, config, offset), start, Noise())
     solution.problem.pose_values, solution.problem.poses  # as estimated
 
 With eye_on_base, a PoseModel also gives T_base_flange, not the inverted poses.

@@ -40,7 +40,7 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     weight = min(1.0, 2 - n / MANY)
     if weight <= 0:
         return solution
-    configured = evaluated(solution.problem, solution.estimate, Noise(lumped=False))
+    configured = evaluated(solution.problem, solution.estimate, Noise())
     wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong

@@ -1,15 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The least squares of this package, over blocks of residuals, and which blocks are outliers.
+The least squares of the estimators, over units of data, and which units are outliers.
 
-A block has one weight: a station, a point, a pair of poses. Levenberg-Marquardt; blocks that do
-not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127), then
-those that the others do not predict are dropped, worst first, by leave-one-out residuals, (12).
-
-In an inverse, a direction that the data do not show keeps a large, finite variance. Quantiles of
-chi-squared: scipy.stats has them too, but it takes longer to import than the rest of a command to
-start.
+A unit has one weight: a station, a row of a table, a pair of poses. Levenberg-Marquardt; units
+that do not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127),
+then those that the others do not predict are dropped, worst first, by leave-one-out residuals,
+(12). In an inverse, a direction that the data do not show keeps a large, finite variance.
 """
 from __future__ import annotations
 
@@ -30,10 +27,10 @@ T = TypeVar('T')
 P = ParamSpec('P')
 
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
-TYPICAL_SHARE = 0.65  # of the blocks that a good answer must explain
+TYPICAL_SHARE = 0.65  # of the units that a good answer must explain
 MORE = 30.0  # factor of the damping after a refused step; its square divides it after a good one
 GROSS = 64.0  # squared residual over the typical one (8 sigma): dropped at once
-FALSE_ALARM = 1e-3  # probability that good data lose one block
+FALSE_ALARM = 1e-3  # probability that good data lose one unit
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
 FREE = 1e-13  # relative information, or variance, that is rounding
@@ -68,22 +65,22 @@ class System(Generic[S]):
     """
     A least-squares problem: rows(state), and retract(state, step (u,)), the state after a step.
 
-    block: (m,) the number of each row's block.
+    unit: (m,) the number of each row's unit.
     """
 
     rows: Callable[[S], Rows]
     retract: Callable[[S, Array], S]
-    block: NDArray[np.intp]
+    unit: NDArray[np.intp]
 
     def least_squares(self, start: S, weights: Array | None = None, iterations: int = 50,
                       converged: float = 1e-8) -> S:
         """
         Return the state with the least squared whitened residuals.
 
-        weights: (n,) on the squared residuals of the blocks; converged: the iteration ends when a
+        weights: (n,) on the squared residuals of the units; converged: the iteration ends when a
         step changes the residuals by less than this (sigmas).
         """
-        root = np.ones(len(self.block)) if weights is None else np.sqrt(weights)[self.block]
+        root = np.ones(len(self.unit)) if weights is None else np.sqrt(weights)[self.unit]
 
         def linear(rows: Rows) -> tuple[White, Array, Array]:
             white = rows.white()
@@ -107,7 +104,7 @@ class System(Generic[S]):
         return state
 
     def reweighted(self, state: S, weights: Array) -> S:
-        """Return the state after a few steps towards the least squares with block weights (n,)."""
+        """Return the state after a few steps towards the least squares with unit weights (n,)."""
         return self.least_squares(state, weights, iterations=4, converged=1e-3)
 
 
@@ -152,11 +149,11 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     Return the state that graduated non-convexity reaches from a start, (11).
 
-    squares(state): (n,) mean squared whitened residuals of the blocks; refit(state, weights (n,)):
+    squares(state): (n,) mean squared whitened residuals of the units; refit(state, weights (n,)):
     the state after some steps of the weighted least squares.
     """
     state, current = start, squares(start)
-    # where a start explains most blocks, the few others have little weight from the first step on
+    # where a start explains most units, the few others have little weight from the first step on
     control, before = min(float(current.max()), 10.0 * typical(current)), np.inf
     for _ in range(50):
         spread = typical(current)
@@ -174,33 +171,33 @@ def typical(squares: Array) -> float:
     return float(np.quantile(squares, TYPICAL_SHARE))
 
 
-def groups(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-    """Return arrays (blocks, count) of rows, one for each count of rows per block."""
-    _, first, count = np.unique(block, return_index=True, return_counts=True)
+def groups(unit: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+    """Return arrays (units, count) of rows, one for each count of rows per unit."""
+    _, first, count = np.unique(unit, return_index=True, return_counts=True)
     return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
 
-def leave_one_out(white: Array, jacobian: Array, covariance: Array, block: NDArray[np.intp]
+def leave_one_out(white: Array, jacobian: Array, covariance: Array, unit: NDArray[np.intp]
                   ) -> Array:
     """
-    Return leave-one-out residuals (m,), to first order: each from the fit without its block.
+    Return leave-one-out residuals (m,), to first order: each from the fit without its unit.
 
-    white: (m,) of the fit to all blocks; jacobian: (m, u), covariance: (u, u) of this fit.
+    white: (m,) of the fit to all units; jacobian: (m, u), covariance: (u, u) of this fit.
     """
     left_out = np.empty_like(white)
-    for rows in groups(block):
+    for rows in groups(unit):
         J = jacobian[rows]
-        left_out[rows] = leave_own_out(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
+        left_out[rows] = left_out_of(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
     return left_out
 
 
-def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
+def left_out_of(predicted_covariance: Array, white: Array) -> Array:
     """
-    Return leave-one-out residuals (s, c) of blocks, to first order, (12).
+    Return leave-one-out residuals (s, c) of units, to first order, (12).
 
     predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
     """
-    # avoids division by zero for what a block determines alone
+    # avoids division by zero for what a unit determines alone
     regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
 
@@ -208,10 +205,10 @@ def leave_own_out(predicted_covariance: Array, white: Array) -> Array:
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
              ) -> NDArray[np.intp]:
     """
-    Return the blocks to drop in this round, worst first, at most one in 50.
+    Return the units to drop in this round, worst first, at most one in 50.
 
     mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: initial number
-    of blocks; spare: number of blocks beyond those needed.
+    of units; spare: number of units beyond those needed.
     """
     probability = chi2_sf(mean_squares * freedom, freedom)
     most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
@@ -219,10 +216,10 @@ def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, s
     return np.asarray(worst[probability[worst] < FALSE_ALARM / total])
 
 
-def shared_scale(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
-    """Return the variance factor common to most blocks, at least 1."""
-    typical = chi2_isf(0.5, freedom) / freedom
-    return max(1.0, float(np.median(mean_squares / typical)))
+def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
+    """Return the variance factor common to most units, at least 1."""
+    median = chi2_isf(0.5, freedom) / freedom
+    return max(1.0, float(np.median(mean_squares / median)))
 
 
 def agreeing(used: NDArray[np.intp], total: int, minimum: int,
@@ -231,12 +228,12 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
              wrong: Callable[[F], int | None] = lambda fit: None
              ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
     """
-    Return the fit of the blocks that agree, these blocks, and the squares of those dropped.
+    Return the fit of the units that agree, these units, and the squares of those dropped.
 
     One that the others do not predict is dropped here; what is off by much more was left out of
-    `used` before. used: the blocks to begin with, of `total`; minimum: fewest that remain;
-    fitted(the fit before or None, used): the fit of some blocks; judged(fit): of each block the
-    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): a block that is
+    `used` before. used: the units to begin with, of `total`; minimum: fewest that remain;
+    fitted(the fit before or None, used): the fit of some units; judged(fit): of each unit the
+    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): a unit that is
     wrong though none of these is too large, None without one.
     """
     fit, dropped = fitted(None, used), dict[int, float]()
@@ -256,10 +253,10 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
 @dataclass(frozen=True, eq=False)
 class Adjusted(Generic[S]):
     """
-    Result of robust least squares over n blocks of k residuals.
+    Result of robust least squares over n units of k residuals.
 
-    used: ascending indices of the used blocks; residuals (n, k): whitened, of all blocks; left_out
-    (used, k): leave-one-out residuals of the used blocks, to first order; covariance: (u, u),
+    used: ascending indices of the used units; residuals (n, k): whitened, of all units; left_out
+    (used, k): leave-one-out residuals of the used units, to first order; covariance: (u, u),
     multiplied by the variance factor if that exceeds 1.
     """
 
@@ -275,9 +272,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
     """
     Return the least-squares state without outliers, from a start near it.
 
-    minimum: smallest number of blocks that remain; all have equally many rows.
+    minimum: smallest number of units that remain; all have equally many rows.
     """
-    n = int(system.block[-1]) + 1
+    n = int(system.unit[-1]) + 1
 
     def squares(state: S) -> Array:
         rows = system.rows(state)
@@ -288,9 +285,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
         state = system.least_squares(before.state if before else near, good.astype(float))
         at = system.rows(state)
         white = at.white()
-        r, J, rows = white(at.residuals), white(at.jacobian()), good[system.block]
+        r, J, rows = white(at.residuals), white(at.jacobian()), good[system.unit]
         covariance = covariance_of(J[rows])
-        left_out = leave_one_out(r[rows], J[rows], covariance, system.block[rows])
+        left_out = leave_one_out(r[rows], J[rows], covariance, system.unit[rows])
         variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
         return Adjusted(state, used, r.reshape(n, -1), left_out.reshape(len(used), -1),
                         covariance * max(1.0, variance), variance)
@@ -298,7 +295,7 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
     def judged(fit: Adjusted[S]) -> tuple[Array, int]:
         statistic = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
         freedom = fit.residuals.shape[1]
-        return statistic / shared_scale(statistic, freedom), freedom
+        return statistic / shared_variance_factor(statistic, freedom), freedom
 
     near = graduated(start, squares, system.reweighted)
     current = squares(near)
@@ -346,7 +343,11 @@ def inverse_roots(covariance: Array) -> Array:
 
 
 def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> Array:
-    """Return the value that chi-squared exceeds with a probability."""
+    """
+    Return the value that chi-squared exceeds with a probability.
+
+    scipy.stats has it too, but takes longer to import than the rest of a command to start.
+    """
     return np.asarray(chdtri(freedom, probability))
 
 

@@ -54,7 +54,10 @@ class Noise:
 
     variance_factors: Array = field(default_factory=lambda: np.ones(5))
     block_variances: Mapping[str, float] = field(default_factory=dict)
-    lumped: bool = True
+    lumped: bool = False
+
+
+LUMPED = Noise(lumped=True)  # as configured, blocks as errors of each station: of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +94,8 @@ def covariances(linear: Linear, at: StationGroup) -> Array:
     features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
     parts = [*features * at.components, at.correlation * _squared(linear.by_point[at.rows], local),
              _squared(linear.by_pose[at.rows], pose)]
-    if linear.by_values is not None:
-        parts.append(_squared(linear.by_values[at.rows]))
+    if linear.by_jitter is not None:
+        parts.append(_squared(linear.by_jitter[at.rows]))
     return np.array(parts)
 
 
@@ -123,7 +126,7 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
         inverse_roots(total_covariance(linear, at, noise)) for at in groups))
 
 
-def prior_scales(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
+def prior_variances(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
                  largest: Array) -> tuple[Array, Array]:
     """
     Return the scales of blocks, (6), for the estimate and for the report, as variances (d,).

@@ -52,6 +52,11 @@ class Observations:
         """Return the number of conditions."""
         return len(self.station)
 
+    @property
+    def error_source(self) -> NDArray[np.intp]:
+        """Return a number (m,) that those observations share that share an error e."""
+        return (self.station << 32) + self.source
+
     def same(self, other: Observations) -> bool:
         """Return whether others are the same points with the same labels."""
         return (np.array_equal(self.kind, other.kind)
@@ -287,8 +292,8 @@ class Problem:
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @cached_property
-    def flanges(self) -> tuple[Array, Array]:
-        """Return rotation (m, 3, 3) and position (m, 3) of each observation's flange."""
+    def mounts(self) -> tuple[Array, Array]:
+        """Return rotation (m, 3, 3) and position (m, 3) of the mount at each observation."""
         T = self.poses[self.observations.station]
         return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
 
@@ -296,7 +301,7 @@ class Problem:
     def by_columns(self) -> Array:
         """Return derivatives (9, m * 3) of the points in the base by the columns x, z, t of X."""
         x, z = self.observations.points.T[:, :, None, None]
-        R, _ = self.flanges
+        R, _ = self.mounts
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @property
@@ -391,7 +396,7 @@ class Linear:
     @cached_property
     def by_pose(self) -> Array:
         """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
-        R, a = self.problem.flanges
+        R, a = self.problem.mounts
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
         if self.problem.in_hand:
             return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
@@ -401,7 +406,7 @@ class Linear:
         return -np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
 
     @cached_property
-    def by_values(self) -> Array | None:
+    def by_jitter(self) -> Array | None:
         """Return derivatives (m, k) by 1 sigma of the white errors of pose values, or None."""
         model = self.problem.pose_model
         if model is None or model.jitter is None:
@@ -432,7 +437,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     Or at several estimates at once, X (n, 4, 4) and state (n, s), where the target allows that.
     """
     obs, X = problem.observations, estimate.X
-    R, a = problem.flanges
+    R, a = problem.mounts
     columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
     lever = obs.points @ columns[..., :2, :]
     turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns

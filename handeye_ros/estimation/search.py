@@ -26,12 +26,12 @@ from handeye_ros.estimation.least_squares import (
     GROSS,
     many_least_squares,
     Rows,
-    shared_scale,
+    shared_variance_factor,
     States,
     System,
     typical,
 )
-from handeye_ros.estimation.noise import Noise, Whitening, whitening
+from handeye_ros.estimation.noise import LUMPED, Noise, Whitening, whitening
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem, UNUSED
 from handeye_ros.estimation.solve import evaluated, map_solution, Solution
 import numpy as np
@@ -43,7 +43,6 @@ SUBSETS = 40  # of six stations: if a third are wrong, one subset has no wrong o
 # SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
 # fifth of a sigma are distinguished from fits to a half.
 CONVINCING, UNRIVALLED, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
-LUMPED = Noise()  # as configured, blocks as errors of each station
 
 
 def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = False,
@@ -64,7 +63,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     return without_outliers(best)
 
 
-def first_guesses(problem: Problem) -> Solution | None:
+def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits."""
     try:
         for start in islice(problem.target.guess(problem, np.random.default_rng(0)), 2):
@@ -87,11 +86,11 @@ def without_outliers(solution: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(used)
-        return evaluated(part, fit(part, (before or near).estimate))
+        return evaluated(part, fit(part, (before or near).estimate), LUMPED)
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
-        squares, freedom = solution.left_out()
-        return squares / shared_scale(squares, freedom), freedom
+        squares, freedom = solution.left_out_squares()
+        return squares / shared_variance_factor(squares, freedom), freedom
 
     whole = solution.whole
     solution, used, dropped = agreeing(np.flatnonzero(good), len(whole.poses),
@@ -110,7 +109,7 @@ def with_blocks(solution: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
-        start, noise = near.estimate, None
+        start, noise = near.estimate, Noise()
         if before is not None and len(used) > MANY:
             found = before.for_report  # a few of very many hardly move the solution
             start, noise = found.estimate, found.noise
@@ -119,7 +118,7 @@ def with_blocks(solution: Solution) -> Solution:
 
     solution, used, dropped = agreeing(
         near.used, len(whole.poses), whole.target.minimum, fitted,
-        lambda found: found.for_report.left_out(), lambda found: found.surely_wrong)
+        lambda found: found.for_report.left_out_squares(), lambda found: found.surely_wrong)
     return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
 

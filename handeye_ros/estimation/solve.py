@@ -28,12 +28,13 @@ from handeye_ros.estimation.blocks import (
     pose_corrections,
     slices,
 )
-from handeye_ros.estimation.least_squares import covariance_of, FREE, inverse, leave_own_out
+from handeye_ros.estimation.least_squares import covariance_of, FREE, inverse, left_out_of
 from handeye_ros.estimation.noise import (
     covariances,
+    LUMPED,
     Noise,
     PRIOR_FREEDOM,
-    prior_scales,
+    prior_variances,
     total_covariance,
     Whitening,
     whitening,
@@ -202,12 +203,12 @@ class Solution:
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
-    def prior_scales(self) -> tuple[Array, Array]:
+    def prior_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         x, covariance = self._solved
         u, first = self.unknowns, np.cumsum([0, *self._counts])[:-1]
         largest = np.array([block.largest_variance for block in self.priors])
-        return prior_scales(covariance[u:, u:], x[u:], first, self._variances, largest)
+        return prior_variances(covariance[u:, u:], x[u:], first, self._variances, largest)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
@@ -227,7 +228,7 @@ class Solution:
         """
         found = self
         for _ in range(steps if self.priors else 0):
-            _, variances = found.prior_scales()
+            _, variances = found.prior_variances()
             if np.abs(np.log(variances / found._variances)).max() < 0.03:
                 break
             found = found.with_variances(variances)
@@ -334,7 +335,7 @@ class Solution:
     @property
     def expected_rms(self) -> float:
         """Return the expected RMS (m) of residuals for configured noise and nuisances."""
-        total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, Noise())))
+        total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, LUMPED)))
                     for at in self.problem.groups)
         return float((total / len(self.linear.residuals)) ** 0.5)
 
@@ -379,7 +380,7 @@ class Solution:
                                   T[:, :3, 3] + errors[:, :3])
         return corrected if problem.in_hand else se3.inverse(corrected)
 
-    def left_out(self) -> tuple[Array, NDArray[np.intp]]:
+    def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
         """
         Return per station the mean squared leave-one-out residual and its degrees of freedom.
 
@@ -391,7 +392,7 @@ class Solution:
         statistic, count = np.zeros(n), np.bincount(station, minlength=n)
         for at in self.problem.groups:
             r = self.whitened[at.rows]
-            left_out = leave_own_out(self.predicted_covariance(at.rows), r)
+            left_out = left_out_of(self.predicted_covariance(at.rows), r)
             statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
 
@@ -407,7 +408,7 @@ class Solution:
         for k in range(len(steps)):
             J, r = self.derivatives[of_row == k], self.whitened[of_row == k]
             if len(r) < J.shape[1]:
-                left_out = leave_own_out((J @ self.covariance @ J.T)[None], r[None])[0]
+                left_out = left_out_of((J @ self.covariance @ J.T)[None], r[None])[0]
                 steps[k] = self.covariance @ (J.T @ left_out)
             else:
                 steps[k] = inverse(self.information - J.T @ J) @ (J.T @ r)
@@ -426,22 +427,22 @@ def covering(first: Array, second: Array) -> Array:
     return np.asarray((along * np.maximum(values, 1.0)) @ along.T)
 
 
-def map_solution(problem: Problem, start: Estimate, noise: Noise | None = None) -> Solution:
+def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     """
     Return the MAP solution near a start, with prior scales and noise estimated from residuals.
 
-    noise: initial noise, None: as configured. With very many stations, a part of them says what
-    scales and noise are.
+    noise: to start with. With very many stations, a part of them says what scales and noise are.
     """
-    noise, every = noise or Noise(lumped=False), len(problem.poses) // MANY
+    every = len(problem.poses) // MANY
     if every > 1:
         part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
         if part.conservative is not None:
             problem = problem.with_pose_values(part.problem.pose_values)
             near = evaluated(problem, part.linear.estimate, part.noise)
-            return _reported(Solution.at(near.stepped(), near.noise), part.conservative.noise, 0)
+            best = Solution.at(near.stepped(), near.noise)
+            return _with_conservative(best, part.conservative.noise, 0)
     found, diverged = _iterated(evaluated(problem, start, noise))
-    return found if diverged else _answer(found)
+    return found if diverged else _with_final_scales(found)
 
 
 def _iterated(found: Solution) -> tuple[Solution, bool]:
@@ -463,28 +464,28 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
     return found, False
 
 
-def _answer(found: Solution) -> Solution:
+def _with_final_scales(found: Solution) -> Solution:
     """Return the solution at the MAP scales, together with that at the conservative scales."""
     best = found
     if found.priors:
         wide = found.rescaled(LAST_STEPS - 1)
-        for_estimate, for_report = wide.prior_scales()
+        for_estimate, for_report = wide.prior_variances()
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
         best = best.with_factors(best.estimated_factors(PRIOR_FACTORS))
-    return _reported(Solution.at(best.stepped(), best.noise), found.noise, LAST_STEPS)
+    return _with_conservative(Solution.at(best.stepped(), best.noise), found.noise, LAST_STEPS)
 
 
-def _reported(best: Solution, noise: Noise, steps: int) -> Solution:
+def _with_conservative(best: Solution, noise: Noise, steps: int) -> Solution:
     """Return a solution together with that at the conservative scales of noise."""
     long = replace(best.problem, long_errors=True)
     wide = evaluated(long, best.linear.estimate, noise).rescaled(steps)
     return replace(best, conservative=wide)
 
 
-def evaluated(problem: Problem, estimate: Estimate, noise: Noise | None = None) -> Solution:
-    """Return the solution at an estimate; noise: with its scales, None: lumped, as configured."""
-    return Solution.at(linearise(problem, estimate), noise or Noise())
+def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+    """Return the solution at an estimate."""
+    return Solution.at(linearise(problem, estimate), noise)
 
 
 def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:

@@ -4,7 +4,7 @@
 A running session without ROS: from messages to stored samples.
 
 The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
-into the session. A stop that is over, or long enough, waits in `waiting` or `early` for the
+into the session. A stop that is over, or long enough, waits in `to_evaluate` or `early` for the
 worker, which has it evaluated in another process, stores it on the disk and puts it into the
 session. After each such piece of work the worker (pool.py) calls `changed`, which publishes
 ~/samples (outputs.py). What is used is stored, and what is stored is used. What follows from the
@@ -74,9 +74,9 @@ class LiveSession:
     """
     All functions of the running node; those that are no add_* are for the worker: see ask.
 
-    What messages change (session, verification, waiting, early, joints, the latest messages and
-    their counts) is used under lock. The stops of the session, and all else, are changed by the
-    worker alone: it reads them without, others see them at any time. attempt: the last one;
+    What messages change (session, verification, to_evaluate, early, joints, the latest messages
+    and their counts) is used under lock. The stops of the session, and all else, are changed by
+    the worker alone: it reads them without, others see them at any time. attempt: the last one;
     refused: T_base_flange (4, 4) of stops without a sample, by their beginnings; running: the long
     computations in words, '' for a review.
     """
@@ -91,13 +91,13 @@ class LiveSession:
         self.config, self.folders, self.files, self.pool = config, folders, files, pool
         self.lock = Lock()
         self.session = Session(config)
-        self.waiting: deque[Stop] = deque()  # complete stops, not yet evaluated
+        self.to_evaluate: deque[Stop] = deque()  # complete stops, not yet evaluated
         self.early: Stop | None = None  # the current stop, once it has enough profiles
         self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
         self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
         self.messages = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
-        self._left_out = 0  # stops that waited too long
+        self._overflowed = 0  # stops that waited too long
 
         self.worker = Worker(changed)
         self._woken = True  # nothing is due before start()
@@ -138,11 +138,11 @@ class LiveSession:
     def _queue_stops(self) -> None:
         """Queue stops for evaluation; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
-        self.waiting.extend(self.session.completed())
-        while len(self.waiting) > MOST_STOPS:
-            self.waiting.popleft()
-            self._left_out += 1
-        if self.waiting or self.early:
+        self.to_evaluate.extend(self.session.completed())
+        while len(self.to_evaluate) > MOST_STOPS:
+            self.to_evaluate.popleft()
+            self._overflowed += 1
+        if self.to_evaluate or self.early:
             self.wake()
 
     @property
@@ -270,8 +270,8 @@ class LiveSession:
         if routine:
             warnings.append(f'a verification ({routine.name}) continues: stops are not samples '
                             'until ~/verify_result')
-        if self._left_out:
-            warnings.append(f'left {self._left_out} stops out, the oldest of more than '
+        if self._overflowed:
+            warnings.append(f'left {self._overflowed} stops out, the oldest of more than '
                             f'{MOST_STOPS} that waited to be evaluated: the processor cannot keep '
                             'up; stop less often, or publish fewer points')
         return tuple(warnings)
@@ -281,8 +281,8 @@ class LiveSession:
     def evaluate_next(self) -> bool:
         """Evaluate the next stop that is due; return whether there was one."""
         with self.lock:
-            over = bool(self.waiting)
-            stop = self.waiting.popleft() if over else self.early
+            over = bool(self.to_evaluate)
+            stop = self.to_evaluate.popleft() if over else self.early
             self.early = self.early if over else None
         if stop:
             self._evaluate(stop, over)
@@ -305,7 +305,7 @@ class LiveSession:
 
     def _evaluate(self, stop: Stop, over: bool) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if not over and self.session.is_taken(stop):
+        if not over and self.session.is_closed(stop):
             return
         if self.verification.routine:
             with suppress(DataError):
@@ -334,11 +334,11 @@ class LiveSession:
             with suppress(InputError):
                 self._put(self._stored(self._evaluated(stop)[0]), over=False)
         elif stop and not stop.refused:
-            result = self.result_of(stop, self.config)
+            result = self.result_elsewhere(stop, self.config)
             self._put(replace(stop, result=result), over=False)
 
-    def result_of(self, stop: Stop, config: Config) -> Sample | Reject:
-        """Return what a stop gives."""
+    def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
+        """Return what a stop gives, evaluated in another process."""
         try:
             return self.pool.run(result_of, stop.needed(config), config)
         except PoolEndedError as error:  # nothing is lost: the stop itself will be stored
@@ -350,7 +350,7 @@ class LiveSession:
 
         The pose of a stop without a good sample is noted, so that it is not proposed again.
         """
-        result = self.session.numbered(stop, self.result_of(stop, self.config))
+        result = self.session.numbered(stop, self.result_elsewhere(stop, self.config))
         objection = self.answer.objection(result)
         if objection or result.sample is None:
             self.refused[stop.began] = stop.pose(self.config)
@@ -434,7 +434,7 @@ class LiveSession:
         """Forget stops, messages, and what follows; return the number of samples there were."""
         count = sum(stop.sample is not None for stop in self.session.stops)
         with self.lock:
-            for messages in (self._profiles, self._poses, self.waiting, self._stale):
+            for messages in (self._profiles, self._poses, self.to_evaluate, self._stale):
                 messages.clear()
             self.session.clear()
             self.early = None

@@ -16,7 +16,7 @@ from geometry_msgs.msg import Point, PoseStamped, TransformStamped
 from handeye_ros import se3
 from handeye_ros.agreement import count_of
 from handeye_ros.config import Config
-from handeye_ros.data import Calibration
+from handeye_ros.data import Calibration, NS
 from handeye_ros.errors import INSTALL_TF2
 from handeye_ros.frames import in_mount, target_frame
 from handeye_ros.node.live import LiveSession
@@ -234,7 +234,7 @@ def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_
 
 def time_message(stamp: int) -> Time:
     """Return a stamp (ns) as a message."""
-    sec, nanosec = divmod(stamp, 1_000_000_000)
+    sec, nanosec = divmod(stamp, NS)
     return Time(sec=sec, nanosec=nanosec)
 
 

@@ -21,7 +21,7 @@ from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, split, trans
 from handeye_ros.bags.reader import CLOUD, JOINTS, POSE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
-from handeye_ros.data import RawProfile, TimedPose
+from handeye_ros.data import NS, RawProfile, TimedPose
 from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
 from handeye_ros.node.state import MessageCount
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
@@ -255,7 +255,7 @@ class Streams:
     def _on_joints(self, data: bytes) -> None:
         """Keep joint values for `handeye kinematics`, as they are."""
         seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
-        self._receiver.add_joints(seconds * 1_000_000_000 + nanoseconds, data)
+        self._receiver.add_joints(seconds * NS + nanoseconds, data)
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""

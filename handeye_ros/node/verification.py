@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 VERIFIED = 'the calibration is verified'
-MOST_PROFILES = 500  # of a pass that are kept, evenly spread
-MOST_POSES = 200_000  # of a pass that are kept, the last ones
+KEPT_PROFILES = 500  # of a pass that are kept, evenly spread
+KEPT_POSES = 200_000  # of a pass that are kept, the last ones
 
 
 @dataclass(eq=False)
@@ -45,7 +45,7 @@ class Part:
 
     stops: dict[int, Sample | Reject] = field(default_factory=dict)
     profiles: list[AnyProfile] = field(default_factory=list)
-    poses: deque[TimedPose] = field(default_factory=lambda: deque(maxlen=MOST_POSES))
+    poses: deque[TimedPose] = field(default_factory=lambda: deque(maxlen=KEPT_POSES))
     received: int = 0
     step: int = 1
 
@@ -64,7 +64,7 @@ class Part:
         if self.received % self.step == 0:
             self.profiles.append(profile)
         self.received += 1
-        if len(self.profiles) > 2 * MOST_PROFILES:
+        if len(self.profiles) > 2 * KEPT_PROFILES:
             self.profiles, self.step = self.profiles[::2], 2 * self.step
 
 
@@ -149,7 +149,7 @@ class LiveVerification:
             parts = [*parts, Part()]
         with live.lock:
             for stop in live.session.copied().remaining():  # they began before
-                live.session.mark_taken(stop)
+                live.session.close(stop)
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
         return f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
@@ -164,11 +164,11 @@ class LiveVerification:
         assert routine
         if over:
             with live.lock:
-                live.session.mark_taken(stop)
+                live.session.close(stop)
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')
-        result = live.result_of(stop, settings_for(routine, live.config, self._possible[0]))
+        result = live.result_elsewhere(stop, settings_for(routine, live.config, self._possible[0]))
         self._parts[-1].stops[stop.began] = result
         text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))

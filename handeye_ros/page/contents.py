@@ -125,7 +125,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
                 if path.name != current]
     previous = 0
     if sessions and not node.state['samples']:
-        previous = read_session(sessions[0]).taken
+        previous = read_session(sessions[0]).sample_count
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,

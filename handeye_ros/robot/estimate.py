@@ -22,7 +22,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.estimation.noise import prior_scales
+from handeye_ros.estimation.noise import prior_variances
 from handeye_ros.robot.stops import State, Stops
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +94,8 @@ class ArmFit:
         def rows(state: State) -> Rows:
             r, J = replace(self, state=state).linear
             return Rows(np.append(r, state.errors / stds), lambda: np.vstack([J, by_priors]))
-        block = np.append(self.stops.station[self.rows], np.full(len(stds), len(self.stops)))
-        return replace(self, state=System(rows, self.stops.moved, block).least_squares(
+        unit = np.append(self.stops.station[self.rows], np.full(len(stds), len(self.stops)))
+        return replace(self, state=System(rows, self.stops.moved, unit).least_squares(
             self.state, iterations=20, converged=1e-4))
 
 
@@ -106,7 +106,7 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
         order = np.argsort(fit.state.kinds, kind='stable')
         sigma, covariance = fit.stds[order], fit.covariance[u:, u:][np.ix_(order, order)]
         first = np.searchsorted(fit.state.kinds[order], np.arange(len(variances)))
-        variances = prior_scales(
+        variances = prior_variances(
             covariance / np.outer(sigma, sigma), fit.state.errors[order] / sigma, first,
             variances, np.full(len(variances), LARGEST))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % fit.stops.axes
@@ -136,10 +136,10 @@ def without_outliers(fit: ArmFit) -> ArmFit:
         return adjusted(replace(before or fit, used=np.isin(every, used)))
 
     def judged(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
-        _, block = np.unique(found.stops.station[found.rows], return_inverse=True)
-        (r, J), freedom = found.linear, np.bincount(block)
-        left_out = leave_one_out(r, J, found.covariance, block)
-        return np.bincount(block, r * left_out) / freedom, freedom
+        _, unit = np.unique(found.stops.station[found.rows], return_inverse=True)
+        (r, J), freedom = found.linear, np.bincount(unit)
+        left_out = leave_one_out(r, J, found.covariance, unit)
+        return np.bincount(unit, r * left_out) / freedom, freedom
     return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 

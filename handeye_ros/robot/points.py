@@ -124,7 +124,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     off = fit.stops.distances(fit.state)
     calibration = assembled(
         config, 'kinematics', config.sensor_frame, fit.state.X, covariance,
-        (fit.residual_rms, outcome.chosen.left_out_rms),
+        fit.residual_rms, outcome.chosen.left_out_rms,
         {**target, 'robot_position_error': outcome.smooth},
         [report_of(rows.number[k], rows.names[rows.target[k]], fit.used[k], off[k])
          for k in np.argsort(rows.number)], {'inputs': list(inputs)})

@@ -21,7 +21,9 @@ from handeye_ros.robot.answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
 from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start, UNSOLVED
 from handeye_ros.robot.stops import lengths, Profiles, State, Stops
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.sweep import problem_at_poses, synchronised
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
@@ -59,7 +61,10 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
                      robot_effector_frame=arm.flange)
     require_enough(len(session.samples))
     assert read.joints is not None
-    samples, problem = pipeline.at_fixed_poses(session.samples, config)
+    # as pipeline.answer prepares them, none dropped
+    samples = with_common_shape(sorted(session.samples, key=lambda sample: sample.stamp))
+    samples = synchronised(samples, config).samples
+    problem = problem_at_poses(samples, config)
     q = _joints_at(samples, read, read.joints)
     warnings = (*read.warnings, *session.warnings, *joint_notes(arm, read.joints))
     return Source(session, samples, replace(problem, poses=in_mount(arm.forward(q), config)), q,

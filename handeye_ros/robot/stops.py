@@ -21,7 +21,7 @@ from handeye_ros import se3
 from handeye_ros.arm import Arm, KINDS
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import as_they_are
-from handeye_ros.estimation.noise import Noise, whitening
+from handeye_ros.estimation.noise import LUMPED, whitening
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.frames import in_mount
 import numpy as np
@@ -75,7 +75,7 @@ class Profiles:
         problem = replace(self.problem, poses=in_mount(T_base_flange, self.problem.config))
         linear = linearise(problem, Estimate(X, target))
         return Residuals(linear.residuals, linear.jacobian[:, problem.free_columns],
-                         linear.by_pose, whitening(linear, Noise()))
+                         linear.by_pose, whitening(linear, LUMPED))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""

@@ -21,6 +21,7 @@ from handeye_ros.data import (
     EdgePoint,
     FaceLine,
     Feature,
+    NS,
     Profile,
     Reject,
     Sample,
@@ -28,7 +29,7 @@ from handeye_ros.data import (
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points, off_circle
 from handeye_ros.profiles.lines import combined_line, on_line
-from handeye_ros.sampling.stops import decoded, evenly, NS, Stop
+from handeye_ros.sampling.stops import decoded, evenly, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np

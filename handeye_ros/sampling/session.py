@@ -15,7 +15,7 @@ import math
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, UNNAMED_FRAME
-from handeye_ros.data import AnyProfile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
@@ -24,7 +24,6 @@ from handeye_ros.sampling.stops import (
     FOREVER,
     MOST_PROFILES,
     Motion,
-    NS,
     ProfileBuffer,
     Stop,
     StopFinder,
@@ -35,15 +34,9 @@ import numpy as np
 
 SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
-LARGEST_POSITION = 50.0  # m: no flange is there, it is another unit
+FARTHEST_FLANGE = 50.0  # m: no flange is there, it is another unit
 PATIENCE = 2 * NS  # of a stop without any profile, before it is said that it gives no sample
 CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
-
-
-def with_result(stop: Stop, config: Config) -> Stop:
-    """Return the stop with what it gives with a configuration."""
-    return replace(stop, result=replace(stop.result, stamp=stop.load(config).start)
-                   if stop.refused else result_of(stop, config))
 
 
 def duplicate_pose(sample: Sample, others: Iterable[Stop], config: Config) -> str:
@@ -80,7 +73,7 @@ class Session(Copyable):
         self._finder = StopFinder(self._config.sampling)
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
-        self._taken: set[int] = set()  # start stamps of the stops already returned
+        self._closed: set[int] = set()  # beginnings of stops that are not returned (again)
         self._passed_by = 0  # stops in manual mode
         self._unseen = 0  # stops dropped while waiting for profiles
         self._largest_position = 0.0
@@ -163,8 +156,8 @@ class Session(Copyable):
 
     def _with_their_profiles(self, stops: Sequence[Stop]) -> list[Stop]:
         """Return stops with their profiles, without those that were returned before."""
-        new = [stop for stop in stops if stop.began not in self._taken]
-        self._taken |= {stop.began for stop in new}
+        new = [stop for stop in stops if stop.began not in self._closed]
+        self._closed |= {stop.began for stop in new}
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
@@ -173,13 +166,13 @@ class Session(Copyable):
             self._out_of_plane.append(profile.out_of_plane)
         return stop
 
-    def is_taken(self, stop: Stop) -> bool:
+    def is_closed(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
-        return stop.began in self._taken
+        return stop.began in self._closed
 
-    def mark_taken(self, stop: Stop) -> None:
-        """Mark a stop as taken, so that it is not returned again."""
-        self._taken.add(stop.began)
+    def close(self, stop: Stop) -> None:
+        """Mark a stop, so that it is not returned again."""
+        self._closed.add(stop.began)
 
     def current_stop(self) -> Stop:
         """
@@ -239,14 +232,14 @@ class Session(Copyable):
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        if self._taken or self.last_number:
+        if self._closed or self.last_number:
             return
         poses, sampling = self._pose_stream, self._config.sampling
         if not poses.count:
             raise self._no_poses()
         if self.unasked:
             raise DataError(self.unasked, reason='not_asked')
-        if self._largest_position > LARGEST_POSITION:
+        if self._largest_position > FARTHEST_FLANGE:
             raise DataError(f'the flange positions reach {self._largest_position:.0f} m: they '
                             'seem to be in mm; publish them in metres', reason='position_unit')
         if poses.period > sampling.max_pose_gap:
@@ -319,7 +312,7 @@ class Session(Copyable):
     @property
     def unasked(self) -> str:
         """Return in words that the robot stopped but no sample was requested, '' otherwise."""
-        if self._taken or not self._passed_by:
+        if self._closed or not self._passed_by:
             return ''
         return (f'the robot stood still {self._passed_by} times, but no sample was requested: '
                 'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
@@ -340,7 +333,7 @@ class Session(Copyable):
     def rejects(self) -> tuple[Reject, ...]:
         """Return the stops without a sample or with an excluded one, with the reasons."""
         return tuple(o.result if isinstance(o.result, Reject) else
-                     Reject(o.result.stamp, f'sample {o.number} is left out by samples.exclude')
+                     Reject(o.result.stamp, f'sample {o.number} is excluded by samples.exclude')
                      for o in self.stops if o.sample is None or self.excludes(o))
 
     def excludes(self, stop: Stop) -> bool:
@@ -377,7 +370,7 @@ class Session(Copyable):
             return None
         self._next_check = began, CHECK_LATER * next_check
         stop, known = self._finder.current(), self._stops.get(began)
-        if stop is None or self.is_taken(stop) or (known and known.sample):
+        if stop is None or self.is_closed(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < PATIENCE else 0
@@ -398,12 +391,12 @@ class Session(Copyable):
         self._stops[stop.began] = stop
         self.last_number = max(self.last_number, stop.number)
         if over:
-            self.mark_taken(stop)
+            self.close(stop)
         return stop
 
     def remove(self, stop: Stop) -> None:
-        """Forget the result of a stop; it counts as taken."""
-        self.mark_taken(stop)
+        """Forget the result of a stop, which is closed."""
+        self.close(stop)
         self._stops.pop(stop.began, None)
 
     def restore(self, stops: Sequence[Stop], last_number: int, frame_id: str) -> None:

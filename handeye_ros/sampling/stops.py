@@ -18,13 +18,12 @@ from typing import TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
-from handeye_ros.data import AnyProfile, Array, Profile, RawProfile, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, Reject, Sample, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import around, by_stamp, Copyable
 import numpy as np
 from numpy.typing import NDArray
 
-NS = 1_000_000_000
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
 LONGEST = 10 * NS  # of a stop: more adds nothing but memory
 PASS = 2 * NS  # of motion
@@ -79,7 +78,7 @@ class Stop:
 
     @property
     def start(self) -> int:
-        """Return the stamp of the first pose."""
+        """Return the stamp of the first pose that is kept; see began."""
         return self.poses[0].stamp
 
     @property

@@ -221,7 +221,7 @@ def calibrate(given: Input) -> Calibration:
     warnings = {'warnings': list(given.warnings)} if given.warnings else {}
     return assembled(
         values.config, values.name, given.frame, answer.X @ se3.inverse(values.axes),
-        answer.covariance, (answer.residual_rms, answer.holdout_rms), answer.target,
+        answer.covariance, answer.residual_rms, answer.holdout_rms, answer.target,
         [report_of(number, kind, used, off) for (number, kind), used, off in zip(
             values.samples, answer.used, answer.off, strict=True)],
         {'inputs': list(given.inputs), **warnings})

@@ -222,8 +222,7 @@ class EndRows:
 
 def face_ends(obs: Observations) -> EndRows:
     """Return the ends of faces among observations."""
-    source = obs.station * (int(obs.source.max(initial=0)) + 1) + obs.source
-    _, feature, count = np.unique(source, return_inverse=True, return_counts=True)
+    _, feature, count = np.unique(obs.error_source, return_inverse=True, return_counts=True)
     kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
     found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
     slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),

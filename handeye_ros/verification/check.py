@@ -14,16 +14,24 @@ sentence names these and their odds; if nothing changed, the smallest change tha
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 import math
 from typing import Any
 
-from handeye_ros import frames, se3
+from handeye_ros import frames, pipeline, se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Calibration, Reject, Sample, TimeOffset
-from handeye_ros.errors import InputError, mm
+from handeye_ros.data import (
+    AnyProfile,
+    Array,
+    Calibration,
+    Reject,
+    Sample,
+    TimedPose,
+    TimeOffset,
+)
+from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
@@ -93,6 +101,30 @@ class Check:
     left_out: list[int]
     time_offset_changed: float = math.nan
     time_offset_changed_std: float = math.nan
+
+
+def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
+                    calibration: Calibration, config: Config) -> Check:
+    """
+    Return the check by a recording: by its stops, or by a sweep without stops.
+
+    Raises DataError, and InputError for a calibration without a target to compare with.
+    """
+    profiles = list(profiles)
+    try:
+        session = pipeline.gather(profiles, poses, config)
+    except DataError as error:
+        if error.reason != 'no_stops' or not calibration.time_offset:
+            raise
+        config = replace(config, sampling=replace(config.sampling, mode='moving'))
+        session = pipeline.gather(profiles, poses, config)
+    if not config.sampling.moving:
+        return check(session.samples, calibration, config, session.rejects)
+    answer = pipeline.answer_of(session, config)
+    offset, solution = answer.required().time_offset, answer.consensus()
+    used = [answer.samples[i] for i in solution.used]
+    result = check(_some_of_sweep(used), calibration, config, session.rejects)
+    return _with_offset(result, offset, calibration) if offset else result
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
@@ -339,7 +371,7 @@ def _shown(axes: Array, shifts: Array, frame: str) -> str:
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
-def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:
+def _with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:
     """Return a check with the time offset of a sweep."""
     previous = calibration.time_offset
     if previous is None:
@@ -353,7 +385,7 @@ def with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> 
                    sentence=f'{result.sentence}. {sentence[0].upper()}{sentence[1:]}')
 
 
-def some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
+def _some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
     """Return some samples of a sweep, evenly spaced, as samples of stops."""
     step = -(-len(samples) // KEPT)
     return [replace(sample, motion=None) for sample in samples[step // 2::step]]

@@ -51,7 +51,7 @@ def feed(live: LiveSession, recording=SPHERE, stops: int = 99) -> LiveSession:
             live.add_poses([item])
         else:
             live.add_profile(item)
-        if live.waiting:
+        if live.to_evaluate:
             update(live)
         if len(live.copied().stops) >= stops:
             break
@@ -210,7 +210,7 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
     assert len(read_session(Path(live.path)).stops) == 2
     changed(live, sampling__min_points=20)
     kept = read_session(Path(live.path))
-    assert sorted(kept.stops) == [1, 2, 3] and taken(state_of(live)) == kept.taken
+    assert sorted(kept.stops) == [1, 2, 3] and taken(state_of(live)) == kept.sample_count
     assert not list(Path(live.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)

@@ -6,11 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Profile, Reject, Sample, TimedPose
+from handeye_ros.data import NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -7,10 +7,10 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros.config import Config, ProfileConfig, with_values
-from handeye_ros.data import EdgePoint, Profile, RawProfile
+from handeye_ros.data import EdgePoint, NS, Profile, RawProfile
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import MOST_PROFILES, NS, ProfileBuffer, Stop
+from handeye_ros.sampling.stops import MOST_PROFILES, ProfileBuffer, Stop
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

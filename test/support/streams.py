@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from handeye_ros.config import Config, with_values
-from handeye_ros.data import Array, EdgePoint, Profile, Reject, Sample, TimedPose
+from handeye_ros.data import Array, EdgePoint, NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import NS
 import numpy as np
 from profiles import drawn, face, step_up_to, with_lost
 
