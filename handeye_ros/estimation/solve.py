@@ -436,17 +436,18 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     every = len(problem.poses) // MANY
     if every > 1:
         part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
-        if part.conservative is not None:
-            problem = problem.with_pose_values(part.problem.pose_values)
-            near = evaluated(problem, part.linear.estimate, part.noise)
-            best = Solution.at(near.stepped(), near.noise)
-            return _with_conservative(best, part.conservative.noise, 0)
+        problem = problem.with_pose_values(part.problem.pose_values)
+        near = evaluated(problem, part.linear.estimate, part.noise)
+        best = Solution.at(near.stepped(), near.noise)
+        return _with_conservative(best, part.for_report.noise, 0)
     found, diverged = _iterated(evaluated(problem, start, noise))
-    return found if diverged else _with_final_scales(found)
+    if diverged:  # where it is stays the answer, as uncertain as any
+        return _with_conservative(found, found.noise, LAST_STEPS)
+    return _with_final_scales(found)
 
 
 def _iterated(found: Solution) -> tuple[Solution, bool]:
-    """Return the converged solution and False, or the best before divergence and True."""
+    """Return the solution after some steps and False, or the best before divergence and True."""
     least, best = np.inf, found
     for count in range(10):  # linearisations
         (x, covariance), u = found._solved, found.unknowns

@@ -149,7 +149,7 @@ def test_the_command_line_shows_the_samples(whole: Path, tmp_path: Path) -> None
     assert sorted(int(line[0]) for line in lines) == list(range(1, 14))
     assert [float(line[3]) for line in lines] == sorted((float(line[3]) for line in lines),
                                                         reverse=True)
-    assert [line[0] for line in lines if 'left out' in ' '.join(line)] == ['3']
+    assert [line[0] for line in lines if 'excluded' in ' '.join(line)] == ['3']
     assert_refused(handeye('samples', tmp_path, cwd=tmp_path), 2, 'is not a bag')
 
 

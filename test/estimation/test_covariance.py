@@ -25,7 +25,7 @@ from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import budget
-from handeye_ros.estimation.noise import covariances
+from handeye_ros.estimation.noise import covariances, LUMPED
 from handeye_ros.estimation.search import fit
 from handeye_ros.estimation.solve import covering, evaluated
 from handeye_ros.simulate import FAULTS, simulate_samples
@@ -112,7 +112,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     sigma = made.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    there = evaluated(replace(solution.problem, poses=moved), solution.estimate)
+    there = evaluated(replace(solution.problem, poses=moved), solution.estimate, LUMPED)
     mine = there.problem.observations.station == 3
     assert (there.whitened[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
     assert np.allclose(there.whitened[~mine], 0, atol=1e-3)

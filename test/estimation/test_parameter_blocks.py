@@ -13,6 +13,7 @@ from handeye_ros.data import Array, Calibration, EdgePoint
 from handeye_ros.estimation.basis import (
     bending,
 )
+from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import PoseModel, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, simulate, simulate_samples
@@ -35,7 +36,7 @@ def stated(made: Cell, **factors: float) -> Cell:
 
 def final(made: Cell) -> Solution:
     first = solved(made.problem)
-    return map_solution(first.problem, first.estimate)
+    return map_solution(first.problem, first.estimate, Noise())
 
 
 def answer(made: Cell) -> Calibration:
@@ -165,7 +166,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     wrong = model.at(np.zeros(2))[0]
     problem = Problem(true.target, wrong if true.in_hand else se3.inverse(wrong),
                       true.observations, true.config, model)
-    found = map_solution(problem, start)
+    found = map_solution(problem, start, Noise())
     off = found.problem.pose_values - TRUE
     assert [b.name for b in found.blocks[-2:]] == ['first', 'second']
     std = 1e-3 * np.sqrt(np.diag(found.covariance)[-2:])
@@ -173,7 +174,8 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     now, _ = model.at(found.problem.pose_values)
     assert np.allclose(found.problem.robot_poses, now)
     assert np.allclose(found.corrected_poses(), found.problem.poses)
-    assert made.error(found.estimate.X) < made.error(map_solution(true, start).estimate.X) + 1e-5
+    known = map_solution(true, start, Noise())
+    assert made.error(found.estimate.X) < made.error(known.estimate.X) + 1e-5
     half = problem.with_pose_values(TRUE).subset(np.arange(0, len(wrong), 2))
     assert np.allclose(half.poses, true.poses[::2])
     assert np.allclose(half.with_pose_values(np.zeros(2)).poses, problem.poses[::2])

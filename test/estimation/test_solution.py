@@ -18,6 +18,7 @@ from cells import (
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation import solve
+from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.sampling.sweep import problem_at_poses
@@ -75,13 +76,26 @@ def frozen(sample: Sample) -> Sample:
 def test_some_of_many_stations_lead_to_the_answer_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
     made = cell(replace(SCENARIOS['plate'], stations=(30, 30)), noise__robot_smooth=1e-4)
     start = solved(made.problem).estimate
-    plain = map_solution(made.problem, start)
+    plain = map_solution(made.problem, start, Noise())
     monkeypatch.setattr(solve, 'MANY', 20)
-    quick = map_solution(made.problem, start)
+    quick = map_solution(made.problem, start, Noise())
     off = se3.difference(quick.estimate.X, plain.estimate.X)
     std = np.sqrt(np.diag(plain.reported)[:6])
     assert 0 < np.abs(off / std).max() < 0.2
     np.testing.assert_allclose(np.sqrt(np.diag(quick.reported)[:6]), std, rtol=0.2)
+
+
+def test_a_solve_that_diverges_reports_the_errors_of_any_other(monkeypatch: pytest.MonkeyPatch
+                                                              ) -> None:
+    made = cell('plate')
+    start = solved(made.problem).estimate
+    monkeypatch.setattr(solve, '_iterated', lambda found: (found, True))
+    found = map_solution(made.problem, start, Noise())
+    of_a_cause = replace(found, added_covariances={'cause': 1e-6 * np.eye(6)})
+    more = of_a_cause.reported - found.reported
+    np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
+    beside = found.for_report.covariance[:6, :6]
+    assert np.linalg.eigvalsh(found.reported[:6, :6] - beside).min() > -1e-9 * beside.max()
 
 
 def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:
