@@ -10,11 +10,13 @@ derivative by the flange pose times the twist: one more column each. No start va
 start from several offsets, on some of the samples, until one is good. However long a
 sweep is, MOST_SAMPLES of its profiles make the answer.
 
-All differences between a sweep and stops: a pass is cut by time (StopFinder), and its profiles are
-not combined (sampling/features.py); passes_expanded takes it apart, with one motion for all parts;
-synchronised finds the clocks, on which the poses of the parts depend (problem_of). A pass is never
-a duplicate, nor taken early (session.py); other settings and clocks are not asked for a sweep
-(checks/causes.py); advice is to sweep on (guidance/advice.py).
+How a sweep differs from stops: a pass is cut by time (StopFinder), and its profiles are not
+combined (sampling/features.py); passes_expanded takes it apart, with one motion for all parts;
+synchronised finds the clocks, on which the poses of the parts depend (problem_of). What follows
+from that elsewhere asks Sample.moving or sampling.moving: a pass is never a duplicate, nor taken
+early (session.py); other settings and clocks are not asked (checks/causes.py), and a move must be
+larger than the smooth error of the robot (checks/moved.py); a pass agrees if most of its profiles
+do (agreement.py); advice is to sweep on (guidance/advice.py).
 """
 from __future__ import annotations
 
