@@ -9,10 +9,10 @@ satisfy a condition g(p) = 0. The numbers are those of docs/estimator.md.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -21,6 +21,9 @@ from handeye_ros.estimation.basis import process_root
 from handeye_ros.estimation.least_squares import groups
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
 MANY = 200  # stations: more of them change variance factors by less than 1 % of a sigma
@@ -100,7 +103,7 @@ class PoseModel:
     stds: tuple[float, ...]
     stations: NDArray[np.intp] | None = None
     least_variance: float = 0.0
-    blocks: Any = None
+    blocks: Callable[[Linear], Iterable[ParameterBlock]] | None = None
     jitter: Array | None = None
 
     def at(self, values: Array) -> tuple[Array, Array]:
@@ -174,7 +177,7 @@ class Target(ABC):
         return points, kind
 
     @abstractmethod
-    def guess(self, problem: Any, rng: np.random.Generator) -> Iterator[Estimate]:
+    def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield estimates to start from, best first, computed on demand."""
 
     @abstractmethod
@@ -213,11 +216,11 @@ class Target(ABC):
         """Return in words where observations lie that are not on the target, '' if unknown."""
         return ''
 
-    def blocks(self, linear: Any) -> Any:
+    def blocks(self, linear: Linear) -> Iterable[ParameterBlock]:
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
         return ()
 
-    def feature_errors(self, linear: Any) -> Array:
+    def feature_errors(self, linear: Linear) -> Array:
         """
         Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
 

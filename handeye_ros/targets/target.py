@@ -4,9 +4,10 @@
 What a target has to say, and what all targets share.
 
 A new target is a subclass in one file: the features of a profile that show it, the conditions of
-their points in the target's frame, which moves and measures of it are unknown, and a start. Here
-are its observations, the classes of targets, and the systematic errors that targets of faces have
-in common: set-back of faces, shapes of edges, flatness, range at grazing incidence.
+their points in the target's frame, which moves and measures of it are unknown, and a start. What
+the estimator asks of it is Target in estimation/problem.py. Here are its observations, the classes
+of targets, and the systematic errors that targets of faces have in common: set-back of faces,
+shapes of edges, flatness, range at grazing incidence.
 """
 from __future__ import annotations
 
