@@ -147,8 +147,9 @@ class Agreement:
     """
     RMS distances of a sample's points to the target of an answer, in metres.
 
-    residual: from the answer; left_out: from the answer without this sample; used: whether the
-    answer uses it. Both are the same for a sample that it does not use.
+    residual: from the answer
+    left_out: from the answer without this sample
+    used: whether the answer uses it. Both are the same for a sample that it does not use.
     """
 
     residual: float

@@ -52,9 +52,10 @@ class Joint:
     """
     A movable joint.
 
-    origin: (4, 4) its frame in that of the previous joint, at zero; axis: (3,) unit vector in its
-    frame. Its value is factor * (value of the joint `follows`) + shift; a joint that mimics none
-    follows itself. lower, upper: its limits (rad or m).
+    origin: (4, 4) its frame in that of the previous joint, at zero
+    axis: (3,) unit vector in its frame. Its value is factor * (value of the joint `follows`) +
+        shift; a joint that mimics none follows itself.
+    lower, upper: its limits (rad or m)
     """
 
     name: str
@@ -87,10 +88,11 @@ class Arm:
     """
     The joints between two frames, with the errors that are estimated.
 
-    end: (4, 4) the flange in the frame of the last joint. kinds: the kinds of errors that are
-    estimated, of GEOMETRY; values: (k,) of them, joint by joint, each in the order of KINDS;
-    covariance: (k, k) of the values; configurations: (n, joints) at which they were found; None
-    where they are not stated.
+    end: (4, 4) the flange in the frame of the last joint
+    kinds: the kinds of errors that are estimated, of GEOMETRY
+    values: (k,) of them, joint by joint, each in the order of KINDS
+    covariance: (k, k) of the values
+    configurations: (n, joints) at which they were found; None where they are not stated
     """
 
     base: str

@@ -185,7 +185,9 @@ class Measured:
     """
     All measured points of the used samples, represented by the target's observations.
 
-    points: (k, 2) of the sensor plane; kind: (k,); station: (k,) the problem's.
+    points: (k, 2) of the sensor plane
+    kind: (k,)
+    station: (k,) the problem's
     """
 
     points: Array

@@ -234,10 +234,13 @@ class Row:
     """
     Result of one estimator, in SI units.
 
-    T_flange_sensor: (4, 4), None if the estimator failed; failure: the reason. residual_rms: RMS
-    residual of the target's own method with this transform, the target fitted to it; holdout_rms:
-    the same for stations left out of the estimate. error_...: against the true transform.
-    seconds: duration of one fit. None: unknown.
+    T_flange_sensor: (4, 4), None if the estimator failed
+    failure: the reason
+    residual_rms: RMS residual of the target's own method with this transform, the target fitted to
+        it
+    holdout_rms: the same for stations left out of the estimate
+    error_...: against the true transform; None: unknown
+    seconds: duration of one fit
     """
 
     name: str
@@ -256,8 +259,9 @@ class Comparison:
     """
     The rows, the target's own method first.
 
-    used, rejected: number of stations given to every estimator, and of the others. refusal: why
-    the answer of the target's own method is none, or None. over: region of the errors, in words.
+    used, rejected: number of stations given to every estimator, and of the others
+    refusal: why the answer of the target's own method is none, or None
+    over: region of the errors, in words
     """
 
     rows: tuple[Row, ...]

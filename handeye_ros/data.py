@@ -33,10 +33,10 @@ class Profile:
     One laser profile, in the sensor's own plane.
 
     points: (n, 2) metres, along the laser line and range, ordered along the line in either
-    direction (read sorts others); a row with NaN is a column without a return.
-    axes: the signed axes of frame_id that the two columns of points run along.
-    out_of_plane: the third coordinate in frame_id, across the plane (metres); it is not used.
-    intensity: (n,) of the points, None if not requested or not published.
+        direction (read sorts others); a row with NaN is a column without a return
+    axes: the signed axes of frame_id that the two columns of points run along
+    out_of_plane: the third coordinate in frame_id, across the plane (metres); it is not used
+    intensity: (n,) of the points, None if not requested or not published
     """
 
     stamp: int
@@ -83,10 +83,12 @@ class RawProfile:
     """
     A profile as received; it is converted only when it is used.
 
-    fetch: returns the serialised message; convert: makes a Profile of it with a configuration, or
-    raises UnusableMessageError; config: the default configuration; held: memory that it takes
-    (bytes), 0 if it is in a file; rows: number of profiles in the message; reach: it was taken at
-    most this long before and after its stamp (ns).
+    fetch: returns the serialised message
+    convert: makes a Profile of it with a configuration, or raises UnusableMessageError
+    config: the default configuration
+    held: memory that it takes (bytes), 0 if it is in a file
+    rows: number of profiles in the message
+    reach: it was taken at most this long before and after its stamp (ns)
     """
 
     stamp: int
@@ -173,13 +175,16 @@ class FaceLine:
     """
     The straight part of a profile across a face.
 
-    centre: (2,) centroid of its points; direction: (2,) unit vector along it.
-    spread: standard deviation of its points along it (m); std: 1 sigma of its offset at the
-    centre, and of the change of the offset over one spread (m). So the offsets at
-    centre +- spread * direction are uncorrelated, each with 1 sigma sqrt(2) * std.
-    points: (k, 2) normal points: means of equal bins of measured points, in order; points_std:
-    (k,) 1 sigma of each across the line. bins: (m, 2) means of finer parts, whose scatter gives
-    std and points_std. All three are empty if only the line is known.
+    centre: (2,) centroid of its points
+    direction: (2,) unit vector along it
+    spread: standard deviation of its points along it (m)
+    std: 1 sigma of its offset at the centre, and of the change of the offset over one spread (m).
+        So the offsets at centre +- spread * direction are uncorrelated, each with 1 sigma sqrt(2)
+        * std.
+    points: (k, 2) normal points: means of equal bins of measured points, in order
+    points_std: (k,) 1 sigma of each across the line
+    bins: (m, 2) means of finer parts, whose scatter gives std and points_std. All three are empty
+        if only the line is known.
     """
 
     centre: Array
@@ -201,15 +206,19 @@ class EdgePoint:
     """
     Where a face ends.
 
-    point: (2,) in the sensor plane, on the face line; direction: (2,) unit vector along the
-    face line, out of the face; std: 1 sigma along the direction; std_across: 1 sigma across it;
+    point: (2,) in the sensor plane, on the face line
+    direction: (2,) unit vector along the face line, out of the face
+    std: 1 sigma along the direction
+    std_across: 1 sigma across it
     kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
-    behind it) or 'open' (the driver does not say).
+        behind it) or 'open' (the driver does not say)
     drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
-    without a visible wall, else 0; shapes: (k + 1,) log likelihoods of roundings with k radii and
-    of a bevel, 0 for the best, empty without a bend. arc: (2,) from the point to the middle of the
-    end's arc if it is a rounding; arc_std: 1 sigma of this position along the direction.
-    shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends.
+        without a visible wall, else 0
+    shapes: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the best,
+        empty without a bend
+    arc: (2,) from the point to the middle of the end's arc if it is a rounding
+    arc_std: 1 sigma of this position along the direction
+    shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
     """
 
     point: Array
@@ -234,9 +243,10 @@ class Arc:
     """
     The part of a profile on a sphere.
 
-    points: (k, 2) normal points, each the mean of its bin of the arc; std: (k,) 1 sigma of
-    each along the circle's normal. centre (2,), radius: the circle fitted through all points.
-    raw: (n, 2) the points of the arc that the normal points stand for, as measured.
+    points: (k, 2) normal points, each the mean of its bin of the arc
+    std: (k,) 1 sigma of each along the circle's normal
+    centre (2,), radius: the circle fitted through all points
+    raw: (n, 2) the points of the arc that the normal points stand for, as measured
     """
 
     points: Array
@@ -259,12 +269,14 @@ class Sample:
     """
     What a stop gives, or one profile of a moving robot: the features seen, and the pose.
 
-    stamp: of the first profile used; T_base_flange: (4, 4).
+    stamp: of the first profile used
+    T_base_flange: (4, 4)
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
-    None where they were not asked for.
-    motion: trajectory of a moving robot (sampling.trajectory); offsets: from the stamp to the time
-    of its pose, of the rotation behind the position (s), and drift (sampling.sweep).
-    of_pass: samples of the single profiles of a pass, whose middle one this sample repeats.
+        None where they were not asked for
+    motion: trajectory of a moving robot (sampling.trajectory)
+    offsets: from the stamp to the time of its pose, of the rotation behind the position (s), and
+        drift (sampling.sweep)
+    of_pass: samples of the single profiles of a pass, whose middle one this sample repeats
     """
 
     stamp: int
@@ -344,9 +356,10 @@ class Quality:
     """
     How good the answer is; metres.
 
-    residual_rms: of all used observations; holdout_rms: of the same, each predicted from
-    a fit without its station; weakest_direction: of the translation, in words; weakest_std: its 1
-    sigma.
+    residual_rms: of all used observations
+    holdout_rms: of the same, each predicted from a fit without its station
+    weakest_direction: of the translation, in words
+    weakest_std: its 1 sigma
     """
 
     samples_used: int
@@ -362,8 +375,11 @@ class Calibration:
     """
     The answer: T_flange_sensor (4, 4) and its 6x6 covariance (x y z rx ry rz, flange frame).
 
-    With eye_on_base the parent is the robot's base. target: what else was estimated, as plain
-    values; time_offset: where it was estimated; provenance: version, created, inputs, config.
+    With eye_on_base the parent is the robot's base.
+
+    target: what else was estimated, as plain values
+    time_offset: where it was estimated
+    provenance: version, created, inputs, config
     """
 
     name: str

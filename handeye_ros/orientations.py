@@ -24,9 +24,12 @@ class Notation:
     """
     How a controller writes a pose.
 
-    title: in words; labels: names of the k numbers of an orientation; angle: their unit, deg or
-    rad, or '' for a quaternion; length: unit of positions; numbers: converts a Rotation to
-    numbers (n, k); rotation: converts such numbers to a Rotation.
+    title: in words
+    labels: names of the k numbers of an orientation
+    angle: their unit, deg or rad, or '' for a quaternion
+    length: unit of positions
+    numbers: converts a Rotation to numbers (n, k)
+    rotation: converts such numbers to a Rotation
     """
 
     title: str

@@ -65,9 +65,11 @@ class Answer:
     What samples say: a calibration, or a refusal.
 
     samples: in the order of the stations that were solved, for a sweep with the poses at the
-    estimated time offset; solution: of those that agree, however uncertain, None where none can
-    be started; fits: whether the samples agree with it; calibration: None where it is refused;
-    refusal: why, None where it is not.
+        estimated time offset
+    solution: of those that agree, however uncertain, None where none can be started
+    fits: whether the samples agree with it
+    calibration: None where it is refused
+    refusal: why, None where it is not
     """
 
     samples: Sequence[Sample]

@@ -26,9 +26,11 @@ class Entry:
     """
     One calibration of a trend.
 
-    recorded: time of its first sample, or of its solution where that is unknown. difference: (6,)
-    to the first, std: (6,) of it, by both covariances; p_first, p_before: p-values of the
-    difference to the first, and to the previous one. residual: RMS (m).
+    recorded: time of its first sample, or of its solution where that is unknown
+    difference: (6,) to the first
+    std: (6,) of it, by both covariances
+    p_first, p_before: p-values of the difference to the first, and to the previous one
+    residual: RMS (m)
     """
 
     path: Path

@@ -52,9 +52,10 @@ class Recording:
     """
     The contents of a bag for a calibration.
 
-    profiles, poses: in the order of their stamps. joints: the joint values (n, joints) of the
-    poses, where these are of an arm. warnings: sentences on lost or repaired data. files: those
-    that were read.
+    profiles, poses: in the order of their stamps
+    joints: the joint values (n, joints) of the poses, where these are of an arm
+    warnings: sentences on lost or repaired data
+    files: those that were read
     """
 
     profiles: tuple[RawProfile, ...]

@@ -70,8 +70,9 @@ class Reader:
     """
     Reads the messages of a rosbag2 folder or an .mcap or .db3 file, all or those of some topics.
 
-    types: of all topics by name; warnings: on unreadable data; files: those that were read. All
-    three are complete after the last message.
+    types: of all topics by name
+    warnings: on unreadable data
+    files: those that were read. All three are complete after the last message.
     """
 
     def __init__(self, path: Path, topics: Collection[str] | None = None,

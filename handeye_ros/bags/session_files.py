@@ -103,8 +103,10 @@ class Stored:
     """
     A session on the disk.
 
-    config: the last settings; stops: by number, without removed ones; sample_count: how many of
-    them gave a sample; last_number: the largest so far.
+    config: the last settings
+    stops: by number, without removed ones
+    sample_count: how many of them gave a sample
+    last_number: the largest so far
     """
 
     path: Path

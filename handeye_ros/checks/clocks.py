@@ -34,9 +34,11 @@ class _Still:
     """
     The longest time of a stop in which the profiles do not change.
 
-    sample: of these profiles, None without one; pose: (4, 4) T_base_flange of the stop; stop: (2,)
-    first and last stamp of its poses (s); rest: (2,) of this time (s), NaN where the profiles do
-    not change before or after it in the stop.
+    sample: of these profiles, None without one
+    pose: (4, 4) T_base_flange of the stop
+    stop: (2,) first and last stamp of its poses (s)
+    rest: (2,) of this time (s), NaN where the profiles do not change before or after it in the
+        stop
     """
 
     sample: Sample | None

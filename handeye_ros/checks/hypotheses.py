@@ -168,8 +168,9 @@ class Hypothesis:
     """
     One changed assumption, or several that belong together.
 
-    refit(): the fit of the same stops with this change; refusal(fit): the error that names this
-    change; changes: how many assumptions it changes.
+    refit(): the fit of the same stops with this change
+    refusal(fit): the error that names this change
+    changes: how many assumptions it changes
     """
 
     refit: Callable[[], Explanation]

@@ -154,8 +154,11 @@ class _Steps:
     """
     Sums over the parts of a recording between k possible moves, for (14).
 
-    D: derivatives (rows, 12) by a move of sensor and target. own: (k + 1, 12, 12) D'D;
-    cross: (k + 1, q, 12) C^(1/2) A'D; slope: (k + 1, 12) D'e.
+    D: derivatives (rows, 12) by a move of sensor and target
+
+    own: (k + 1, 12, 12) D'D
+    cross: (k + 1, q, 12) C^(1/2) A'D
+    slope: (k + 1, 12) D'e
     """
 
     own: Array

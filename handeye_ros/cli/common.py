@@ -60,8 +60,9 @@ class Opened:
     """
     The input of a verb, and the settings it is read with.
 
-    session: the samples of a recording or a session; table: the content of a table of measured
-    values instead. inputs: for the provenance of an answer.
+    session: the samples of a recording or a session
+    table: the content of a table of measured values instead
+    inputs: for the provenance of an answer
     """
 
     settings: 'Config'

@@ -50,12 +50,16 @@ class ParameterBlock:
     Nuisance parameters with one prior, at an estimate.
 
     columns: (m, k) derivatives of the residuals by the parameters, in units of the prior sigma std
-    (m, rad, s or 1). twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as
-    in Linear.by_pose; None: no change. best_fit(linear): (6, k) derivatives of the best-fit
-    transform. Parameters that are not only corrections of the residuals: parameter: index of the
-    target's parameter, pose_values: which values of the pose model; value: (k,) at present.
-    least_variance, largest_variance: bounds of the variance over the configured one. report: key
-    in the answer, '' for none; origin: added to the reported value of one parameter.
+        (m, rad, s or 1)
+    twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as in Linear.by_pose;
+        None: no change
+    best_fit(linear): (6, k) derivatives of the best-fit transform; None: no change
+    parameter: index of the target's parameter that it is, None for a mere correction of residuals
+    pose_values: which values of the pose model it is, likewise
+    value: (k,) of these parameters at present
+    least_variance, largest_variance: bounds of the variance over the configured one
+    report: key in the answer, '' for none
+    origin: added to the reported value of one parameter
     """
 
     name: str

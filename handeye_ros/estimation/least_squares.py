@@ -255,9 +255,10 @@ class Adjusted(Generic[S]):
     """
     Result of robust least squares over n units of k residuals.
 
-    used: ascending indices of the used units; residuals (n, k): whitened, of all units; left_out
-    (used, k): leave-one-out residuals of the used units, to first order; covariance: (u, u),
-    multiplied by the variance factor if that exceeds 1.
+    used: ascending indices of the used units
+    residuals (n, k): whitened, of all units
+    left_out (used, k): leave-one-out residuals of the used units, to first order
+    covariance: (u, u), multiplied by the variance factor if that exceeds 1
     """
 
     state: S

@@ -47,9 +47,10 @@ class Noise:
     Factors on the configured variances in (3), and the scales of blocks.
 
     variance_factors: (5,) of the features' own errors, by variance component (2); of the
-    distortion that differs between stations; of the pose noise; of the white errors of the pose
-    values, such as time. block_variances: tau^2 of each block by name; lumped: whether blocks
-    count as errors of each station.
+        distortion that differs between stations; of the pose noise; of the white errors of the
+        pose values, such as time
+    block_variances: tau^2 of each block by name
+    lumped: whether blocks count as errors of each station
     """
 
     variance_factors: Array = field(default_factory=lambda: np.ones(5))

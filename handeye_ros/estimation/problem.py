@@ -34,12 +34,15 @@ class Observations:
     """
     Points of the sensor plane, each with one scalar condition.
 
-    station: (m,) index of the pose, ascending; points: (m, 2) metres; kind: (m,) index of the
-    condition in the target's kinds; noise: (m, 2, 2) factor L: the point's error is L @ e, e of
-    unit covariance; source: (m,) observations of a station with equal source share e. end: (m,)
-    how the face ends at an edge point (numbered from 1), 0 for other points; edge points have a
-    variance factor of their own; outward: (m, 2) unit vector out of the face; shape: (m,) 1 sigma
-    of the outward edge position from the uncertain shape, common to all edges (m).
+    station: (m,) index of the pose, ascending
+    points: (m, 2) metres
+    kind: (m,) index of the condition in the target's kinds
+    noise: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
+    source: (m,) observations of a station with equal source share e
+    end: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge points
+        have a variance factor of their own
+    outward: (m, 2) unit vector out of the face
+    shape: (m,) 1 sigma of the outward edge position from the uncertain shape, common to all edges
     """
 
     station: NDArray[np.intp]
@@ -90,11 +93,14 @@ class PoseModel:
 
     evaluate(values (k,)): poses T_base_flange (N, 4, 4) of all samples, and twists (N, 6, k),
     their derivatives by the values: translation, and rotation vector about the flange's origin,
-    both in the base frame. names, counts, stds: of the blocks of parameters in order, stds: 1
-    sigma of the prior about 0. jitter: (k,) 1 sigma of independent errors of the values at each
-    station, as of stamps; None: none. stations: indices of the problem's stations among
-    the N, None: all. least_variance: see ParameterBlock. blocks: source of further blocks for such
-    poses, or None.
+    both in the base frame.
+
+    names, counts, stds: of the blocks of parameters in order, stds: 1 sigma of the prior about 0
+    jitter: (k,) 1 sigma of independent errors of the values at each station, as of stamps; None:
+        none
+    stations: indices of the problem's stations among the N, None: all
+    least_variance: see ParameterBlock
+    blocks: source of further blocks for such poses, or None
     """
 
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -141,11 +147,16 @@ class Target(ABC):
 
     There are m observations of points p (..., m, 3) in the base, a state (..., s) of the target,
     and k parameters of it. extract(points (n, 2), config): the features of one profile; raises
-    FeatureError without them. kinds: names of the conditions; labels: names of the parameters;
-    essential: kinds of which a station must use one, if it shows any; minimum: fewest samples;
+    FeatureError without them.
+
+    kinds: names of the conditions
+    labels: names of the parameters
+    essential: kinds of which a station must use one, if it shows any
+    minimum: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
-    it has one; one_axis: what rotations about one axis alone leave undetermined, in words. faces:
-    how many straight lines of it one view has, 0 of a round target.
+        it has one
+    one_axis: what rotations about one axis alone leave undetermined, in words
+    faces: how many straight lines of it one view has, 0 of a round target
     """
 
     name: str
@@ -234,9 +245,11 @@ class StationGroup:
     """
     s stations with c observations each.
 
-    rows: (s, c) row numbers; correlation: (s, c, c) of the distortion; shared: (s, c, c) 1
-    where two observations share the error of one feature; components: (2, s, c, c) 1 where both
-    are of the first variance component, or both of the second.
+    rows: (s, c) row numbers
+    correlation: (s, c, c) of the distortion
+    shared: (s, c, c) 1 where two observations share the error of one feature
+    components: (2, s, c, c) 1 where both are of the first variance component, or both of the
+        second
     """
 
     rows: NDArray[np.intp]
@@ -271,8 +284,9 @@ class Problem:
     """
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
 
-    pose_model: parameters that the poses depend on, or None; pose_values: (k,) their values.
-    long_errors: whether the robot's smooth error has long wavelengths only.
+    pose_model: parameters that the poses depend on, or None
+    pose_values: (k,) their values
+    long_errors: whether the robot's smooth error has long wavelengths only
     """
 
     target: Target

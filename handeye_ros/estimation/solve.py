@@ -53,16 +53,21 @@ class Solution:
     """
     The least squares at an estimate, (4), solved, of the stations used.
 
-    linear: the used stations with the labels of their observations, linearised; priors: blocks
-    with their configured sigmas; r: (m,) whitened residuals with all parameters of blocks at 0; A:
-    (m, u + q) whitened derivatives by u unknowns (first six: X) and by q parameters in configured
-    sigmas; N: (u + q, u + q) their information, A' A.
-
-    whole: the problem with all stations and observations; used: (n,) indices of those used;
-    dropped: squared residual of the others; probability_wrong: that one of few used stations is,
-    surely_wrong: the station that almost surely is; added_covariances: (6, 6) by cause, added to
-    the reported covariance of the transform, as by (10); conservative: the solution at
-    conservative scales: its estimate moves too far, its covariance is realistic.
+    linear: the used stations with the labels of their observations, linearised
+    priors: blocks with their configured sigmas
+    r: (m,) whitened residuals with all parameters of blocks at 0
+    A: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q parameters in
+        configured sigmas
+    N: (u + q, u + q) their information, A' A
+    whole: the problem with all stations and observations
+    used: (n,) indices of those used
+    dropped: squared residual of the others
+    probability_wrong: that one of few used stations is wrong
+    surely_wrong: the station that almost surely is
+    added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
+        (10)
+    conservative: the solution at conservative scales: its estimate moves too far, its covariance
+        is realistic
     """
 
     linear: Linear

@@ -72,9 +72,12 @@ class Advice:
     """
     Advice for the operator.
 
-    sentences: in the order of their weight; next: the pose that helps most, None before the
-    sensor is roughly known; move: what to do instead then; sigmas: empty before there is an
-    answer; enough: whether to stop; why: the reason, one sentence.
+    sentences: in the order of their weight
+    next: the pose that helps most, None before the sensor is roughly known
+    move: what to do instead then
+    sigmas: empty before there is an answer
+    enough: whether to stop
+    why: the reason, one sentence
     """
 
     sentences: tuple[str, ...]

@@ -60,10 +60,11 @@ class Move:
     """
     A move relative to the first pose, described by the view of the laser line.
 
-    turn: rad about the viewing direction (the range axis), done first; tilt: (2,) rad about the
-    laser line and about the normal of the light plane; place: (2,) where in the sensor plane the
-    feature then is; edge: which of the target's edges the line crosses, from 0; beside: how far
-    the middle of a sphere is off the light plane, along its normal, in radii.
+    turn: rad about the viewing direction (the range axis), done first
+    tilt: (2,) rad about the laser line and about the normal of the light plane
+    place: (2,) where in the sensor plane the feature then is
+    edge: which of the target's edges the line crosses, from 0
+    beside: how far the middle of a sphere is off the light plane, along its normal, in radii
     """
 
     text: str

@@ -47,9 +47,11 @@ class Review:
     """
     What follows from the samples: their answer, how each agrees with it, and the advice.
 
-    answer: None before the first; agreements: of the samples by their numbers; no_agreements: why
-    there are none; advised: the number of the last sample in the advice, 0 for none; basis:
-    identifies samples and settings that it follows from.
+    answer: None before the first
+    agreements: of the samples by their numbers
+    no_agreements: why there are none
+    advised: the number of the last sample in the advice, 0 for none
+    basis: identifies samples and settings that it follows from
     """
 
     advice: Advice
@@ -87,9 +89,10 @@ class LiveAnswer:
     """
     The answer of a running session; its methods are for the worker (see live.py).
 
-    calibration: the last answer that was not refused; missing: why there is none; asked_with: the
-    settings of the last attempt to compute it, None before the first; seen: visible points (k, 2)
-    at the ends of the field of view.
+    calibration: the last answer that was not refused
+    missing: why there is none
+    asked_with: the settings of the last attempt to compute it, None before the first
+    seen: visible points (k, 2) at the ends of the field of view
     """
 
     def __init__(self, live: LiveSession) -> None:

@@ -76,9 +76,11 @@ class LiveSession:
 
     What messages change (session, verification, to_evaluate, early, joints, the latest messages
     and their counts) is used under lock. The stops of the session, and all else, are changed by
-    the worker alone: it reads them without, others see them at any time. attempt: the last one;
-    refused: T_base_flange (4, 4) of stops without a sample, by their beginnings; running: the long
-    computations in words, '' for a review.
+    the worker alone: it reads them without, others see them at any time.
+
+    attempt: the last one
+    refused: T_base_flange (4, 4) of stops without a sample, by their beginnings
+    running: the long computations in words, '' for a review
     """
 
     def __init__(self, config: Config, folders: OutputFolders, files: SessionFiles, pool: Pool,

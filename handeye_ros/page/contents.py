@@ -51,9 +51,11 @@ class Source:
     """
     Content and actions of the page.
 
-    state: returns plain values; acts: the buttons by name, each is called with the values of its
-    request and returns success and message, or raises HandeyeError; reads: by name, each is called
-    with the values of its query and returns plain values, or name and text of a file.
+    state: returns plain values
+    acts: the buttons by name, each is called with the values of its request and returns success
+        and message, or raises HandeyeError
+    reads: by name, each is called with the values of its query and returns plain values, or name
+        and text of a file
     """
 
     state: Callable[[], Mapping[str, Any]]

@@ -37,11 +37,11 @@ class EndRounding:
     """
     The rounding at the end of a face in one profile.
 
-    depth: of its end (m); shapes: (k + 1,) log likelihoods of roundings with the k RADII, and of a
-    bevel, 0 for the best.
-    middle: (out, below) of the part of the rounding that is located best (m); middle_std: 1 sigma
-    of its outward position for a given radius. The steepest points have most weight, so the middle
-    hardly depends on the best radius.
+    depth: of its end (m)
+    shapes: (k + 1,) log likelihoods of roundings with the k RADII, and of a bevel, 0 for the best
+    middle: (out, below) of the part of the rounding that is located best (m)
+    middle_std: 1 sigma of its outward position for a given radius. The steepest points have most
+        weight, so the middle hardly depends on the best radius.
     """
 
     depth: float

@@ -73,9 +73,12 @@ class FaceEnd:
     """
     The end of a straight piece with the last of its rows, and the frame of the face there.
 
-    The other end is the last one in the reversed profile, see ends_of_segments. segments: all of
-    the profile, in the order of its rows; points: (n, 2) of the profile; returns: (k,) rows with a
-    return; near_sign: times a range, it is larger for nearer points.
+    The other end is the last one in the reversed profile, see ends_of_segments.
+
+    segments: all of the profile, in the order of its rows
+    points: (n, 2) of the profile
+    returns: (k,) rows with a return
+    near_sign: times a range, it is larger for nearer points
     """
 
     segment: Segment

@@ -37,9 +37,10 @@ class Segment:
     """
     A straight piece of a profile: z = offset + slope * x.
 
-    first, last: its first and last point, as rows of the profile; rows: (k,) all its points;
-    noise: the standard deviation of its points in range; straight: rows without the ends
-    that are bent.
+    first, last: its first and last point, as rows of the profile
+    rows: (k,) all its points
+    noise: the standard deviation of its points in range
+    straight: rows without the ends that are bent
     """
 
     first: int

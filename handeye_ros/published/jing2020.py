@@ -41,10 +41,11 @@ class Measured:
     What tracker and profiler see, metres.
 
     parts: points (n, 3) by part. Reflector centres in the tracker's frame: arc, while R2 turns;
-    line, while P3 moves, R2 as in the sweep; ball, only one; face_c, face_d, on the two faces.
-    Profile points of the sweep, x, z in the sensor plane and q3: swept_ball, swept_face_c,
-    swept_face_d. height: of the reflector above the origin of frame 2 (h0 + h1); q30: the reading
-    at which the sensor frame is taken.
+        line, while P3 moves, R2 as in the sweep; ball, only one; face_c, face_d, on the two faces.
+        Profile points of the sweep, x, z in the sensor plane and q3: swept_ball, swept_face_c,
+        swept_face_d.
+    height: of the reflector above the origin of frame 2 (h0 + h1)
+    q30: the reading at which the sensor frame is taken
     """
 
     parts: Mapping[str, Array]
@@ -57,8 +58,9 @@ class Result:
     """
     The chain of eq. 5, and what shows whether to believe it.
 
-    direction: (3,) of the sweep in the sensor frame, per metre of q3; radius: of the ball as
-    swept; angles: (2,) between the faces as the tracker and the profiler saw them (radians).
+    direction: (3,) of the sweep in the sensor frame, per metre of q3
+    radius: of the ball as swept
+    angles: (2,) between the faces as the tracker and the profiler saw them (radians)
     """
 
     T_flange_sensor: Array

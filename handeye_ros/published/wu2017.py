@@ -37,10 +37,12 @@ class Result:
     """
     The best quadruple.
 
-    matrix: (4, 4) T_g of eq. 4, base to camera, as it came out; T_camera_base: (4, 4) with the
-    nearest rotation, placed so that the mean of all points agrees; T_base_camera: its inverse,
-    the eye-to-hand calibration; quadruple: the four indices; cost: its sum of eq. 5 (metres);
-    costs: (210,) of all, infinite where singular.
+    matrix: (4, 4) T_g of eq. 4, base to camera, as it came out
+    T_camera_base: (4, 4) with the nearest rotation, placed so that the mean of all points agrees
+    T_base_camera: its inverse, the eye-to-hand calibration
+    quadruple: the four indices
+    cost: its sum of eq. 5 (metres)
+    costs: (210,) of all, infinite where singular
     """
 
     matrix: Array

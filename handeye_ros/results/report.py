@@ -33,9 +33,11 @@ class Evidence:
     """
     The stops of a recording, and its answer.
 
-    calibration: None where the recording is refused; refusal: the reason for it. missing: why
-    there is no recording to show. sweep: (n, 3) of the samples of a robot that moved: time since
-    the first (s), RMS residual (m), speed of the flange (m/s).
+    calibration: None where the recording is refused
+    refusal: the reason for it
+    missing: why there is no recording to show
+    sweep: (n, 3) of the samples of a robot that moved: time since the first (s), RMS residual (m),
+        speed of the flange (m/s)
     """
 
     stops: tuple[StopSnapshot, ...] = ()

@@ -32,11 +32,14 @@ class StopSnapshot:
     """
     A stop of the robot.
 
-    number: counted from 1; T_mount: (4, 4) pose of the mount of the sensor in the frame where the
-    target is fixed; points: (n, 2) of one of its profiles, in the sensor plane; features: of the
-    profiles; reason: why it was not used, empty if it was. residuals, left_out: (k,) of its
-    measured points (metres), with and without it in the fit; empty where it was not used. samples:
-    stamps of its samples, many where the robot moved; of a reject its own.
+    number: counted from 1
+    T_mount: (4, 4) pose of the mount of the sensor in the frame where the target is fixed
+    points: (n, 2) of one of its profiles, in the sensor plane
+    features: of the profiles
+    reason: why it was not used, empty if it was
+    residuals, left_out: (k,) of its measured points (metres), with and without it in the fit;
+        empty where it was not used
+    samples: stamps of its samples, many where the robot moved; of a reject its own
     """
 
     number: int
@@ -141,8 +144,9 @@ class Shape:
     """
     A target in its fixed frame (metres).
 
-    edges: polylines (n, 3), each a straight edge; outline: polylines (n, 3) of the rest; ball:
-    the centre (3,) and radius of a sphere, where there is one.
+    edges: polylines (n, 3), each a straight edge
+    outline: polylines (n, 3) of the rest
+    ball: the centre (3,) and radius of a sphere, where there is one
     """
 
     edges: tuple[Array, ...] = ()

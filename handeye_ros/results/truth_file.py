@@ -43,7 +43,9 @@ class Errors:
     """
     The difference between two transforms.
 
-    translation: metres; rotation: radians; mapped_points: RMS over the field of view, metres.
+    translation: metres
+    rotation: radians
+    mapped_points: RMS over the field of view, metres
     """
 
     translation: float

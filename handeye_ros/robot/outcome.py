@@ -75,9 +75,10 @@ class ArmOutcome:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
-    covariance: (u, u) of X, the targets, and the k errors of the arm; known: (k,) posterior over
-    prior sigma of each error; smooth: RMS of the smooth remaining error of the robot (m); notes:
-    sentences.
+    covariance: (u, u) of X, the targets, and the k errors of the arm
+    known: (k,) posterior over prior sigma of each error
+    smooth: RMS of the smooth remaining error of the robot (m)
+    notes: sentences
     """
 
     models: tuple[Model, ...]
@@ -100,10 +101,12 @@ class Start:
     """
     Stops with the arm as stated, from which an outcome is found.
 
-    fit: the hand-eye transform alone, of the stops that agree; limit: the largest valid residual
-    (m); in_hand: whether the sensor is on the flange; q: (n, joints) of all stops. missed(joints,
-    other_side): the residual (m) with the joint values multiplied by a matrix (joints, joints),
-    and with the sensor on the other side.
+    fit: the hand-eye transform alone, of the stops that agree
+    limit: the largest valid residual (m)
+    in_hand: whether the sensor is on the flange
+    q: (n, joints) of all stops
+    missed(joints, other_side): the residual (m) with the joint values multiplied by a matrix
+        (joints, joints), and with the sensor on the other side
     """
 
     fit: ArmFit

@@ -33,9 +33,11 @@ class PointRows:
     """
     The rows of a table, target by target.
 
-    q: (n, joints) reported values of all joints; points: (n, 3) in the sensor frame; target: (n,)
-    index of each in names, ascending; number: (n,) of the row; in_hand: whether the sensor is on
-    the flange.
+    q: (n, joints) reported values of all joints
+    points: (n, 3) in the sensor frame
+    target: (n,) index of each in names, ascending
+    number: (n,) of the row
+    in_hand: whether the sensor is on the flange
     """
 
     q: Array

@@ -38,8 +38,9 @@ class Source:
     """
     The samples of one target, with joint values.
 
-    samples: in the order of the stops of the problem, whose poses are those of the arm as stated;
-    q: (n, joints). inputs, warnings: of the reading.
+    samples: in the order of the stops of the problem, whose poses are those of the arm as stated
+    q: (n, joints)
+    inputs, warnings: of the reading
     """
 
     session: Session

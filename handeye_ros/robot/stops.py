@@ -35,8 +35,9 @@ class Residuals:
     """
     Residuals (m,) of one target in metres, and their derivatives.
 
-    by_own: (m, 6 + k) by X and the target; by_pose: (m, 6) by a shift of the flange and a turn
-    about it, in the base; white: what whitens values (m, ...).
+    by_own: (m, 6 + k) by X and the target
+    by_pose: (m, 6) by a shift of the flange and a turn about it, in the base
+    white: what whitens values (m, ...)
     """
 
     values: Array

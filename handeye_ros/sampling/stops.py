@@ -44,11 +44,11 @@ class Stop:
     """
     A time during which the robot stood still, or a pass of a moving robot, and what came then.
 
-    began: stamp of the first pose (ns), which identifies the stop, though a long one forgets it.
-    poses, profiles: in the order of their stamps. source: of a stop on the disk, which holds no
-    messages itself: reads them for a configuration.
-    number: in its session, from 1, never reused; 0 before. result: a sample, or the reason why
-    there is none.
+    began: stamp of the first pose (ns), which identifies the stop, though a long one forgets it
+    poses, profiles: in the order of their stamps
+    source: of a stop on the disk, which holds no messages itself: reads them for a configuration
+    number: in its session, from 1, never reused; 0 before
+    result: a sample, or the reason why there is none
     """
 
     began: int

@@ -55,10 +55,11 @@ class Stream(Copyable, Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 
-    latest: stamp of the last message passed on, -1 before the first; count: number passed on;
-    late: whether the last received message was dropped because it is older than `latest`; frame:
-    of the first message, or of the majority if the first ones were strays; set_back: by how much
-    the clock was set back (ns), 0 if it was not.
+    latest: stamp of the last message passed on, -1 before the first
+    count: number passed on
+    late: whether the last received message was dropped because it is older than `latest`
+    frame: of the first message, or of the majority if the first ones were strays
+    set_back: by how much the clock was set back (ns), 0 if it was not
     """
 
     def __init__(self, kind: str) -> None:

@@ -51,8 +51,9 @@ class Trajectory:
     """
     Poses of the flange in the order of their stamps, as a function of time.
 
-    stamps: (n,) integer nanoseconds; values: (n, 7) translation and quaternion x y z w.
-    max_gap: poses further apart (s) are not interpolated.
+    stamps: (n,) integer nanoseconds
+    values: (n, 7) translation and quaternion x y z w
+    max_gap: poses further apart (s) are not interpolated
     """
 
     stamps: NDArray[np.int64]

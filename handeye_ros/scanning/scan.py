@@ -35,10 +35,11 @@ class ScanOptions:
     """
     Which points a scan keeps, and their fields.
 
-    nearest, farthest: range along the sensor's range axis (m). incidence: largest angle between
-    range axis and surface normal in the plane of the profile (rad). voxel: edge of the cubes of
-    which each keeps one point (m), 0: all are kept. std: whether points have a field of their 1
-    sigma.
+    nearest, farthest: range along the sensor's range axis (m)
+    incidence: largest angle between range axis and surface normal in the plane of the profile
+        (rad)
+    voxel: edge of the cubes of which each keeps one point (m), 0: all are kept
+    std: whether points have a field of their 1 sigma
     """
 
     nearest: float = -np.inf

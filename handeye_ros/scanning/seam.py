@@ -44,11 +44,15 @@ class Seam:
     """
     A seam: pairs of points of its edges, and its curve.
 
-    kind: v, butt, lap or fillet; lines: (k, 3) first and second edge, root and centre; line: that
-    of the curve; normals: (k, 3), out of the part, mean of those of the sheets; residuals: (k,) of
-    the sections nearest to each pair (m); noise: 1 sigma of the cloud; spacing: of its points;
-    others: number of seams of other kinds. std: (k, 2) 1 sigma of the line and of the approach
-    (rad). Metres.
+    kind: v, butt, lap or fillet
+    lines: (k, 3) first and second edge, root and centre
+    line: that of the curve
+    normals: (k, 3), out of the part, mean of those of the sheets
+    residuals: (k,) of the sections nearest to each pair (m)
+    noise: 1 sigma of the cloud
+    spacing: of its points
+    others: number of seams of other kinds
+    std: (k, 2) 1 sigma of the line and of the approach (rad). Metres.
     """
 
     kind: str

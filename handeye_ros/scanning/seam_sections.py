@@ -48,9 +48,12 @@ class Edges:
     """
     The two edges of a seam, by sections.
 
-    lengths: (k,) along the rough course; lines: (k, 3) of first, second, root and centre;
-    resolution: their common 1 sigma (m); normals: (k, 3) of the part, out of it; noise: 1 sigma
-    about the sheets (m); ends: lengths of start and end of the seam.
+    lengths: (k,) along the rough course
+    lines: (k, 3) of first, second, root and centre
+    resolution: their common 1 sigma (m)
+    normals: (k, 3) of the part, out of it
+    noise: 1 sigma about the sheets (m)
+    ends: lengths of start and end of the seam
     """
 
     lengths: Array
@@ -65,8 +68,10 @@ class _Side(NamedTuple):
     """
     A sheet in a section: its end (3,), outward direction (3,), mean normal (3,).
 
-    noise: 1 sigma about it; begins, stops: its extent along the seam; resolution: 1 sigma of the
-    end from the distance between columns that follow the seam (m). Of k sections: arrays (k, ...).
+    noise: 1 sigma about it
+    begins, stops: its extent along the seam
+    resolution: 1 sigma of the end from the distance between columns that follow the seam (m). Of k
+        sections: arrays (k, ...).
     """
 
     end: Array

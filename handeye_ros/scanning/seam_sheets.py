@@ -38,9 +38,12 @@ class Sheets:
     """
     The points (n, 3) of a cloud, and the sheets that they lie on.
 
-    spacing: median distance of neighbouring points (m); label: (n,) of the sheet, -1 where there
-    is none; normals: (n, 3), up; noise: 1 sigma of the points across their sheets (m). rims: (k,)
-    rows of points on borders, one per cube of two spacings; outward: (n, 3) directions there.
+    spacing: median distance of neighbouring points (m)
+    label: (n,) of the sheet, -1 where there is none
+    normals: (n, 3), up
+    noise: 1 sigma of the points across their sheets (m)
+    rims: (k,) rows of points on borders, one per cube of two spacings
+    outward: (n, 3) directions there
     """
 
     points: Array

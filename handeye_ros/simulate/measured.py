@@ -31,9 +31,11 @@ class Measured:
     """
     Files, with their true values.
 
-    tables: their texts by name; T_flange_sensor: (4, 4), of the camera in the base with
-    eye_on_base; noise: 1 sigma each, in SI units; settings: the configuration by dotted key;
-    profiles, poses: of the bag beside the tables, if there is one.
+    tables: their texts by name
+    T_flange_sensor: (4, 4), of the camera in the base with eye_on_base
+    noise: 1 sigma each, in SI units
+    settings: the configuration by dotted key
+    profiles, poses: of the bag beside the tables, if there is one
     """
 
     tables: Mapping[str, str]

@@ -177,10 +177,14 @@ class Preform:
     Geometry and noise of a preform; metres. noise: 1 sigma per axis.
 
     The sheet is z = f(x, y), the seam y = g(x) in plan. kind lap: the upper sheet lies on the
-    lower one where y > g(x); butt: two sheets end on either side of a gap. thickness: height of
-    the lap's step; gap: width of the butt's gap; bend, arch: radii along and across the seam;
-    sway: deviation of the seam from a straight line. missing: unscanned fraction of its length
-    (from, to). seams: number, side by side.
+    lower one where y > g(x); butt: two sheets end on either side of a gap.
+
+    thickness: height of the lap's step
+    gap: width of the butt's gap
+    bend, arch: radii along and across the seam
+    sway: deviation of the seam from a straight line
+    missing: unscanned fraction of its length (from, to)
+    seams: number, side by side
     """
 
     kind: str = 'lap'

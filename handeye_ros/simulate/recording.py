@@ -34,9 +34,11 @@ class Station:
     """
     A station of the robot with its true values.
 
-    start, end: stamps of the stop (0, 0 of a sweep). label: the edge that the line crosses
-    ('p', 'q', 'p2', 'q2'), or 'sphere'. point: (2,) true edge point, or centre of the arc, along
-    the line and range in the standard sensor frame. T_base_flange, T_base_flange_reported: (4, 4).
+    start, end: stamps of the stop (0, 0 of a sweep)
+    label: the edge that the line crosses ('p', 'q', 'p2', 'q2'), or 'sphere'
+    point: (2,) true edge point, or centre of the arc, along the line and range in the standard
+        sensor frame
+    T_base_flange, T_base_flange_reported: (4, 4)
     """
 
     start: int
@@ -105,10 +107,11 @@ class Cell:
     """
     The unknowns and the poses at n stations; standard sensor frame.
 
-    T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base);
-    T_world_target: the target in the base, or in the flange. T_base_flange and the reported poses:
-    (n, 4, 4). T_mount_best: best-fit transform with the reported poses. arm, distortion: errors of
-    arm and sensor, if there are any.
+    T_mount_sensor: the sensor in the flange (eye_in_hand) or in the base (eye_on_base)
+    T_world_target: the target in the base, or in the flange
+    T_base_flange, T_base_flange_reported: (n, 4, 4)
+    T_mount_best: best-fit transform with the reported poses
+    arm, distortion: errors of arm and sensor, if there are any
     """
 
     scenario: Scenario

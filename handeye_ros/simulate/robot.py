@@ -28,8 +28,10 @@ class ArmErrors:
     """
     Errors of joints and links, unknown to the controller.
 
-    links: (6, 6) perturbation after each link; offsets: (6,) of the joints (rad); eccentricity,
-    phases: (6,) amplitude (rad) and phase of an error that is periodic in the joint angle.
+    links: (6, 6) perturbation after each link
+    offsets: (6,) of the joints (rad)
+    eccentricity, phases: (6,) amplitude (rad) and phase of an error that is periodic in the joint
+        angle
     """
 
     links: Array

@@ -20,21 +20,29 @@ class SensorModel:
     A laser profiler: a fan of light from the origin of the sensor frame, and a camera.
 
     The field of view is a trapezoid: range (min, max) of z, and |x| <= half_width * z.
+
     sampling: 'fan': columns regular in the angle's tangent; 'x': parallel light, regular in x;
-    'fan_x': a fan that the driver resamples, regular in x. camera: (y, z) of the camera's pinhole,
-    outside the light plane: a step can hide a point from it. max_incidence: beyond it there is no
-    return; rim_bias: range error just before it.
-    noise: 1 sigma of one range; resolution: step of the numbers, 0: none; distortion: RMS of a
-    smooth error over the field of view, drawn once; scale, shear: relative errors of the
-    coordinates about the middle of the field, and of x by the range. line_bend: y of the light at
-    both ends of the line (at middle range), of a light plane that is bent.
-    speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns.
+        'fan_x': a fan that the driver resamples, regular in x
+    camera: (y, z) of the camera's pinhole, outside the light plane: a step can hide a point from
+        it
+    max_incidence: beyond it there is no return
+    rim_bias: range error just before it
+    noise: 1 sigma of one range
+    resolution: step of the numbers, 0: none
+    distortion: RMS of a smooth error over the field of view, drawn once
+    scale, shear: relative errors of the coordinates about the middle of the field, and of x by the
+        range
+    line_bend: y of the light at both ends of the line (at middle range), of a light plane that is
+        bent
+    speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns
     spot: 1 sigma of the width of the light along the line; surfaces below the target's face are
-    ground times as bright. smoothing: columns of the driver's mean filter.
+        ground times as bright
+    smoothing: columns of the driver's mean filter
     mixed, lost, lost_at_edge, outliers: fractions of points at steps that lie between the levels,
-    of lost points, of lost points within a few columns of a step, of gross outliers; reflections:
-    fraction of the profiles with a false piece of line. delay: of the stamps, which are those of
-    receipt. thinning: while the robot moves, only every nth profile is recorded.
+        of lost points, of lost points within a few columns of a step, of gross outliers
+    reflections: fraction of the profiles with a false piece of line
+    delay: of the stamps, which are those of receipt
+    thinning: while the robot moves, only every nth profile is recorded
     """
 
     columns: int = 1280
@@ -70,12 +78,14 @@ class RobotModel:
     """
     A robot that stops at stations; reported pose = true pose + error.
 
-    repeatability: (translation, rotation), 1 sigma of each axis, drawn once per station.
+    repeatability: (translation, rotation), 1 sigma of each axis, drawn once per station
     systematic: (translation, rotation), RMS of the vectors of an error that varies smoothly over
-    the workspace. geometry: 1 sigma of the errors of joints and links (m, and rad of 1 m) of a
-    six-axis arm, 0: no arm. scale: relative error of reported positions.
-    jitter: 1 sigma of each streamed pose (m and rad). dwell and move: duration of a stop and
-    of a motion.
+        the workspace
+    geometry: 1 sigma of the errors of joints and links (m, and rad of 1 m) of a six-axis arm, 0:
+        no arm
+    scale: relative error of reported positions
+    jitter: 1 sigma of each streamed pose (m and rad)
+    dwell, move: duration of a stop and of a motion
     """
 
     repeatability: tuple[float, float] = (2e-5, math.radians(0.004))
@@ -93,13 +103,18 @@ class PlateTarget:
     """
     A plate with its corner in the origin, its face z = 0, 0 <= x <= size[0], 0 <= y <= size[1].
 
-    Edge p is y = 0, edge q is x = 0; the face looks along +z. table: depth of the table below the
-    face, None: no table. clutter: height above the face (negative: below) of the top of a block
-    beside each of these edges, None: no blocks; clutter_gap, clutter_width: its distance from the
-    edge, and its width. edge_angle: between p and q; rendered profiles, unlike direct samples, are
-    always of a square plate. Only in rendered profiles: rounding: radius of the edges of the face;
-    bevel: legs of their chamfer; bow: height of the middle of the face above its corners; waves:
-    RMS of its waves.
+    Edge p is y = 0, edge q is x = 0; the face looks along +z.
+
+    table: depth of the table below the face, None: no table
+    clutter: height above the face (negative: below) of the top of a block beside each of these
+        edges, None: no blocks
+    clutter_gap, clutter_width: its distance from the edge, and its width
+    edge_angle: between p and q; rendered profiles, unlike direct samples, are always of a square
+        plate
+    rounding: radius of the edges of the face; only in rendered profiles, as what follows
+    bevel: legs of their chamfer
+    bow: height of the middle of the face above its corners
+    waves: RMS of its waves
     """
 
     size: tuple[float, float] = (0.20, 0.15)
@@ -160,10 +175,13 @@ class Sweep:
     """
     A path through all stops without stopping, a knot of a smooth curve at each; seconds.
 
-    exposure: averaging time of one profile; rotation_lag: delay of the reported rotation.
-    stamp_jitter, pose_jitter: 1 sigma of the stamps. gaps: number of gaps in the poses, each of
-    duration gap. resolution: rounding of positions (m), 0: none. drift: RMS of the vectors of an
-    error (translation, rotation) of the poses that varies smoothly over drift_time.
+    exposure: averaging time of one profile
+    rotation_lag: delay of the reported rotation
+    stamp_jitter, pose_jitter: 1 sigma of the stamps
+    gaps: number of gaps in the poses, each of duration gap
+    resolution: rounding of positions (m), 0: none
+    drift: RMS of the vectors of an error (translation, rotation) of the poses that varies smoothly
+        over drift_time
     """
 
     knot: float = 1.6
@@ -188,14 +206,19 @@ class Scenario:
     """
     All parameters of a recording.
 
-    scene: key of scenes.SCENES. stations: number at each edge (plate), or in total (sphere: the
-    sum). motion: key of scenes.MOTIONS. tilt: largest tilt about each sensor axis. shuffled: the
-    order of the stations is random. bumped: number of stations whose reported pose is grossly
-    wrong. wrong_edges: number of stations at an edge of the plate that is neither p nor q. empty:
-    there is no target. convention_errors: keys of robot.CONVENTION_ERRORS, applied in order.
-    repeats: number of runs of the programme of stops. lever: smallest and largest distance of the
-    sensor from its mount. stated: wrong settings, by dotted key. sweep: the motion without stops;
-    the repeatability is then drawn for each streamed pose.
+    scene: key of scenes.SCENES
+    stations: number at each edge (plate), or in total (sphere: the sum)
+    motion: key of scenes.MOTIONS
+    tilt: largest tilt about each sensor axis
+    shuffled: the order of the stations is random
+    bumped: number of stations whose reported pose is grossly wrong
+    wrong_edges: number of stations at an edge of the plate that is neither p nor q
+    empty: there is no target
+    convention_errors: keys of robot.CONVENTION_ERRORS, applied in order
+    repeats: number of runs of the programme of stops
+    lever: smallest and largest distance of the sensor from its mount
+    stated: wrong settings, by dotted key
+    sweep: the motion without stops; the repeatability is then drawn for each streamed pose
     """
 
     name: str = 'plate'

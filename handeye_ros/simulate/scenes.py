@@ -28,9 +28,10 @@ class Motion:
     """
     The variation of orientations between stations.
 
-    shared: both edges are crossed with one nominal orientation, at 45 degrees to each. axes: which
-    tilts (about the sensor's x, y, z) vary; the others are drawn once, or are zero when level.
-    per_edge: drawn once for each edge.
+    shared: both edges are crossed with one nominal orientation, at 45 degrees to each
+    axes: which tilts (about the sensor's x, y, z) vary; the others are drawn once, or are zero
+        when level
+    per_edge: drawn once for each edge
     """
 
     shared: bool = False
@@ -53,8 +54,9 @@ class Stops:
     """
     Poses of the sensor at n stations.
 
-    T_target_sensor: (n, 4, 4), standard sensor frame; labels: n; points: (n, 2) true edge point
-    or centre of the arc in the sensor plane.
+    T_target_sensor: (n, 4, 4), standard sensor frame
+    labels: n
+    points: (n, 2) true edge point or centre of the arc in the sensor plane
     """
 
     T_target_sensor: Array
@@ -374,8 +376,9 @@ class Scene:
     """
     A target of the simulator.
 
-    stops: draws the sensor poses; features: of each stop, with noise; solids: target and
-    surroundings, in the target frame, of a cell that is not empty.
+    stops: draws the sensor poses
+    features: of each stop, with noise
+    solids: target and surroundings, in the target frame, of a cell that is not empty
     """
 
     stops: Callable[[Scenario, np.random.Generator], Stops]

@@ -242,8 +242,9 @@ class Frame:
     A published frame.
 
     T_standard_sensor: (4, 4) pose of the published frame in the standard one (x along the laser
-    line, z the range, y = 0). axes: of the published frame, along the line and range. range_sign:
-    -1 if the published range decreases with the distance.
+        line, z the range, y = 0)
+    axes: of the published frame, along the line and range
+    range_sign: -1 if the published range decreases with the distance
     """
 
     T_standard_sensor: Array

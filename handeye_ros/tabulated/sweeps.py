@@ -37,9 +37,11 @@ class Piece(NamedTuple):
     """
     Points of a part of ball, block or arm: a row of the file, or what one profile shows of it.
 
-    sample: the row or the stamp; part: of SWEPT (face_c is the face at smaller x), or the kind in
-    the file; points: (k, 3), in the tracker's frame, swept ones x and z in the sensor plane and
-    the reading of P3; sigma: (k,) of each coordinate, of swept ones of x and z (metres).
+    sample: the row or the stamp
+    part: of SWEPT (face_c is the face at smaller x), or the kind in the file
+    points: (k, 3), in the tracker's frame, swept ones x and z in the sensor plane and the reading
+        of P3
+    sigma: (k,) of each coordinate, of swept ones of x and z (metres)
     """
 
     sample: int

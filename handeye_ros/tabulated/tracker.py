@@ -44,8 +44,9 @@ class TrackerSession(Values):
     """
     The points of both instruments.
 
-    pieces: of the arc, the line, the faces and the sweep; ball: (3,) its centre by the tracker;
-    q30: the reading of P3 where the flange frame is taken (metres).
+    pieces: of the arc, the line, the faces and the sweep
+    ball: (3,) its centre by the tracker
+    q30: the reading of P3 where the flange frame is taken (metres)
     """
 
     pieces: Sequence[Piece]

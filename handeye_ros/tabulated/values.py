@@ -40,8 +40,11 @@ class Values(ABC):
     """
     The values of a target's files. A sample is a row of a table, or a profile.
 
-    name: of the target; mounts: supported calibration types; advice: what makes an answer more
-    certain; check: what to check where values contradict each other; over: `field` in words.
+    name: of the target
+    mounts: supported calibration types
+    advice: what makes an answer more certain
+    check: what to check where values contradict each other
+    over: `field` in words
     """
 
     config: Config
@@ -163,10 +166,12 @@ class TableAnswer:
     """
     The transform X (4, 4) from the mount to the frame of the values, with its statistics.
 
-    covariance: (6, 6), x y z rx ry rz in the mount; used: (n,) whether each sample is used; off:
-    (n,) residuals of all (m); residual_rms, holdout_rms: of the used ones (m), the latter with
-    each predicted without itself; angle_rms: RMS residual of measured rotations (rad); target:
-    other estimates, as plain values.
+    covariance: (6, 6), x y z rx ry rz in the mount
+    used: (n,) whether each sample is used
+    off: (n,) residuals of all (m)
+    residual_rms, holdout_rms: of the used ones (m), the latter with each predicted without itself
+    angle_rms: RMS residual of measured rotations (rad)
+    target: other estimates, as plain values
     """
 
     X: Array
@@ -201,8 +206,10 @@ class Input:
     """
     What was read.
 
-    frame: of the sensor; inputs: path and sha256 of every file; otherwise: what the values would
-    be with other units and notations; warnings: what was lost.
+    frame: of the sensor
+    inputs: path and sha256 of every file
+    otherwise: what the values would be with other units and notations
+    warnings: what was lost
     """
 
     values: Values

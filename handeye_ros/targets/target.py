@@ -119,9 +119,9 @@ class FaceTarget(ProfileTarget):
     A target of faces and edges: a pose, followed by measures in its state (..., 16 + j).
 
     moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
-    it the same. The measures are parameters after them. edge_kinds: of the conditions of one edge
-    point; many: whether a profile may show several surfaces, or pairs of them, of which one is the
-    target.
+        it the same. The measures are parameters after them.
+    edge_kinds: of the conditions of one edge point
+    many: whether a profile may show several surfaces, or pairs of them, of which one is the target
     """
 
     moves: ClassVar[Sequence[int]]
@@ -205,9 +205,10 @@ class EndRows:
     """
     The ends of faces, m observations in all.
 
-    feature: (m,) index of the feature of each observation; parts: for each (kind, way the face
-    ends), which observations (m,) these are, kind 0 if an end has several; slope: (m,) of the face
-    there, against the line of sight.
+    feature: (m,) index of the feature of each observation
+    parts: for each (kind, way the face ends), which observations (m,) these are, kind 0 if an end
+        has several
+    slope: (m,) of the face there, against the line of sight
     """
 
     feature: NDArray[np.intp]

@@ -71,14 +71,17 @@ class Check:
     Result of a check.
 
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
-    fixed to the other), robot (its pose errors changed), with "or" between those that the stops do
-    not distinguish. evidence: how many times as likely the recording is with a change as without.
-    odds: probability of each cause if something changed. target_moved (m), target_turned (rad):
-    the most likely move if the target is the cause; sensor_moved, sensor_turned: the same for the
-    sensor in the flange; points_off: the largest error of points in this case, and its std (m).
+        fixed to the other), robot (its pose errors changed), with "or" between those that the
+        stops do not distinguish
+    evidence: how many times as likely the recording is with a change as without
+    odds: probability of each cause if something changed
+    target_moved (m), target_turned (rad): the most likely move if the target is the cause
+    sensor_moved, sensor_turned: the same for the sensor in the flange
+    points_off: the largest error of points in this case, and its std (m)
     target_shows, sensor_shows: smallest detectable shifts along their axes (in the base, in the
-    flange), m; nan: not detectable. rms: of the residuals (m). time_offset_changed: of a sweep,
-    and its 1 sigma (s).
+        flange), m; nan: not detectable
+    rms: of the residuals (m)
+    time_offset_changed: of a sweep, and its 1 sigma (s)
     """
 
     stamp: int
@@ -185,9 +188,10 @@ class _Residuals:
     """
     Residuals r (m,), without a change r = errors @ e + n, and derivatives by (m, 6) of changes.
 
-    errors (m, k): of the calibration, e of unit covariance; noise (m, m): covariance of n, of
-    blocks. by: the change of target or sensor, or of the pose of the own stop, for robot; lever:
-    (m, 3) of the points from what target or sensor turns about.
+    errors (m, k): of the calibration, e of unit covariance
+    noise (m, m): covariance of n, of blocks
+    by: the change of target or sensor, or of the pose of the own stop, for robot
+    lever: (m, 3) of the points from what target or sensor turns about
     """
 
     r: Array
@@ -213,9 +217,10 @@ class _Comparison:
     """
     A recording with the calibration that it is compared with.
 
-    calibrated: sensor plane in the mount, and target; root (6 + k, 6 + k): R R' is their joint
-    covariance; middle (3,): of the points, about which the target turns; noise_scale: factor of
-    the stated noise.
+    calibrated: sensor plane in the mount, and target
+    root (6 + k, 6 + k): R R' is their joint covariance
+    middle (3,): of the points, about which the target turns
+    noise_scale: factor of the stated noise
     """
 
     problem: Problem

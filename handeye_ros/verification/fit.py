@@ -60,10 +60,13 @@ class StationSet:
     """
     Points of the sensor plane, seen from the poses of some recordings.
 
-    poses: (n, 4, 4) of the mount of the sensor in the frame of the artefact; observations: the m
-    points with their noise and kind; stamps (n,): ns; counts: the number of poses of each
-    recording, in order; are_passes: whether the poses of a recording share the error of the robot;
-    by default each has its own. surface: the choice between several surfaces in sight, in words.
+    poses: (n, 4, 4) of the mount of the sensor in the frame of the artefact
+    observations: the m points with their noise and kind
+    stamps (n,): ns
+    counts: the number of poses of each recording, in order
+    are_passes: whether the poses of a recording share the error of the robot; by default each has
+        its own
+    surface: the choice between several surfaces in sight, in words
     """
 
     poses: Array
@@ -154,10 +157,11 @@ class Quantity:
     """
     A measured value with its nominal value; metres, or radians where unit is rad.
 
-    std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that
-    the points leave open; claimed: 1 sigma by the calibration's covariance. nominal: None where
-    there is none. characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see
-    results/verification_file.py).
+    std: 1 sigma of the deviation by sensor, robot and nominal value, infinite for a value that the
+        points leave open
+    claimed: 1 sigma by the calibration's covariance
+    nominal: None where there is none
+    characteristic: its symbol in VDI/VDE 2634 or ISO 10360 (see results/verification_file.py)
     """
 
     name: str
@@ -237,16 +241,22 @@ class Fit:
     """
     Result of a fit.
 
-    quantities: those of the shape, as measured. distances (m,): residuals; distance_std (m,): 1
-    sigma due to sensor and robot. region: (v - nominal)' cov^-1 (v - nominal) of the `freedom`
-    values v with a nominal, cov the sum of their covariances by measurement and calibration;
-    claim_p: probability of a larger one if the calibration's covariance is true. smallest_error:
-    the smallest detectable error of the calibration in the direction in which it shows least, as
-    RMS displacement of the points (m); weakest_direction: in words; along, along_std: the
-    estimated error in this direction. error (6,): estimated error of the calibration; p_error,
-    p_no_error: p-values of the distances with and without it; implied, implied_std: its largest
-    displacement of a point (m). residuals (m,): whitened, of the shape as expected; by_unknowns
-    (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if free.
+    quantities: those of the shape, as measured
+    distances (m,): residuals
+    distance_std (m,): 1 sigma due to sensor and robot
+    region: (v - nominal)' cov^-1 (v - nominal) of the `freedom` values v with a nominal, cov the
+        sum of their covariances by measurement and calibration
+    claim_p: probability of a larger one if the calibration's covariance is true
+    smallest_error: the smallest detectable error of the calibration in the direction in which it
+        shows least, as RMS displacement of the points (m)
+    weakest_direction: in words
+    along, along_std: the estimated error in this direction
+    error (6,): estimated error of the calibration
+    p_error, p_no_error: p-values of the distances with and without it
+    implied, implied_std: its largest displacement of a point (m)
+    residuals (m,): whitened, of the shape as expected
+    by_unknowns (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if
+        free
     """
 
     quantities: tuple[Quantity, ...]

@@ -120,11 +120,13 @@ class Routine:
     """
     One way to verify a calibration.
 
-    says: what it measures. target: the target.type whose features the stations give; empty where
-    points are taken in passes, while the robot moves. bags: for each valid number of
-    verify.lengths the possible numbers of bags, ascending. shape: what is fitted to the stations,
-    with the sensor plane at X (4, 4) in the mount. form: the scatter of each part that is
-    reported, in words; symbol: its characteristic.
+    says: what it measures
+    target: the target.type whose features the stations give; empty where points are taken in
+        passes, while the robot moves
+    bags: for each valid number of verify.lengths the possible numbers of bags, ascending
+    shape: what is fitted to the stations, with the sensor plane at X (4, 4) in the mount
+    form: the scatter of each part that is reported, in words
+    symbol: its characteristic
     """
 
     name: str

@@ -58,8 +58,10 @@ class StationResult:
     """
     Result of one stop: the largest distance from the fit, and its 1 sigma (m).
 
-    bag, number: of recording and stop, from 1; stamp: ns; p: probability that a good stop is as
-    far off, whatever the error of the calibration; reason: why it is not used.
+    bag, number: of recording and stop, from 1
+    stamp: ns
+    p: probability that a good stop is as far off, whatever the error of the calibration
+    reason: why it is not used
     """
 
     bag: int
@@ -82,15 +84,21 @@ class Verification:
     """
     Result of a routine.
 
-    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or
-    insensitive (an error of the calibration as large as the tolerance would not have shown).
-    reasons: sentences. smallest_error: the smallest detectable error of the calibration, in the
-    least sensitive direction (m). region: squared distance of the values from their nominals, in
-    units of both covariances; freedom: number of values with a nominal; claim_p: probability of a
-    larger region if the calibration's covariance is true. surface: the choice between several in
-    sight. says: what the routine measures; recorded: when (ISO 8601; empty: unknown); certificate:
-    U of the nominal values (m); record: record.* of the configuration. calibration_file: path and
-    sha256 of the file that was verified; created: when it was evaluated (ISO 8601).
+    verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or insensitive
+        (an error of the calibration as large as the tolerance would not have shown)
+    reasons: sentences
+    smallest_error: the smallest detectable error of the calibration, in the least sensitive
+        direction (m)
+    region: squared distance of the values from their nominals, in units of both covariances
+    freedom: number of values with a nominal
+    claim_p: probability of a larger region if the calibration's covariance is true
+    surface: the choice between several in sight
+    says: what the routine measures
+    recorded: when (ISO 8601; empty: unknown)
+    certificate: U of the nominal values (m)
+    record: record.* of the configuration
+    calibration_file: path and sha256 of the file that was verified
+    created: when it was evaluated (ISO 8601)
     """
 
     routine: str
