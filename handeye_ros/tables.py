@@ -9,6 +9,7 @@ in SI units.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 import csv
 import math
 from pathlib import Path
@@ -71,6 +72,12 @@ class Table:
         """Return the kind of quantity in a column, from its unit."""
         unit = self._units.get(name)
         return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
+
+    def in_unit(self, names: Sequence[str], unit: str) -> Table:
+        """Return the table with another unit of some columns in its header."""
+        other = copy(self)
+        other._units = self._units | dict.fromkeys(names, unit)
+        return other
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -202,6 +202,13 @@ def read(path: Path, config: Config) -> Input:
         order = 'name the columns in the order of their values'
         yield Misreading('flange quaternions as w x y z', order, views(_wxyz(flange)))
         yield Misreading('target quaternions as w x y z', order, views(flange, _wxyz(target)))
+        used = orientations.of(stated) if stated else orientations.RPY
+        angles = [f'flange_{label}' for label in used.labels]
+        if used.angle and table.has(angles):
+            for unit in ('rad', 'deg'):  # one of them is as read, and explains nothing
+                yield Misreading(f'the angles of the flange in {unit}', 'write their unit in the '
+                                 f'header, as in {angles[0]} [{unit}]',
+                                 views(table.in_unit(angles, unit).poses('flange', stated)))
         for name, notation in orientations.NOTATIONS.items() if stated else ():
             if notation is orientations.of(stated):
                 continue

@@ -13,7 +13,7 @@ from subprocess import CompletedProcess
 from calibrations import equal
 import command
 from command import assert_refused, ROOT
-from handeye_ros import orientations, se3, tabulated
+from handeye_ros import se3, tabulated
 from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli import simulated
 from handeye_ros.compare import compare_files
@@ -234,15 +234,17 @@ def test_files_without_an_answer(name: str, change: Callable[[str], str], code: 
                     *(word for setting in settings for word in ('--set', setting))), code, words)
 
 
-@pytest.mark.parametrize(('written', 'length', 'words'), [
-    ('ur-rotation-vector', 1e3, 'write the unit in the header, as in flange_x [mm]'),
-    ('ur-rotation-vector', 1.0, 'set target.angles to ur-rotation-vector')])
-def test_the_notation_of_another_controller_is_named(
-        written: str, length: float, words: str, handeye: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize(('read_as', 'length', 'angle', 'words'), [
+    ('staubli', 1e3, 1.0, 'write the unit in the header, as in flange_x [mm]'),
+    ('staubli', 1.0, 1.0, 'set target.angles to ur-rotation-vector'),
+    ('ur', 1.0, 180 / np.pi, 'but with the angles of the flange in deg they agree to 0.1')])
+def test_the_notation_or_the_unit_of_a_controller_is_named(
+        read_as: str, length: float, angle: float, words: str, handeye: Run, tmp_path: Path
+        ) -> None:
     simulated.write('hand_eye', 1, tmp_path / 'cell')
     table = Table(tmp_path / 'cell' / 'poses.csv')
     flange, target = table.poses('flange'), table.poses('target')
-    turned = orientations.of(written).numbers(Rotation.from_matrix(flange[:, :3, :3]))
+    turned = angle * Rotation.from_matrix(flange[:, :3, :3]).as_rotvec()
     header = ('flange_x, flange_y, flange_z, flange_rx, flange_ry, flange_rz, target_x [m], '
               'target_y [m], target_z [m], target_qx, target_qy, target_qz, target_qw')
     values = np.hstack([flange[:, :3, 3] * length, turned, target[:, :3, 3],
@@ -250,7 +252,7 @@ def test_the_notation_of_another_controller_is_named(
     np.savetxt(tmp_path / 'cell' / 'poses.csv', values, delimiter=',', header=header, comments='',
                fmt='%.12g')
     refused(handeye('solve', *given('hand_eye', tmp_path / 'cell'), '--set',
-                    'target.angles=staubli'), 3, words)
+                    f'target.angles={read_as}'), 3, words)
 
 
 @pytest.mark.parametrize('eye_on_base', [False, True])
