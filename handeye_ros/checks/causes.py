@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.conventions import convention_errors, orientations_scatter
+from handeye_ros.checks.conventions import orientations_scatter, require_convention
 from handeye_ros.checks.hypotheses import Explanation, refuse_better
 from handeye_ros.checks.measures import other_scale
 from handeye_ros.checks.moved import moved_between
@@ -47,7 +47,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
         require_sign(samples, problem.config, stated, clocks=refusal is not None)
     if refusal or solution.variance_factor >= MISFITTING:
-        refuse_better(stated, convention_errors(problem, stated))
+        require_convention(samples, problem, stated)
     if refusal and orientations_scatter(problem.poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '

@@ -13,30 +13,54 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros import se3
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refitted
-from handeye_ros.data import Array
+from handeye_ros.checks.hypotheses import (
+    Explanation,
+    fit_of,
+    Hypothesis,
+    refitted,
+    refuse_better,
+)
+from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
+from handeye_ros.sampling.stops import evenly_chosen
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+MOST_STATIONS = 60  # of a sweep, that are compared
 
-def convention_errors(problem: Problem, stated: Explanation) -> list[Hypothesis]:
-    """Return the hypotheses that the poses contain one of the known errors."""
+
+def require_convention(samples: Sequence[Sample], problem: Problem, stated: Explanation) -> None:
+    """
+    Raise DataError (convention) where the stations agree without a known error of the poses.
+
+    samples: of the stations, in order. Of a sweep the error is undone in all poses, and the clocks
+    are searched anew, as those that were found are of the wrong poses; some stations are enough.
+    """
     other = 'eye_on_base' if problem.in_hand else 'eye_in_hand'
+    motion = next((sample.motion for sample in samples if sample.moving), None)
+    poses = problem.robot_poses
+    if motion:
+        some = evenly_chosen(len(samples), MOST_STATIONS)
+        samples, stated = [samples[i] for i in some], replace(stated, q=stated.q[:, some])
+        poses = se3.from_quaternion(motion.values[:, :3], motion.values[:, 3:])
+
+    def refit(T: Array) -> Explanation:
+        if motion is None:
+            return refitted(replace(problem, poses=in_mount(T, problem.config)))
+        moved = replace(motion, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
+        return fit_of([replace(sample, motion=moved) for sample in samples], problem.config)
 
     def undone(name: str, T: Array, advice: str) -> Hypothesis:
         """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
-        return Hypothesis(
-            partial(refitted, replace(problem, poses=in_mount(T, problem.config))),
-            lambda fit: DataError(
-                'the poses contradict the samples: '
-                f'{fit.compared(stated, f"{name} undone".format(other=other))}; '
-                f'{advice.format(other=other)}', reason='convention'))
-    return [undone(name, T, advice) for name, undo, advice in CONVENTION_ERRORS
-            for T in undo(problem.robot_poses)]
+        return Hypothesis(partial(refit, T), lambda fit: DataError(
+            'the poses contradict the samples: '
+            f'{fit.compared(stated, f"{name} undone".format(other=other))}; '
+            f'{advice.format(other=other)}', reason='convention'))
+    refuse_better(stated, [undone(name, T, advice) for name, undo, advice in CONVENTION_ERRORS
+                           for T in undo(poses)])
 
 
 def orientations_scatter(poses: Array) -> bool:

@@ -10,8 +10,9 @@ conditions a stop, the deviance of an explanation is, (13),
 
     m sum_i min(log v + q_i / v, log 64 + 1)
 
-A stop that an explanation leaves out, or whose edge it leaves out, counts as one that is off by 8
-sigma. A difference of 23 is odds of 10^5 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90:773).
+A stop that an explanation leaves out, or whose edge it leaves out, or that alone determines one of
+its unknowns, counts as one that is off by 8 sigma. A difference of 23 is odds of 10^5 (Kass and
+Raftery 1995, J. Am. Stat. Assoc. 90:773).
 
 The sigmas are those of the features, which each explanation reads for itself: a stranger's edge is
 uncertain, and therefore fits. So the same must also hold in metres, in one unit for both.
@@ -121,7 +122,7 @@ def _squares(found: Solution) -> Array:
     q = np.full((2, len(found.whole.poses)), np.inf)
     q[:, found.used] = found.left_out_squares()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])
-    q[:, found.without_edges] = np.inf
+    q[:, found.without_edges] = q[:, found.used[found.alone]] = np.inf
     return q
 
 

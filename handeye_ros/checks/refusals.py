@@ -50,12 +50,17 @@ def require_distinct_frame(frame_id: str, config: Config) -> None:
 
 
 def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target: Target) -> None:
-    """Raise UnexplainedError when there are fewer samples than the target needs."""
+    """
+    Raise DataError when there are fewer samples than the target needs.
+
+    Another setting may explain that (UnexplainedError) only where there were stops enough.
+    """
     if len(samples) < target.minimum:
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
         why = (f' ({len(rejects)} stops gave none, most often: {reasons[0][0]})' if reasons
                else '')
-        raise UnexplainedError(
+        enough = len(samples) + len(rejects) >= target.minimum
+        raise (UnexplainedError if enough else DataError)(
             f'{len(samples)} usable samples{why}; {target.name} needs at least {target.minimum}: '
             'take more, with the laser across the target', reason='few')
 

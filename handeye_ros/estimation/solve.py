@@ -44,6 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONVERGED = 0.1  # sigmas: the last step of the unknowns; one more follows with the final scales
+ALONE = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
@@ -400,6 +401,15 @@ class Solution:
             left_out = left_out_of(self.predicted_covariance(at.rows), r)
             statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
+
+    @property
+    def alone(self) -> NDArray[np.bool_]:
+        """Return which stations (n,) determine something that no other one shows."""
+        station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
+        for at in self.problem.groups:
+            share = np.linalg.eigvalsh(self.predicted_covariance(at.rows))[:, -1]
+            alone[station[at.rows[:, 0]]] = share > 1 - ALONE
+        return alone
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """

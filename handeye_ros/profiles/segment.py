@@ -114,7 +114,8 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
 
     def fitted(members: NDArray[np.intp]) -> list[Segment]:
         return [segment for piece in _pieces(members) if len(piece) >= min_points for segment in
-                _segments(rows.take(piece), x.take(piece), z.take(piece), noise / 3)]
+                _segments(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
+                if segment.noise <= MOST_NOISE * noise]
 
     for _ in range(MAX_LINES):
         near = dominant_line(x.take(free), z.take(free), tolerance, min_points)
