@@ -251,7 +251,7 @@ def read_arm(path: Path) -> Arm:
         if arm.free.sum() != len(values):
             raise ValueError('errors of some joints are missing')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise unusable(path, f'it is no kinematics.yaml ({error})') from error
+        raise unusable(path, 'it is no kinematics.yaml as handeye kinematics writes it') from error
     return arm
 
 

@@ -157,6 +157,7 @@ class LiveAnswer:
         where there is no answer; after a DataError the previous answer is withdrawn.
         """
         live = self._live
+        live.store_rest()
         self.asked_with = values_of(live.config, ANSWER_KEYS)
         try:
             live.evaluate_all()
@@ -233,6 +234,7 @@ class LiveAnswer:
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.required()
+        live.store_rest()
         wanted = folder, formats = live.folders.own(live.config), live.config.save.formats
         if self._saved and self._wanted == wanted and self._saved.files[0].is_file():
             text = f'saved already: {", ".join(map(str, self._saved.files))}'

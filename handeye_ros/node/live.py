@@ -343,8 +343,8 @@ class LiveSession:
         """Return what a stop gives, evaluated in another process."""
         try:
             return self.pool.run(result_of, stop.needed(config), config)
-        except PoolEndedError as error:  # nothing is lost: the stop itself will be stored
-            return Reject(stop.began, str(error))
+        except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
+            return Reject(stop.began, str(error))  # the stop itself will be stored
 
     def _evaluated(self, stop: Stop) -> tuple[Stop, str]:
         """
@@ -369,14 +369,27 @@ class LiveSession:
         return self._write(self.files.add, stop, self.config, joints)
 
     def _write(self, write: Callable[..., Result], *args: Any) -> Result:
-        """Write an event; raises InputError, which is kept as trouble until the next event."""
+        """
+        Write an event; raises InputError, which is kept as trouble until the next event.
+
+        An event holds the settings. Once one is written, stops that could not be, or could not be
+        read, are tried again.
+        """
         try:
             result = write(*args)
         except InputError as error:
             self._store_trouble = str(error)
             raise
-        self._store_trouble = ''
+        if self._store_trouble:
+            self._store_trouble = ''
+            self._stale.extend(stop.number for stop in self.session.stops if not stop.sample)
         return result
+
+    def store_rest(self) -> None:
+        """Store settings that could not be stored before, and then stops, if that works now."""
+        if self._store_trouble and self.files.path:
+            with suppress(InputError):  # kept as trouble
+                self._write(self.files.append, CONFIGURED, self.config)
 
     def _put(self, stop: Stop, over: bool) -> None:
         """Put an evaluated stop into the session, in place of an earlier part of it."""
@@ -427,8 +440,8 @@ class LiveSession:
         """Forget samples, verification, answer, and all messages; raises InputError."""
         note = ''
         if self.files.path:
-            note = f'; they are kept in {self.path}'
-            self.files = self.files.restarted(self.config)
+            note = f'; they are kept in {self.path}' if self.files.path.is_dir() else ''
+            self.files, self._store_trouble = self.files.restarted(self.config), ''
         count = self._forget('the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 

@@ -27,7 +27,7 @@ from handeye_ros.bags.session_files import (
 )
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
-from handeye_ros.errors import InputError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
@@ -227,9 +227,18 @@ def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -
     assert not folder.exists()
     with pytest.raises(InputError, match='its folder is gone'):
         live.remove_last_sample()
+    changed(live, noise__sensor=4e-5)
     (tmp_path / 'away').rename(folder)
+    with pytest.raises(DataError):  # too few
+        computed(live)
+    update(live)
+    kept = read_session(folder)
+    assert (sorted(kept.stops), kept.config.noise.sensor) == ([1, 2, 3], 4e-5)
+    assert (taken(state_of(live)), state_of(live)['session']['trouble']) == (2, '')  # 3 is as 1
+    shutil.rmtree(folder)
     feed(live, stops=4)
-    assert sorted(read_session(folder).stops) == [1, 2, 4]
+    assert 'kept in' not in live.clear_samples()
+    assert not state_of(live)['session']['trouble']
 
 
 def test_by_hand_nothing_is_taken_that_is_not_stored(tmp_path: Path) -> None:
