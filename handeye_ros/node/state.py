@@ -154,13 +154,16 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     """
     Return the message of a service with the current troubles.
 
-    A silent stream is reported if it explains a refusal, and by take_sample.
+    A silent stream is reported if it explains a refusal, and by take_sample. What is refused may
+    follow from a trouble, which is told first.
     """
     streams = [stream['trouble'] for stream in (state['profiles'], state['poses'])
                if (service == 'take_sample' or not success)
                and (stream['count'] == 0 or stream['malformed'])]
     trouble = '; '.join(filter(None, (*streams, state['session']['trouble'])))
-    return text if trouble in text else f'{text}; {trouble}'
+    if trouble in text:
+        return text
+    return f'{text}; {trouble}' if success else f'{trouble}; {text}'
 
 
 def samples_message(state: State) -> State:
