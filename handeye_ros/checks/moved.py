@@ -13,15 +13,14 @@ moves in any order.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-import math
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import DECISIVE, Explanation, Hypothesis, RARE
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
-from handeye_ros.estimation.noise import TURN_LENGTH, whitening
+from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import quick_solution
 from handeye_ros.estimation.solve import covering, evaluated, reestimated, Solution
@@ -107,8 +106,9 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-    # a smaller one may be part of the robot's smooth error
-    size = math.hypot(shift, TURN_LENGTH * turn)
+    # of the points that are seen; a smaller move may be part of the robot's smooth error
+    arms = _arms(moved)[kind]
+    size = rms(np.linalg.norm(step[:3] + np.cross(step[3:], arms), axis=1))
     clear = evidence > DECISIVE or size > LARGE * smooth
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
         clear = clear and size > config.noise.robot_smooth
@@ -143,10 +143,15 @@ def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock
 def _by_steps(solution: Solution) -> Array:
     """Return the derivatives (m, 12) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
-    p = solution.problem.points_in_base(linear.estimate.X)
-    about = se3.cross(p - p.mean(axis=0), linear.by_base)
+    about = se3.cross(_arms(solution)[1], linear.by_base)
     steps = np.hstack([linear.jacobian[:, :6], linear.by_base, about])
     return np.asarray(steps * np.tile(STEP, 2))
+
+
+def _arms(solution: Solution) -> tuple[Array, Array]:
+    """Return the points (m, 3) from what a sensor, and a target, turns about when it moves."""
+    p = solution.problem.points_in_base(solution.linear.estimate.X)
+    return solution.linear.lever, p - p.mean(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
