@@ -40,13 +40,13 @@ import sys
 
 from handeye_ros import config as configs
 from handeye_ros import se3, targets
-from handeye_ros.agreement import flat_crossing
 from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import refined, robust_solution, with_blocks, without_outliers
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.evidence import flat_crossing
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise, turn_and_tilt
 from handeye_ros.guidance.moves import Move

@@ -26,8 +26,8 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.estimate import adjusted, ArmFit
-from handeye_ros.robot.outcome import ArmOutcome, solve
 from handeye_ros.robot.points import PointRows, start_of
+from handeye_ros.robot.selection import ArmOutcome, solve
 from handeye_ros.robot.sources import Source
 from handeye_ros.robot.sources import start_of as start_of_sources
 from handeye_ros.robot.stops import Points, State, Stops

@@ -265,7 +265,7 @@ def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:
     return text, arm_of(text, base, flange, path)
 
 
-def arm_of(text: str, base: str = '', flange: str = '', source: object = 'robot_description'
+def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the URDF'
            ) -> Arm:
     """
     Return the arm of a URDF's text; raises InputError.

@@ -19,6 +19,7 @@ import time
 from typing import Any, TypeAlias
 
 from handeye_ros import __version__, trend
+from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, page, write_whole
 from handeye_ros.results.calibration_file import content_of
@@ -27,7 +28,6 @@ from handeye_ros.tables import Table
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
 
-BAGS = ('.mcap', '.db3')
 COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
 JOB = 'job.json'  # in the folder of a job: what it was computed from, and its row
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
@@ -117,9 +117,10 @@ def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
     if Path() in {*files, *folders}:
         yield source, source.stem
         return
-    single = {file for file in files if file.suffix in BAGS and file.parent not in folders}
+    single = {file for file in files
+              if file.name.endswith(SUFFIXES) and file.parent not in folders}
     for bag in sorted(folders | single):
-        label = bag.with_suffix('')
+        label = bag.with_name(bag.name.removesuffix('.zstd')).with_suffix('')
         yield source / bag, str(source.name / label if several else label)
 
 
@@ -252,7 +253,7 @@ def _figures_in(folder: Path) -> Row:
                    if isinstance(value, (int, float)) or name in WORDS and value}
         if 'covariance' in content:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
-                       for k, axis in enumerate(('x', 'y', 'z', 'rx', 'ry', 'rz'))}
+                       for k, axis in enumerate(trend.AXES)}
         if stamps := [sample['stamp'] for sample in content.get('samples', ())]:
             values['stamp'] = min(stamps)
     return values

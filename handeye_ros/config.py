@@ -436,6 +436,14 @@ class Config(Section):
         """Return the frame id of the robot base, BASE_FRAME by default."""
         return self.robot_base_frame or BASE_FRAME
 
+    @property
+    def pose_origin(self) -> tuple[str, str]:
+        """Return the topic that the flange poses come from, and the keys that decide that."""
+        if self.kinematics:
+            return self.joint_topic, 'joint_topic'
+        return (self.pose_topic, 'pose_topic') if self.pose_source == 'topic' else (
+            '/tf', 'robot_base_frame and robot_effector_frame')
+
 
 @cache
 def parameters() -> tuple[Parameter, ...]:

@@ -133,11 +133,3 @@ class NoRosError(InputError):
             'source the setup.bash of ROS, or install handeye_ros[ros] with pip')
         super().__init__(f'{verb} needs ROS 2, and the Python module {module} is missing: '
                          f'{advice}')
-
-
-class NoMatplotlibError(InputError):
-    """A picture without the library that draws it."""
-
-    def __init__(self) -> None:
-        super().__init__('pictures need matplotlib, which is not installed: install '
-                         'python3-matplotlib (with pip: matplotlib), or ask for no picture')

@@ -15,7 +15,7 @@ from typing import Any
 
 from handeye_ros import __version__
 from handeye_ros.config import Config
-from handeye_ros.errors import BadValueError, NoMatplotlibError, UnwritableError
+from handeye_ros.errors import BadValueError, UnwritableError
 import yaml
 
 LONGEST_NAME = 100  # characters of a folder
@@ -82,16 +82,13 @@ def replaced(path: Path) -> Iterator[Path]:
 
 def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> tuple[Any, Any]:
     """Return a figure and its axes; width, height: of one plot (inches)."""
-    try:
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise NoMatplotlibError from error
+    from matplotlib.figure import Figure  # slow to import
     drawing = Figure(figsize=(width * columns, height * rows), layout='constrained')
     return drawing, drawing.subplots(rows, columns)
 
 
 def style() -> AbstractContextManager[None]:
-    """Return the style of the plots in pages; needs matplotlib."""
+    """Return the style of the plots in pages."""
     from matplotlib import rc_context
     return rc_context({
         'svg.fonttype': 'none', 'font.size': 9, 'font.family': 'sans-serif', 'grid.alpha': 0.3,

@@ -117,8 +117,7 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
     """
     Write a picture of the trend: differences from the first.
 
-    The bars are the joint 95 % region of all six differences. Raises NoMatplotlibError,
-    UnwritableError.
+    The bars are the joint 95 % region of all six differences. Raises UnwritableError.
     """
     drawing, plots = output.figure(2, 1)
     index, reach = np.arange(len(entries)), float(np.sqrt(chi2_isf(WARNING, 6)))

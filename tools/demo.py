@@ -21,10 +21,10 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from handeye_ros import config as configuration
-from handeye_ros.agreement import evidence
 from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
+from handeye_ros.evidence import evidence
 from handeye_ros.node.main import exit_code, ros
 from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports, report, table

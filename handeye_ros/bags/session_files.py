@@ -44,12 +44,13 @@ from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
 from handeye_ros.output import folder_name, replaced, writing
+from handeye_ros.results.calibration_file import NEWEST, require_format
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NOT_EVALUATED, Stop
 
 LAST = 'last'
-FORMAT, NEWEST = 'handeye_ros/session/', 1
+FORMAT = 'handeye_ros/session/'
 CONFIGURATION = '/handeye_ros/session/configuration'
 OUTCOME = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
@@ -354,9 +355,7 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
     try:
         values, content = json.loads(texts[OUTCOME]), json.loads(texts[CONFIGURATION])
         for form in (values['format'], content['format']):
-            if int(form.removeprefix(FORMAT)) > NEWEST:
-                raise InputError(f'{file} is of the format {form}, newer than this version of '
-                                 'handeye_ros knows: update the package')
+            require_format(file, form, FORMAT)
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
         began, refused = int(values['began']), str(values['refused'])

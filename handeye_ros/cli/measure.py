@@ -153,7 +153,7 @@ def trend(
         metavar='DIR', help='The folder below which all calibration.yaml are taken.')],
     against: Annotated[NoPath, File(
         help='The calibration that the others are compared with; default: the oldest.')] = None,
-    picture: Annotated[NoPath, File(help='Draw it (needs matplotlib).')] = None,
+    picture: Annotated[NoPath, File(help='Draw it.')] = None,
     csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show the trend of the calibrations below a folder."""

@@ -116,7 +116,7 @@ def samples(
 ) -> None:
     """Show the samples of a session, the worst first."""
     from handeye_ros import pipeline
-    from handeye_ros.agreement import samples_table
+    from handeye_ros.evidence import samples_table
     given = opened(path, config, assignments)
     settings, session = given.settings, given.session
     if session is None:
@@ -141,7 +141,7 @@ def report(
         help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
 ) -> None:
     """Show a calibration or verification in one HTML file."""
-    from handeye_ros.agreement import evidence
+    from handeye_ros.evidence import evidence
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results import exports, verification_file
     from handeye_ros.results.calibration_file import file_of, read_calibration

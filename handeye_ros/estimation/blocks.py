@@ -82,14 +82,14 @@ class ParameterBlock:
 
 
 Blocks = Iterable[ParameterBlock]
-Source = Callable[[Linear], Blocks]
+BlockSource = Callable[[Linear], Blocks]
 """A function that gives blocks at an estimate."""
 
 
 def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
     """Return all blocks at an estimate."""
     model = linear.problem.pose_model
-    sources: list[Source] = [linear.problem.target.blocks]
+    sources: list[BlockSource] = [linear.problem.target.blocks]
     sources += [model.blocks] if model and model.blocks else []
     return tuple(block for source in (*sources, *SOURCES) for block in source(linear)
                  if block.std > 0 and block.columns.any())
@@ -239,5 +239,5 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     return errors
 
 
-SOURCES: tuple[Source, ...] = (stated_measures, robot_scale, sensor_scale, sensor_distortion,
+SOURCES: tuple[BlockSource, ...] = (stated_measures, robot_scale, sensor_scale, sensor_distortion,
                                line_bend, pose_model, robot_smooth)

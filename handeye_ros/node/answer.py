@@ -15,11 +15,11 @@ from functools import partial
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import pipeline
-from handeye_ros.agreement import Agreement, agreements, count_of, flat_crossing
 from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.node.pool import result_or_ended
@@ -217,7 +217,7 @@ class LiveAnswer:
         if answer.refusal:
             self._refuse(answer.refusal)
         calibration = answer.required()
-        inputs = [{'topic': live.config.profile_topic}, {'topic': live.pose_topic},
+        inputs = [{'topic': live.config.profile_topic}, {'topic': live.config.pose_origin[0]},
                   {'session': live.path}]
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})

@@ -33,7 +33,6 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from handeye_ros import se3
-from handeye_ros.agreement import count_of, sample_summary
 from handeye_ros.bags.session_files import (
     CONFIGURED,
     OutputFolders,
@@ -49,6 +48,7 @@ from handeye_ros.errors import (
     InputError,
     UnusableMessageError,
 )
+from handeye_ros.evidence import count_of, sample_summary
 from handeye_ros.frames import in_mount
 from handeye_ros.node.answer import LiveAnswer, SAMPLE_KEYS, values_of
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory, Worker
@@ -246,13 +246,6 @@ class LiveSession:
     def path(self) -> str:
         """Return the folder of the session, empty before there is one."""
         return str(self.files.path or '')
-
-    @property
-    def pose_topic(self) -> str:
-        """Return where the poses come from."""
-        if self.config.kinematics:
-            return self.config.joint_topic
-        return self.config.pose_topic if self.config.pose_source == 'topic' else '/tf'
 
     @property
     def working(self) -> str:

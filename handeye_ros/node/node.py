@@ -83,7 +83,7 @@ class HandeyeNode(Node):
         self._streams.start()
         self._serve()
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
-                               f'{self.live.pose_topic}')
+                               f'{self.live.config.pose_origin[0]}')
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
             serve(self)

@@ -14,10 +14,10 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, TransformStamped
 from handeye_ros import se3
-from handeye_ros.agreement import count_of
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
 from handeye_ros.errors import INSTALL_TF2
+from handeye_ros.evidence import count_of
 from handeye_ros.frames import in_mount, target_frame
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (

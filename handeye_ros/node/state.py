@@ -14,7 +14,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
-from handeye_ros.agreement import Agreement, sample_summary
+from handeye_ros.evidence import Agreement, sample_summary
 from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.sampling.session import Session
@@ -125,7 +125,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     return {
         'name': folder_name(config),
         'profiles': _stream(profiles, config.profile_topic, obstacles.get('profile', '')),
-        'poses': _stream(poses, live.pose_topic, obstacles.get('pose', '')),
+        'poses': _stream(poses, live.config.pose_origin[0], obstacles.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handeye_ros.agreement import sample_summary
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.evidence import sample_summary
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.node.state import Attempt
 from handeye_ros.output import yaml_text
@@ -200,7 +200,7 @@ class LiveVerification:
         verified = live.config.verify.calibration
         name = f'verification_{result.routine}.yaml'
         content = values(with_provenance(
-            result, (live.config.profile_topic, live.pose_topic),
+            result, (live.config.profile_topic, live.config.pose_origin[0]),
             Path(verified).expanduser() if verified else None))
         saved = exports.write({name: yaml_text(content)}, live.folders.own(live.config), {name})
         self.verdict = sentence(content)

@@ -11,7 +11,6 @@ from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.agreement import stop_snapshot
 from handeye_ros.bags.reader import CLOUD, POSE
 from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.calibration import edges_used
@@ -19,6 +18,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import InputError
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.evidence import stop_snapshot
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
@@ -47,7 +47,7 @@ Read = Callable[[Mapping[str, str]], Any]
 
 
 @dataclass(frozen=True)
-class Source:
+class PageSource:
     """
     Content and actions of the page.
 
@@ -63,7 +63,7 @@ class Source:
     reads: Mapping[str, Read] = field(default_factory=dict)
 
 
-def source(node: HandeyeNode) -> Source:
+def source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
     def service(name: str) -> Act:
         return lambda values: node.call_service(name)
@@ -77,7 +77,7 @@ def source(node: HandeyeNode) -> Source:
         'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
-    return Source(lambda: contents(node.state, node.live), acts, reads)
+    return PageSource(lambda: contents(node.state, node.live), acts, reads)
 
 
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -145,22 +145,21 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
 
 def _report(calibration: Calibration, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
-    from handeye_ros.agreement import evidence
+    from handeye_ros.evidence import evidence
     from handeye_ros.results.report import html  # matplotlib
     return html(calibration, evidence(calibration, Path(session) if session else None))
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
     """Return the content of the page as plain values; rows: of the table of the answer."""
-    config, current = live.config, live.current()
+    current = live.current()
     profile = current and {**profile_picture(current.points, current.features),
                            'reason': current.reason}
     return {**state, 'profile': profile, 'scene': _scene(live, current),
-            'accuracy': config.guidance.accuracy, 'edges': _edges(live),
+            'edges': _edges(live),
             'rows': list(answer_rows(live.answer.calibration)),
             'verification': {'running': live.verification.text,
-                             'verdict': live.verification.verdict,
-                             'routine': config.verify.routine}}
+                             'verdict': live.verification.verdict}}
 
 
 def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str, str]]:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 
 from aiohttp import web
 from handeye_ros.errors import HandeyeError, InputError
-from handeye_ros.page.contents import plain, Source, source
+from handeye_ros.page.contents import PageSource, plain, source
 
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
@@ -70,7 +70,7 @@ def serve(node: HandeyeNode) -> None:
 class PageServer:
     """Serves a page until the process ends; token: '' where none is needed."""
 
-    def __init__(self, source: Source, address: str, port: int, token_file: Path) -> None:
+    def __init__(self, source: PageSource, address: str, port: int, token_file: Path) -> None:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
         try:
             self._local = address == 'localhost' or ipaddress.ip_address(address).is_loopback

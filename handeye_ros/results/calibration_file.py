@@ -25,6 +25,7 @@ import yaml
 Kind = TypeVar('Kind')
 
 FORMAT = 'handeye_ros/calibration/'
+NEWEST = 1  # number of each format
 NAME = 'calibration.yaml'
 
 HEADER = """\
@@ -172,12 +173,12 @@ def content_of(path: Path) -> Any:
         raise unusable(path, 'it is not valid YAML') from error
 
 
-def require_format(path: Path, text: str, kind: str, newest: int = 1) -> None:
-    """Raise InputError for another format than the kind and its numbers up to the newest."""
+def require_format(path: Path, text: str, kind: str) -> None:
+    """Raise InputError for another format than the kind and its number NEWEST, or less."""
     number = text.removeprefix(kind)
     if number == text or not number.isdecimal():
-        raise unusable(path, f'its format is "{text}", expected {kind}{newest}')
-    if int(number) > newest:
+        raise unusable(path, f'its format is "{text}", expected {kind}{NEWEST}')
+    if int(number) > NEWEST:
         raise unusable(path, f'its format {text} is newer than this version of handeye_ros '
                              f'({__version__}) can read; update the package')
 

@@ -140,7 +140,7 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class Outline:
     """
     A target in its fixed frame (metres).
 
@@ -154,7 +154,7 @@ class Shape:
     ball: tuple[Array, float] | None = None
 
 
-def shape(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Shape:
+def shape(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Outline:
     """
     Return the shape of a target as stored in calibration.yaml.
 
@@ -164,21 +164,21 @@ def shape(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Sh
     if 'centre' in target:
         centre, radius = _xyz(target['centre']), target['radius']
         circles = tuple(centre + ring for ring in rings(np.eye(3) * radius))
-        return Shape(outline=circles, ball=(centre, radius))
+        return Outline(outline=circles, ball=(centre, radius))
     if 'pose' in target:
         return _plate(target, size, near)
     if 'direction' in target and 'point' in target:
-        return Shape(edges=(_along(_xyz(target['point']), np.array(target['direction']), near),))
+        return Outline(edges=(_along(_xyz(target['point']), np.array(target['direction']), near),))
     if 'normal' in target:
-        return Shape(outline=(_square(np.array(target['normal']), target['distance'], near),))
-    return Shape()
+        return Outline(outline=(_square(np.array(target['normal']), target['distance'], near),))
+    return Outline()
 
 
 def _xyz(values: Mapping[str, float]) -> Array:
     return np.array([values[axis] for axis in 'xyz'], dtype=float)
 
 
-def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Shape:
+def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Outline:
     pose = target['pose']
     T = se3.from_quaternion(_xyz(pose['translation']),
                             np.array([pose['rotation'][axis] for axis in 'xyzw'], dtype=float))
@@ -188,7 +188,7 @@ def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> S
     p = np.array([length, 0.0, 0.0])
     q = width * np.array([np.cos(angle), np.sin(angle), 0.0])
     ends = se3.apply(T, np.array([np.zeros(3), p, q, p + q]))
-    return Shape(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
+    return Outline(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
 
 
 def _along(point: Array, direction: Array, near: Array) -> Array:

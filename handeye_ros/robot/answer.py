@@ -24,7 +24,7 @@ from handeye_ros.output import write_whole, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated, transform_values
 from handeye_ros.results.table import figures_table
-from handeye_ros.robot.outcome import ArmOutcome, UNCHANGED
+from handeye_ros.robot.selection import ArmOutcome, UNCHANGED
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text

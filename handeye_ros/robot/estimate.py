@@ -23,7 +23,7 @@ from handeye_ros.estimation.least_squares import (
     System,
 )
 from handeye_ros.estimation.noise import prior_variances
-from handeye_ros.robot.stops import State, Stops
+from handeye_ros.robot.stops import ArmState, Stops
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +44,7 @@ class ArmFit:
     """
 
     stops: Stops
-    state: State
+    state: ArmState
     noise: Array
     variances: Array
     used: NDArray[np.bool_]
@@ -91,7 +91,7 @@ class ArmFit:
         """Return the least-squares estimate with these weights, near this one."""
         stds, by_priors = self.stds, self.by_priors
 
-        def rows(state: State) -> Rows:
+        def rows(state: ArmState) -> Rows:
             r, J = replace(self, state=state).linear
             return Rows(np.append(r, state.errors / stds), lambda: np.vstack([J, by_priors]))
         unit = np.append(self.stops.station[self.rows], np.full(len(stds), len(self.stops)))
@@ -143,7 +143,8 @@ def without_outliers(fit: ArmFit) -> ArmFit:
     return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 
-def first_fit(stops: Stops, state: State, used: NDArray[np.bool_], noise: float = 1.0) -> ArmFit:
+def first_fit(stops: Stops, state: ArmState, used: NDArray[np.bool_], noise: float = 1.0
+              ) -> ArmFit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
     return adjusted(ArmFit(stops, state, np.full(stops.axes, noise), np.zeros(0), used).solved())
 
@@ -154,7 +155,7 @@ def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     return replace(fit, state=state, variances=np.ones(len(set(state.kinds)))).solved()
 
 
-def reported_covariance(fit: ArmFit, chosen: State) -> tuple[ArmFit, Array]:
+def reported_covariance(fit: ArmFit, chosen: ArmState) -> tuple[ArmFit, Array]:
     """
     Return a fit with conservative prior scales, and the covariance of a chosen estimate.
 

@@ -17,8 +17,8 @@ from handeye_ros.estimation.least_squares import graduated, Rows, System
 from handeye_ros.published import fixed_point
 from handeye_ros.robot.answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
-from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start
-from handeye_ros.robot.stops import Points, State, Stops
+from handeye_ros.robot.selection import joint_notes, require_enough, solve, Start
+from handeye_ros.robot.stops import ArmState, Points, Stops
 from handeye_ros.tables import ANGLE, LENGTH, Table
 from handeye_ros.targets.target import xyz
 import numpy as np
@@ -94,13 +94,13 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     most = max(parts, key=np.count_nonzero)
     X, _ = fixed_point.solve_linear(T[most], rows.points[most])
     seen = se3.apply(T @ X, rows.points[:, None])[:, 0]
-    start = State(X, tuple(np.median(seen[part], axis=0) for part in parts), arm, np.zeros(0))
+    start = ArmState(X, tuple(np.median(seen[part], axis=0) for part in parts), arm, np.zeros(0))
 
-    def linearised(state: State) -> Rows:
+    def linearised(state: ArmState) -> Rows:
         r, J = stops.linearised(state)
         return Rows(r / ROUGH, lambda: J / ROUGH)
 
-    def squares(state: State) -> Array:
+    def squares(state: ArmState) -> Array:
         return (stops.distances(state) / ROUGH) ** 2 / 3
     state = graduated(start, squares, System(linearised, stops.moved, stops.station).reweighted)
     left = squares(state)

@@ -19,8 +19,8 @@ from handeye_ros.estimation.solve import covering
 from handeye_ros.frames import in_mount, sensor_axes
 from handeye_ros.robot.answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
-from handeye_ros.robot.outcome import joint_notes, require_enough, solve, Start, UNSOLVED
-from handeye_ros.robot.stops import lengths, Profiles, State, Stops
+from handeye_ros.robot.selection import joint_notes, require_enough, solve, Start, UNSOLVED
+from handeye_ros.robot.stops import ArmState, lengths, Profiles, Stops
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_at_poses, synchronised
@@ -106,7 +106,7 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
     stops = Stops.of(np.concatenate(q), tuple(measured))
-    state = State(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
+    state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
     return Start(fit, problem.config.limits.residual, problem.in_hand, every,

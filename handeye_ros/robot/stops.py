@@ -131,7 +131,7 @@ def lengths(residuals: Array, station: NDArray[np.intp], axes: int = 1) -> Array
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ArmState:
     """
     An estimate: sensor in its mount X (4, 4), state of each target, and the arm.
 
@@ -204,18 +204,18 @@ class Stops:
         """Return the stop (m,) of each residual."""
         return np.concatenate([one.station + stops.start for one, stops, _ in self.parts])
 
-    def residuals(self, state: State) -> list[Residuals]:
+    def residuals(self, state: ArmState) -> list[Residuals]:
         """Return the residuals of each target, without the smooth error."""
         T = state.arm.forward(self.q)
         return [one.residuals(T[stops], state.X, target) for (one, stops, _), target in zip(
             self.parts, state.targets, strict=True)]
 
-    def distances(self, state: State) -> Array:
+    def distances(self, state: ArmState) -> Array:
         """Return the length (n,) of the residual of each stop, RMS of several (m)."""
         values = np.concatenate([found.values for found in self.residuals(state)])
         return lengths(values, self.station, self.axes)
 
-    def linearised(self, state: State) -> tuple[Array, Array]:
+    def linearised(self, state: ArmState) -> tuple[Array, Array]:
         """
         Return whitened residuals (m,), and their derivatives (m, u).
 
@@ -234,10 +234,10 @@ class Stops:
         white = np.concatenate(rows)
         return white[:, -1], white[:, :-1]
 
-    def moved(self, state: State, step: Array) -> State:
+    def moved(self, state: ArmState, step: Array) -> ArmState:
         """Return a state after a step (u,)."""
         targets = tuple(one.moved(target, step[columns]) for (one, _, columns), target in zip(
             self.parts, state.targets, strict=True))
         of_arm, smooth = np.split(step[self.unknowns:], [len(state.arm.values)])
-        return State(se3.perturb(state.X, step[:6]), targets,
+        return ArmState(se3.perturb(state.X, step[:6]), targets,
                      replace(state.arm, values=state.arm.values + of_arm), state.smooth + smooth)

@@ -214,11 +214,9 @@ class Session(Copyable):
             raise silent_poses(silence)
 
     def _no_poses(self) -> DataError:
-        where, advice = (self._config.pose_topic, 'pose_topic') if (
-            self._config.pose_source == 'topic') else (
-            '/tf', 'robot_base_frame and robot_effector_frame')
-        return DataError(f'no flange pose was received on {where}: start the robot driver, or set '
-                         f'{advice}', reason='no_poses')
+        topic, keys = self._config.pose_origin
+        return DataError(f'no flange pose was received on {topic}: start the robot driver, or set '
+                         f'{keys}', reason='no_poses')
 
     def _require_one_frame(self) -> None:
         if self.conflict:

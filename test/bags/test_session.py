@@ -13,7 +13,6 @@ import subprocess
 import sys
 
 from command import assert_refused, handeye, ROOT
-from handeye_ros.agreement import evidence
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.bag_write import write
 from handeye_ros.bags.session_files import (
@@ -28,6 +27,7 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.evidence import evidence
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 pytest.importorskip('aiohttp', reason='needs aiohttp')
 from handeye_ros.page import server as servers  # noqa: E402, I100
-from handeye_ros.page.contents import Source  # noqa: E402
+from handeye_ros.page.contents import PageSource  # noqa: E402
 from handeye_ros.page.server import PageServer, token_of  # noqa: E402
 
 pytestmark = pytest.mark.once
@@ -47,7 +47,7 @@ class Cell:
 @contextmanager
 def served(address: str = '127.0.0.1') -> Iterator[tuple[PageServer, Cell]]:
     cell = Cell()
-    source = Source(lambda: {'name': 'plate', 'count': math.nan},
+    source = PageSource(lambda: {'name': 'plate', 'count': math.nan},
                     {'take': cell.take, 'wait': cell.wait})
     with socket.socket() as probe:
         probe.bind(('127.0.0.1', 0))
@@ -179,6 +179,6 @@ def test_what_takes_long_or_never_ends_keeps_nobody_else_waiting(
 
 def test_a_port_in_use_and_an_address_that_is_none(here: tuple[PageServer, Cell]) -> None:
     with pytest.raises(InputError, match='set page.port to another'):
-        PageServer(Source(dict, {}), '127.0.0.1', here[0].port, Path())
+        PageServer(PageSource(dict, {}), '127.0.0.1', here[0].port, Path())
     with pytest.raises(InputError, match='expected an IP address'):
-        PageServer(Source(dict, {}), 'everywhere', 1, Path())
+        PageServer(PageSource(dict, {}), 'everywhere', 1, Path())

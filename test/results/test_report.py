@@ -11,8 +11,8 @@ from typing import Any
 
 from command import chromium, handeye, ROOT
 from handeye_ros import config, se3
-from handeye_ros.agreement import evidence
 from handeye_ros.data import Calibration
+from handeye_ros.evidence import evidence
 from handeye_ros.results import calibration_file, report
 from handeye_ros.results.report import Evidence, mapped_std, verdict
 import numpy as np

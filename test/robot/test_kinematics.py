@@ -16,7 +16,7 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import points, sources
-from handeye_ros.robot.outcome import solve
+from handeye_ros.robot.selection import solve
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples

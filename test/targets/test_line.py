@@ -8,11 +8,11 @@ import re
 
 from cells import cell, recorded, solved, squared_error
 from handeye_ros import pipeline, se3
-from handeye_ros.agreement import flat_crossing
 from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
 from handeye_ros.estimation.noise import LUMPED
 from handeye_ros.estimation.solve import evaluated
+from handeye_ros.evidence import flat_crossing
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np
