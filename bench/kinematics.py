@@ -30,7 +30,7 @@ from handeye_ros.robot.points import PointRows, start_of
 from handeye_ros.robot.selection import ArmOutcome, solve
 from handeye_ros.robot.sources import Source
 from handeye_ros.robot.sources import start_of as start_of_sources
-from handeye_ros.robot.stops import Points, State, Stops
+from handeye_ros.robot.stops import ArmState, Points, Stops
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -159,7 +159,7 @@ def selected(rows: PointRows, keep: Array) -> PointRows:
                             for name in ('q', 'points', 'target', 'number')})
 
 
-def predicted(state: State, data: PointRows) -> Array:
+def predicted(state: ArmState, data: PointRows) -> Array:
     """Return where the points (n, 3) are in the sensor, by an estimate."""
     T, X = state.arm.forward(data.q), state.X
     targets = np.hstack([np.array(state.targets)[data.target], np.ones((len(data), 1))])[
@@ -177,7 +177,7 @@ def rms(off: Array) -> float:
 def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
     scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
-    state = State(cell.X, (cell.ball,), cell.arm, np.zeros(0))
+    state = ArmState(cell.X, (cell.ball,), cell.arm, np.zeros(0))
     seen, others = (Stops.of(each.q, (Points(each.points, each.in_hand),))
                     for each in (rows, held))
     best = ArmFit(seen, state, np.full(3, NOISE), np.full(3, scale ** 2),

@@ -147,8 +147,16 @@ def gathered(recording: 'Recording', settings: 'Config') -> 'Session':
         return pipeline.gather(recording.profiles, recording.poses, settings)
 
 
+def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
+    """Warn where the profiles are of another frame than the sensor of a calibration."""
+    frame = next((profile.frame_id for profile in recording.profiles), '')
+    if frame and frame != calibration.child_frame:
+        warn(f'the profiles are of the frame "{frame}", and the calibration is of '
+             f'"{calibration.child_frame}": check that it is of this sensor')
+
+
 @contextmanager
-def flowing(bag: Path, settings: 'Config', task: str
+def flowing(bag: Path, settings: 'Config', task: str, calibration: 'Calibration'
             ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
     """Give a recording profile by profile, its poses, and a function that changes the task."""
     from handeye_ros.bags.bag import read
@@ -156,6 +164,7 @@ def flowing(bag: Path, settings: 'Config', task: str
     with doing(task) as update:
         # what uses the profiles adds the offset itself
         recording = read(bag, replace(settings, time_offset=0.0))
+        warn_of_frame(recording, calibration)
         yield recording, trajectory_of(recording.poses, settings.sampling.max_pose_gap), update
     warn(*recording.warnings)
 

@@ -21,6 +21,7 @@ from handeye_ros.cli.common import (
     read_bag,
     show,
     warn,
+    warn_of_frame,
 )
 import typer
 
@@ -71,7 +72,7 @@ def verify(
     answer, settings = calibrated(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
     if routine.in_passes:
-        measured, rejects = stations_of_passes(_passes(bags, settings), settings), ()
+        measured, rejects = stations_of_passes(_passes(bags, answer, settings), settings), ()
     else:
         samples, rejects = zip(*(_stops(bag, answer, settings) for bag in bags), strict=True)
         measured = stations_of(routine, samples, answer, settings)
@@ -92,18 +93,20 @@ def verify(
         raise typer.Exit(NOT_AS_WANTED)
 
 
-def _passes(bags: list[Path], config: 'Config'
+def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
             ) -> 'Iterator[tuple[Sequence[Profile], Trajectory]]':
     """Yield the profiles and poses of each recording."""
     for bag in bags:
-        with flowing(bag, config, 'reading the recording') as (source, track, _):
+        with flowing(bag, config, 'reading the recording', calibration) as (source, track, _):
             yield list(source.returns()), track
 
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
            ) -> 'tuple[Sequence[Sample], Sequence[Reject]]':
     """Return what the stops of a recording give."""
-    session = gathered(read_bag(bag, config), config)
+    recording = read_bag(bag, config)
+    warn_of_frame(recording, calibration)
+    session = gathered(recording, config)
     used = {report.stamp for report in calibration.samples if report.used}
     if any(sample.stamp in used for sample in session.samples):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
@@ -133,6 +136,7 @@ def check(
     checks: list[tuple[str, Check]] = []
     for bag in bags:
         recording = read_bag(bag, settings)
+        warn_of_frame(recording, calibration)
         with doing('comparing'):
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
         checks.append((str(bag), result))

@@ -60,7 +60,7 @@ def scan(
     answer, settings = calibrated(calibration, config, assignments, kinematics)
     scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
-    with flowing(bag, settings, 'reading the poses') as (source, track, update):
+    with flowing(bag, settings, 'reading the poses', answer) as (source, track, update):
         def pieces() -> 'Iterator[Points]':
             for points in scanner.scan(source.returns(), track):
                 yield points
@@ -143,6 +143,6 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
                          'calibration of its sensor: --calibration FILE')
     answer, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(answer, settings, ScanOptions(voxel=THINNED))
-    with flowing(path, settings, 'scanning') as (source, track, _):
+    with flowing(path, settings, 'scanning', answer) as (source, track, _):
         rows = np.concatenate(list(scanner.scan(source.returns(), track)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

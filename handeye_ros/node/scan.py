@@ -50,6 +50,7 @@ class ScanNode(Node):
         super().__init__('handeye_scan')
         self.config = replace(config, time_offset=0.0)  # the scanner adds it
         self.messages: dict[str, MessageCount] = {}
+        self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)
         self._offset = round((config.time_offset + max(self._scanner.lag, 0.0)) * 1e9)
         self._lock = Lock()  # of the two streams
@@ -63,6 +64,11 @@ class ScanNode(Node):
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
         seen = returns_of(profile)
+        if profile.frame_id not in ('', self._sensor):
+            self.get_logger().warning(
+                f'the profiles are of the frame "{profile.frame_id}", and the calibration is of '
+                f'"{self._sensor}": check that it is of this sensor',
+                throttle_duration_sec=THROTTLE)
         with self._lock:
             self._profiles.append(seen)
 

@@ -201,6 +201,13 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     vertex = PlyData.read(tmp_path / 'c.ply')['vertex']
     assert [p.name for p in vertex.properties] == ['x', 'y', 'z', 'intensity', 'std']
     np.testing.assert_allclose(vertex['z'], 0.1, atol=1e-6)
+    assert 'of the frame' not in run.stderr
+    other = replace(calibration(), child_frame='other')
+    write_calibration(other, tmp_path / 'calibration.yaml')
+    run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', 'c.ply',
+                  cwd=tmp_path)
+    assert run.returncode == 0
+    assert 'the profiles are of the frame "laser", and the calibration is of "other"' in run.stderr
 
 
 @pytest.mark.once

@@ -34,6 +34,7 @@ function element(name, content = '', className = '') {
 }
 
 function show(state) {
+  if (latest && state.profiles.count < latest.profiles.count) say('');  // another node
   latest = state;
   heard = Date.now();
   if (refused !== null && refused !== situation(state)) say('');
