@@ -379,8 +379,12 @@ class LiveSession:
         return result
 
     def store_rest(self) -> None:
-        """Store settings that could not be stored before, and then stops, if that works now."""
-        if self._store_trouble and self.files.path:
+        """
+        Store settings that could not be stored before, and then stops, if that works now.
+
+        A folder that is gone is found here too: then there is a trouble.
+        """
+        if self.files.path and (self._store_trouble or not self.files.path.is_dir()):
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.append, CONFIGURED, self.config)
 

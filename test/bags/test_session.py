@@ -236,7 +236,9 @@ def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -
     assert (sorted(kept.stops), kept.config.noise.sensor) == ([1, 2, 3], 4e-5)
     assert (taken(state_of(live)), state_of(live)['session']['trouble']) == (2, '')  # 3 is as 1
     shutil.rmtree(folder)
-    feed(live, stops=4)
+    with pytest.raises(DataError):
+        computed(live)
+    assert 'its folder is gone' in state_of(live)['session']['trouble']
     assert 'kept in' not in live.clear_samples()
     assert not state_of(live)['session']['trouble']
 
