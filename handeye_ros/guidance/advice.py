@@ -144,9 +144,8 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
 
 def _before_an_answer(text: str, move: Move | None = None, refusal: Exception | None = None
                       ) -> Advice:
-    trouble = [str(refusal)] if refusal else []
-    return Advice((text, *trouble), None, move, (), False,
-                  *trouble or ['there is no answer yet'])
+    why = str(refusal) if refusal else 'there is no answer yet'
+    return Advice((text, why) if refusal else (text,), None, move, (), False, why)
 
 
 def sigma_table(covariance: Array, mapped: MappedPoints, config: Config) -> tuple[Sigma, ...]:

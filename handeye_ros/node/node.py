@@ -68,7 +68,7 @@ class HandeyeNode(Node):
             answer.compute_calibration, answer.save_calibration,
             verification.verify_start, verification.verify_result)}
         self._outputs = Outputs(self, self.live)
-        self._streams = Streams(self, self.live)
+        self._streams = Streams(self, self.live, self.live.add_joints)
         self._changing = Lock()  # the page sets parameters from its own thread
         self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._check_change)
@@ -204,7 +204,7 @@ class HandeyeNode(Node):
             if other_topics:
                 self._streams.stop()
                 self.live.ask(self.live.clear_samples)
-                self._streams = Streams(self, self.live)
+                self._streams = Streams(self, self.live, self.live.add_joints)
                 self._streams.start()
 
 

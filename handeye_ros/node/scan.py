@@ -83,9 +83,6 @@ class ScanNode(Node):
             with self._lock:
                 self._poses.append(pose)
 
-    def add_joints(self, stamp: int, data: bytes) -> None:
-        """Take no joint values: they are for sessions."""
-
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""
         with self._lock:

@@ -70,9 +70,6 @@ class Receiver(Protocol):
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Take poses of the flange."""
 
-    def add_joints(self, stamp: int, data: bytes) -> None:
-        """Take a serialised JointState; stamp: ns."""
-
 
 class NoExecutor(MutuallyExclusiveCallbackGroup):
     """Excludes subscriptions from executors, which are slower than reading in a thread."""
@@ -130,8 +127,13 @@ class Streams:
     arrive otherwise. An invalid message is counted and left out.
     """
 
-    def __init__(self, node: Node, receiver: Receiver) -> None:
-        """Subscribe, and count anew; raises InputError."""
+    def __init__(self, node: Node, receiver: Receiver,
+                 add_joints: Callable[[int, bytes], None] | None = None) -> None:
+        """
+        Subscribe, and count anew; raises InputError.
+
+        add_joints: takes stamp (ns) and serialised JointState, of which no pose is made.
+        """
         self._node, self._receiver, config = node, receiver, receiver.config
         self._named = _topics_named(config)
         self._group = NoExecutor()
@@ -141,9 +143,9 @@ class Streams:
         receiver.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic,
                                self._on_profile, RELIABLE, 'profile_topic')]
-        if not config.kinematics:
+        if add_joints and not config.kinematics:
             self._topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
-                                       self._on_joints, STREAM))
+                                       partial(_on_joints, add_joints), STREAM))
         for message, name, key, read in pose_topics(config, self._tracker):
             qos = {'/tf': STREAM, '/tf_static': LATCHED_TREE}.get(name, RELIABLE)
             self._topics.append(_Topic(counts['pose'], message, name,
@@ -252,11 +254,6 @@ class Streams:
     def _on_poses(self, read: ReadPoses, data: bytes) -> None:
         self._receiver.add_poses([self._stamped(pose) for pose in read(data)])
 
-    def _on_joints(self, data: bytes) -> None:
-        """Keep joint values for `handeye kinematics`, as they are."""
-        seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
-        self._receiver.add_joints(seconds * NS + nanoseconds, data)
-
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
         if item.stamp:
@@ -314,6 +311,12 @@ class Streams:
                 'either may answer; end one, or rename it (-r __node:=other). One that was killed '
                 'is listed for 20 s more')
         return '; '.join(sentences)
+
+
+def _on_joints(add_joints: Callable[[int, bytes], None], data: bytes) -> None:
+    """Pass on joint values as they are, for `handeye kinematics`."""
+    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
+    add_joints(seconds * NS + nanoseconds, data)
 
 
 def _topics_named(config: Config) -> tuple[str, ...]:

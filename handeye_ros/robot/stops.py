@@ -156,8 +156,8 @@ class ArmState:
     @property
     def kinds(self) -> NDArray[np.intp]:
         """Return the number of the kind of each (p,), from 0; the smooth ones are the last."""
-        names = [*KINDS[np.nonzero(self.arm.free)[1]], *['smooth'] * len(self.smooth)]
-        return np.array([list(dict.fromkeys(names)).index(name) for name in names], dtype=np.intp)
+        _, own = np.unique(KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
+        return np.append(own, np.full(len(self.smooth), own.max(initial=-1) + 1))
 
 
 @dataclass(frozen=True, eq=False)

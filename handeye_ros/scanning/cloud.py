@@ -32,9 +32,9 @@ def require_format(path: Path) -> None:
         raise InputError(f'{path}: the file name must end with {" or ".join(FORMATS)}')
 
 
-def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> int:
+def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None:
     """
-    Write the pieces of a cloud, arrays with fields of float32; return the number of points.
+    Write the pieces of a cloud, arrays with fields of float32.
 
     The file appears only when all are written. Raises InputError, UnwritableError.
     """
@@ -49,7 +49,6 @@ def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> int:
             count += len(points)
         stream.seek(0)
         stream.write(_header(path.suffix.lower(), fields, count, comment))
-    return count
 
 
 def _header(suffix: str, names: Sequence[str], count: int, comment: str) -> bytes:

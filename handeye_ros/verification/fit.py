@@ -327,8 +327,9 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     factor = np.linalg.cholesky(covariance[block])
-    A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
-    remainder = np.append(remainder, np.linalg.solve(factor, deviation))
+    # distances and deviations from nominal values, both whitened, by an error of the calibration
+    both_A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
+    both = np.append(remainder, np.linalg.solve(factor, deviation))
     covariance[unseen, unseen] = np.inf
     quantities = tuple(
         replace(quantity, value=float(value), std=float(std), claimed=float(claim))
@@ -337,20 +338,26 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
                                         for each in (covariance, claimed)), strict=True))
 
     # the most likely error of the calibration
-    inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0)))
-    error = np.asarray(inverse @ A.T @ remainder, dtype=float)
-    left = float(((remainder - A @ error) ** 2).sum())
+    inverse = np.asarray(np.linalg.inv(both_A.T @ both_A + np.diag(LARGEST_ERROR ** -2.0)))
+    error = np.asarray(inverse @ both_A.T @ both, dtype=float)
+    left = float(((both - both_A @ error) ** 2).sum())
     freedom_left = max(freedom + len(known) - 6, 1)
     scale = max(left / freedom_left, 1.0)
+    smallest_error, weakest_direction, along, along_std = _weakest(
+        both_A.T @ both_A, lever, error, mount_frame(config))
+    implied, implied_std = largest_displacement(lever, error, scale * inverse)
     unknowns = np.hstack([J, G])
     return Fit(
-        quantities, scatter, *_weakest(A.T @ A, lever, error, mount_frame(config)), distances,
-        np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]), region, len(known),
-        float(chi2_sf(region, len(known))) if len(known) else 1.0, error,
-        float(chi2_sf(left, freedom_left)),
-        float(chi2_sf((remainder @ remainder - left) / scale, 6)),
-        *largest_displacement(lever, error, scale * inverse), r,
-        unknowns * FREE / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+        quantities=quantities, scatter=scatter, smallest_error=smallest_error,
+        weakest_direction=weakest_direction, along=along, along_std=along_std,
+        distances=distances,
+        distance_std=np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]),
+        region=region, freedom=len(known),
+        claim_p=float(chi2_sf(region, len(known))) if len(known) else 1.0,
+        error=error, p_error=float(chi2_sf(left, freedom_left)),
+        p_no_error=float(chi2_sf((both @ both - left) / scale, 6)),
+        implied=implied, implied_std=implied_std, residuals=r,
+        by_unknowns=unknowns * FREE / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:

@@ -164,12 +164,9 @@ def _common(points: Array, stop: Numbers, dimension: int) -> tuple[Array, Array]
 
 def _ends(feature: Feature, T: Array) -> Array:
     """Return the first and last point (2, 3) of a feature in the base; T: (4, 4) sensor plane."""
-    if isinstance(feature, FaceLine):
-        half = 3 ** 0.5 * feature.spread * feature.direction
-        points = np.array([feature.centre - half, feature.centre + half])
-    else:
-        points = (feature.points[[0, -1]] if isinstance(feature, Arc) else
-                  np.array([feature.point, feature.point]))
+    points = (feature.ends if isinstance(feature, FaceLine) else
+              feature.points[[0, -1]] if isinstance(feature, Arc) else
+              np.array([feature.point, feature.point]))
     return np.asarray(points @ T[:3, [0, 2]].T + T[:3, 3])
 
 
