@@ -102,6 +102,18 @@ def test_convention_errors_are_named(target: str, change: Callable[[Array], Arra
         pipeline.solve(with_poses(made, change), [], made.config, 'laser')
 
 
+def test_convention_errors_are_named_in_a_sweep_whose_clocks_differ() -> None:
+    sweep = SCENARIOS['plane_sweep']
+    sweep = replace(sweep, sensor=replace(sweep.sensor, rate=10.0, columns=320, delay=-0.02))
+    made = simulate(sweep, np.random.default_rng(1))
+    T = se3.inverse(np.array([se3.from_quaternion(p.translation, p.quaternion)
+                              for p in made.poses]))
+    poses = [replace(p, translation=translation, quaternion=q) for p, translation, q in zip(
+        made.poses, T[:, :3, 3], se3.quaternion(T), strict=True)]
+    with pytest.raises(DataError, match='inverse poses undone, .* profiles fit'):
+        pipeline.calibrate(made.profiles, poses, settings_of(sweep, sampling__mode='moving'))
+
+
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 def test_degrees_taken_for_radians_are_named(target: str) -> None:
     made = cell(target, 1)
