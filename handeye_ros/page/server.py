@@ -28,6 +28,7 @@ import secrets
 import socket
 import threading
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from aiohttp import web
 from handeye_ros.errors import HandeyeError, InputError
@@ -141,7 +142,8 @@ class PageServer:
         site = request.headers.get('Sec-Fetch-Site', 'same-origin')
         token = request.query.get('token') or request.cookies.get(self.cookie, '')
         if not self._is_ours(host):
-            return _sentence(403, 'this page is not served under that name')
+            return _sentence(403, 'this page is not served under that name: open it by the IP '
+                                  'address of its machine')
         if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
             return _sentence(403, 'requests of other pages are refused')
         if self.token and not hmac.compare_digest(token.encode(errors='replace'),
@@ -159,8 +161,11 @@ class PageServer:
 
     def _is_ours(self, host: str) -> bool:
         """Return whether a Host names this machine; other names may be of another site."""
-        name = host.removesuffix(f':{self.port}').strip('[]')
-        if name in ('localhost', self._address, socket.gethostname()):
+        try:
+            name = urlsplit(f'//{host}').hostname or ''  # any port: it may be forwarded
+        except ValueError:
+            return False
+        if name in ('localhost', self._address.lower(), socket.gethostname().lower()):
             return True
         if name.endswith('.local'):  # of mDNS, which no site outside can give to a machine
             return not self._local

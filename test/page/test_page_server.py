@@ -131,7 +131,7 @@ def test_other_machines_need_the_token() -> None:
         assert 'name="token"' in asked(page, 'GET', '/')[1], 'it asks for the token'
         assert asked(page, 'GET', '/', Cookie=f'{page.cookie}=\xff')[0] == 401
         cookie = f'{page.cookie}={page.token}'
-        for host in ('localhost', f'cell.local:{page.port}', '192.168.0.7'):
+        for host in ('localhost:9000', f'cell.local:{page.port}', '192.168.0.7', '[::1]:1'):
             assert asked(page, 'GET', '/', Cookie=cookie, Host=host)[0] == 200
         assert asked(page, 'GET', '/', Cookie=cookie, Host='cell.example')[0] == 403
         assert asked(page, 'POST', '/act/take', '{}', Cookie=cookie, **KIND)[0] == 200
