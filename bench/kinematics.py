@@ -27,10 +27,10 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.estimate import adjusted, ArmFit
 from handeye_ros.robot.points import PointRows, start_of
+from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
 from handeye_ros.robot.selection import ArmOutcome, solve
 from handeye_ros.robot.sources import Source
 from handeye_ros.robot.sources import start_of as start_of_sources
-from handeye_ros.robot.stops import ArmState, Points, Stops
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -178,7 +178,7 @@ def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
     scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
     state = ArmState(cell.X, (cell.ball,), cell.arm, np.zeros(0))
-    seen, others = (Stops.of(each.q, (Points(each.points, each.in_hand),))
+    seen, others = (ArmStops.of(each.q, (ArmPoints(each.points, each.in_hand),))
                     for each in (rows, held))
     best = ArmFit(seen, state, np.full(3, NOISE), np.full(3, scale ** 2),
                   np.ones(len(rows), dtype=bool)).solved()

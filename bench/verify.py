@@ -47,8 +47,8 @@ from handeye_ros.simulate.scenario import (
     SensorModel,
     SphereTarget,
 )
+from handeye_ros.simulate.scenes import Placements, tilts
 from handeye_ros.simulate.scenes import SCENES as TARGET_SCENES
-from handeye_ros.simulate.scenes import Stops, tilts
 from handeye_ros.simulate.sensor import lift
 from handeye_ros.verification.check import Check, check
 from handeye_ros.verification.fit import StationSet
@@ -66,7 +66,7 @@ AIM = 5e-5  # m: 1 sigma of the aim of the laser at a point
 INTO_CORNER = np.array([[1, 1, 0], [1, -1, 0], [0, 0, -2 ** 0.5]]).T / 2 ** 0.5  # T_target_sensor
 
 Taken: TypeAlias = tuple[Sample, ...] | Recording
-Take: TypeAlias = Callable[[Scenario, Array, Array, Stops, np.random.Generator], Taken]
+Take: TypeAlias = Callable[[Scenario, Array, Array, Placements, np.random.Generator], Taken]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +94,14 @@ def sensor_on_flange(rng: np.random.Generator) -> Array:
 # -- how stops at a fixed target are taken: samples, or recordings
 
 
-def reported_poses(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
-                   rng: np.random.Generator) -> Array:
+def reported_poses(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array,
+                   stops: Placements, rng: np.random.Generator) -> Array:
     """Return the reported poses (n, 4, 4) of the flange at stops."""
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
     return se3.perturb(T, pose_error(scenario.robot, T, rng))
 
 
-def sampled(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+def sampled(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Placements,
             rng: np.random.Generator) -> tuple[Sample, ...]:
     """Return the samples of stops."""
     features = TARGET_SCENES[scenario.scene].features(scenario, stops, rng)
@@ -110,8 +110,8 @@ def sampled(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, st
                  for k, (T_k, f) in enumerate(zip(T, features, strict=True)))
 
 
-def sampled_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
-                   rng: np.random.Generator) -> tuple[Sample, ...]:
+def sampled_corner(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array,
+                   stops: Placements, rng: np.random.Generator) -> tuple[Sample, ...]:
     """Return the samples of stops with the corner of a plate as edge point."""
     T = reported_poses(scenario, T_flange_sensor, T_base_target, stops, rng)
     std = float(scenario.sensor.noise / np.sqrt(scenario.profiles_per_stop))
@@ -219,7 +219,7 @@ def fixed_point(rng: np.random.Generator, count: int = 12, aim: float = AIM,
     R = INTO_CORNER @ tilts(scenario, rng, (count,))
     aim_error = aim * rng.normal(size=(count, 3))
     position = aim_error - (R @ lift(points)[:, :, None])[:, :, 0]
-    stops = Stops(se3.transform(R, position), ('p',) * count, points)
+    stops = Placements(se3.transform(R, position), ('p',) * count, points)
     return _taken([take(scenario, X, T, stops, rng)], X, reference=tuple(
         map(float, T[:3, 3])))
 
@@ -251,7 +251,7 @@ TRUTH = {'unchanged': 'unchanged', 'target': 'target', 'sensor': 'sensor', 'join
 FINE_AIM = 1e-5  # m: as the corner of a real plate is found inside of it by 0.8 times the aim
 
 
-def take(scenario: Scenario, X: Array, T: Array, stops: Stops, rng: np.random.Generator
+def take(scenario: Scenario, X: Array, T: Array, stops: Placements, rng: np.random.Generator
          ) -> Recording:
     """Return a recording with fewer columns, profiles and poses, to be quick."""
     sensor = replace(scenario.sensor, columns=640, rate=10.0)

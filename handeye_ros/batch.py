@@ -259,7 +259,7 @@ def _figures_in(folder: Path) -> Row:
     return values
 
 
-def result_of(row: Row) -> str:
+def outcome_of(row: Row) -> str:
     """Return the result of a job in one word."""
     if row['exit_code'] == 0:
         return 'warning' if row.get('warnings') else 'pass'
@@ -279,11 +279,11 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
         if row.get('cause'):  # the same sentence with other numbers is the same cause
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
     write_whole(out / 'report.html', page(
-        'batch.html', rows=worst_first, cells=cells_of(rows, out), result=result_of,
+        'batch.html', rows=worst_first, cells=cells_of(rows, out), result=outcome_of,
         figures=[figure for figure in FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],
         causes=sorted(causes.values(), key=len, reverse=True),
-        counts=Counter(map(result_of, rows)).most_common(),
+        counts=Counter(map(outcome_of, rows)).most_common(),
         target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
                                if (out / row['label'] / name).exists()), '')))
 

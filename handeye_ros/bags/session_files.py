@@ -47,7 +47,7 @@ from handeye_ros.output import folder_name, replaced, writing
 from handeye_ros.results.calibration_file import NEWEST, require_format
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import NOT_EVALUATED, Stop
+from handeye_ros.sampling.stops import NO_STOP, NOT_EVALUATED, Stop
 
 LAST = 'last'
 FORMAT = 'handeye_ros/session/'
@@ -57,7 +57,6 @@ STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 
 SUFFIX, LOCK = '.mcap', '.lock'
 STAMP = '%Y-%m-%dT%H%M%SZ'  # names of folders
-NOTHING = Stop(0)
 PARAMETERS = "the node's parameters"
 
 
@@ -173,7 +172,7 @@ class SessionFiles:
         file = self.append(STOP, config, seen, joints)
         return replace(stop, poses=(), profiles=(), source=partial(load, file, stop.began))
 
-    def append(self, kind: str, config: Config, stop: Stop = NOTHING,
+    def append(self, kind: str, config: Config, stop: Stop = NO_STOP,
                joints: Sequence[tuple[int, bytes]] = ()) -> Path:
         """
         Write an event; return its file.

@@ -66,7 +66,7 @@ def kinematics(
     settings = configuration(files[0], assignments)
     from handeye_ros.arm import read_urdf
     from handeye_ros.results.calibration_file import input_values
-    from handeye_ros.robot.answer import table
+    from handeye_ros.robot.arm_answer import table
     from handeye_ros.robot.points import solve_table
     from handeye_ros.robot.sources import solve_sources
     text, arm = read_urdf(urdf, base, flange)
@@ -144,7 +144,7 @@ def batch(
         done = sum(batches.unchanged(job, out) is not None for job in jobs)
         typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
         raise typer.Exit(INTERRUPTED) from None
-    counts = Counter(map(batches.result_of, rows)).items()
+    counts = Counter(map(batches.outcome_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
     typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'
                f' {computed} computed, the others unchanged; wrote {out}')

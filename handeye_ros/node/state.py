@@ -18,7 +18,7 @@ from handeye_ros.evidence import Agreement, sample_summary
 from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import Stop
+from handeye_ros.sampling.stops import NO_STOP, Stop
 import numpy as np
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 State = dict[str, Any]
 
-NO_STOP = Stop(0)
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'

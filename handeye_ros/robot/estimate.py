@@ -23,7 +23,7 @@ from handeye_ros.estimation.least_squares import (
     System,
 )
 from handeye_ros.estimation.noise import prior_variances
-from handeye_ros.robot.stops import ArmState, Stops
+from handeye_ros.robot.residuals import ArmState, ArmStops
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,7 +43,7 @@ class ArmFit:
     the robot, relative to its prior.
     """
 
-    stops: Stops
+    stops: ArmStops
     state: ArmState
     noise: Array
     variances: Array
@@ -143,7 +143,7 @@ def without_outliers(fit: ArmFit) -> ArmFit:
     return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 
-def first_fit(stops: Stops, state: ArmState, used: NDArray[np.bool_], noise: float = 1.0
+def first_fit(stops: ArmStops, state: ArmState, used: NDArray[np.bool_], noise: float = 1.0
               ) -> ArmFit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
     return adjusted(ArmFit(stops, state, np.full(stops.axes, noise), np.zeros(0), used).solved())

@@ -15,10 +15,10 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import graduated, Rows, System
 from handeye_ros.published import fixed_point
-from handeye_ros.robot.answer import ArmAnswer
+from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
+from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
 from handeye_ros.robot.selection import joint_notes, require_enough, solve, Start
-from handeye_ros.robot.stops import ArmState, Points, Stops
 from handeye_ros.tables import ANGLE, LENGTH, Table
 from handeye_ros.targets.target import xyz
 import numpy as np
@@ -88,7 +88,8 @@ def start_of(rows: PointRows, arm: Arm, limit: float) -> Start:
 def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     """Return the hand-eye transform alone, whatever its residuals."""
     parts = [rows.target == k for k in range(len(rows.names))]
-    stops = Stops.of(rows.q, tuple(Points(rows.points[part], rows.in_hand) for part in parts))
+    stops = ArmStops.of(rows.q, tuple(
+        ArmPoints(rows.points[part], rows.in_hand) for part in parts))
     T = arm.forward(rows.q)
     T = T if rows.in_hand else se3.inverse(T)
     most = max(parts, key=np.count_nonzero)

@@ -17,10 +17,10 @@ from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import covering
 from handeye_ros.frames import in_mount, sensor_axes
-from handeye_ros.robot.answer import ArmAnswer
+from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
+from handeye_ros.robot.residuals import ArmProfiles, ArmState, ArmStops, lengths
 from handeye_ros.robot.selection import joint_notes, require_enough, solve, Start, UNSOLVED
-from handeye_ros.robot.stops import ArmState, lengths, Profiles, Stops
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_at_poses, synchronised
@@ -97,7 +97,7 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
                                  np.random.default_rng(SEED), subsets=True)
         exact = replace(config, noise=replace(noise, robot_smooth=0.0))
-        measured.append(Profiles(replace(agreed.problem, config=exact)))
+        measured.append(ArmProfiles(replace(agreed.problem, config=exact)))
         states.append(agreed.estimate)
         q.append(source.q[agreed.used])
         apart = se3.difference(agreed.estimate.X, states[0].X)
@@ -105,7 +105,7 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
-    stops = Stops.of(np.concatenate(q), tuple(measured))
+    stops = ArmStops.of(np.concatenate(q), tuple(measured))
     state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])

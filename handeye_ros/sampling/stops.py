@@ -129,6 +129,9 @@ class Stop:
         return self.start + settle, self.end - settle
 
 
+NO_STOP = Stop(0)
+
+
 def _thinned(profiles: Sequence[AnyProfile], least: int) -> list[AnyProfile]:
     """Return a part of the profiles of a stop: 40 per second, at most 150."""
     length = (profiles[-1].stamp - profiles[0].stamp) / NS if profiles else 0.0

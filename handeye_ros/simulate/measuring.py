@@ -25,7 +25,7 @@ from handeye_ros.simulate.scenario import (
     SensorModel,
     SphereTarget,
 )
-from handeye_ros.simulate.scenes import SCENES, Stops
+from handeye_ros.simulate.scenes import Placements, SCENES
 from handeye_ros.simulate.solids import box, Polyhedron, Solid
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -48,7 +48,7 @@ def draw_pose(rng: np.random.Generator, tilt: float = 0.2, low: float = 0.0) -> 
     return se3.transform(turn.as_matrix(), rng.uniform([0.5, -0.3, low], [0.9, 0.3, 0.4]))
 
 
-def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Stops,
+def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Placements,
              rng: np.random.Generator, start: float = 0.0) -> Recording:
     """Return the messages at stops from start (s) on, without those between the stops."""
     sensor, robot = scenario.sensor, scenario.robot

@@ -17,7 +17,7 @@ from handeye_ros.data import Array, Profile, Sample, TimedPose
 from handeye_ros.simulate import robot as robots
 from handeye_ros.simulate import sensor as sensors
 from handeye_ros.simulate.scenario import Scenario, SphereTarget, Sweep
-from handeye_ros.simulate.scenes import anywhere, SCENES, Stops
+from handeye_ros.simulate.scenes import anywhere, Placements, SCENES
 from handeye_ros.simulate.sensor import FRAMES
 from handeye_ros.simulate.solids import relief, table
 import numpy as np
@@ -115,7 +115,7 @@ class Cell:
     """
 
     scenario: Scenario
-    stops: Stops
+    stops: Placements
     T_mount_sensor: Array
     T_world_target: Array
     T_base_flange: Array
@@ -150,7 +150,7 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
     return cell_of(scenario, stops.ordered(np.tile(programme, scenario.repeats)), rng)
 
 
-def cell_of(scenario: Scenario, stops: Stops, rng: np.random.Generator) -> Cell:
+def cell_of(scenario: Scenario, stops: Placements, rng: np.random.Generator) -> Cell:
     """Draw a cell in which the sensor reaches the given stops, and the robot's errors."""
     mounted, standing = _mounted(scenario, rng), _standing(rng)
     X, Z = ((standing, mounted) if scenario.calibration_type == 'eye_on_base' else

@@ -50,7 +50,7 @@ MOTIONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Stops:
+class Placements:
     """
     Poses of the sensor at n stations.
 
@@ -63,10 +63,10 @@ class Stops:
     labels: tuple[str, ...]
     points: Array
 
-    def ordered(self, order: NDArray[np.int64]) -> Stops:
+    def ordered(self, order: NDArray[np.int64]) -> Placements:
         """Return the same stops in another order."""
         labels = tuple(self.labels[k] for k in order)
-        return Stops(self.T_target_sensor[order], labels, self.points[order])
+        return Placements(self.T_target_sensor[order], labels, self.points[order])
 
 
 def strata(rng: np.random.Generator, n: int, low: Array, high: Array) -> Array:
@@ -173,7 +173,7 @@ def edge_lengths(target: PlateTarget) -> dict[str, float]:
     return {'p': length, 'q': width, 'p2': length, 'q2': width}
 
 
-def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
     target: PlateTarget = scenario.target
     counts = scenario.stations
@@ -193,10 +193,10 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     along = END + fraction[:, 0] * (lengths - 2 * END)
     spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
     T = seeing(nominal @ tilts(scenario, rng, counts), spots, lift(points))
-    return Stops(T, tuple(labels), points)
+    return Placements(T, tuple(labels), points)
 
 
-def plate_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
     T, along = stops.T_target_sensor, _along(stops.T_target_sensor, 2)
@@ -234,7 +234,7 @@ def plate_solids(scenario: Scenario) -> tuple[Solid, ...]:
 # -- plane: the middle of a plate
 
 
-def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     """Draw stops with the sensor aimed at the middle third of the plate."""
     target: PlateTarget = scenario.target
     n = sum(scenario.stations)
@@ -242,10 +242,10 @@ def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
     T = seeing(FACING @ tilts(scenario, rng, (n,)), spots, lift(points))
-    return Stops(T, ('plane',) * n, points)
+    return Placements(T, ('plane',) * n, points)
 
 
-def plane_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
     along = _along(stops.T_target_sensor, 2)
@@ -270,7 +270,7 @@ def facing(target: WedgeTarget) -> Array:
     return np.column_stack([line, np.cross(light, line), light])
 
 
-def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     """Draw stops whose laser line crosses the edge in the middle half of the field of view."""
     target: WedgeTarget = scenario.target
     n = sum(scenario.stations)
@@ -278,10 +278,10 @@ def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
         scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
     T = seeing(facing(target) @ tilts(scenario, rng, (n,)), spots, lift(points))
-    return Stops(T, ('wedge',) * n, points)
+    return Placements(T, ('wedge',) * n, points)
 
 
-def wedge_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return the two FaceLines of each stop, left one first, with the noise of its profiles."""
     target: WedgeTarget = scenario.target
@@ -314,7 +314,7 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
 ARC_POINTS = 12  # mean points that represent an arc
 
 
-def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
+def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     """Draw stops whose laser plane cuts the ball within 0.6 radii of its centre."""
     target: SphereTarget = scenario.target
     n = sum(scenario.stations)
@@ -325,10 +325,10 @@ def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Stops:
     centre = strata(rng, n, low, high)  # of the ball in the sensor frame; z: top of the arc
     centre[:, 2] += np.sqrt(radius**2 - centre[:, 1]**2)
     R = np.diag([1.0, -1.0, -1.0]) @ tilts(scenario, rng, (n,))
-    return Stops(seeing(R, np.zeros(3), centre), ('sphere',) * n, centre[:, [0, 2]])
+    return Placements(seeing(R, np.zeros(3), centre), ('sphere',) * n, centre[:, [0, 2]])
 
 
-def sphere_features(scenario: Scenario, stops: Stops, rng: np.random.Generator
+def sphere_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                     ) -> list[tuple[Feature, ...]]:
     """Return the Arc of each stop: points between the rims and within the field of view."""
     y = (stops.T_target_sensor[:, :3, 1] * stops.T_target_sensor[:, :3, 3]).sum(axis=1)
@@ -381,8 +381,8 @@ class Scene:
     solids: target and surroundings, in the target frame, of a cell that is not empty
     """
 
-    stops: Callable[[Scenario, np.random.Generator], Stops]
-    features: Callable[[Scenario, Stops, np.random.Generator], list[tuple[Feature, ...]]]
+    stops: Callable[[Scenario, np.random.Generator], Placements]
+    features: Callable[[Scenario, Placements, np.random.Generator], list[tuple[Feature, ...]]]
     solids: Callable[[Scenario], tuple[Solid, ...]]
 
 
@@ -396,7 +396,7 @@ SCENES = {
 MANY = 100  # stops at each edge
 
 
-def anywhere(scenario: Scenario) -> Stops:
+def anywhere(scenario: Scenario) -> Placements:
     """Return many stops drawn like the scenario's own."""
     first, second = scenario.stations
     enlarged = replace(scenario, stations=(MANY * (first > 0), MANY * (second > 0)), wrong_edges=0)

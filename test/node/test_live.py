@@ -28,7 +28,7 @@ from handeye_ros.node.state import samples_message, state_of, status_message, ta
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.simulate.measuring import rendered
-from handeye_ros.simulate.scenes import SCENES, Stops
+from handeye_ros.simulate.scenes import Placements, SCENES
 from handeye_ros.simulate.sensor import lift
 from live_sessions import changed, computed, fed, feed, Inline, later, new, SPHERE, update, verdict
 import numpy as np
@@ -139,7 +139,8 @@ def test_a_laser_almost_along_an_edge_is_reported_with_the_angle_and_by_hand_ref
     T = stop.T_target_sensor[0]
     T = T @ se3.transform(turn, point - turn @ point)
     flat = rendered(scenario, plate.truth.T_flange_sensor, plate.truth.T_base_target,
-                    Stops(T[None], stop.labels, stop.points), np.random.default_rng(2), 1000.0)
+                    Placements(T[None], stop.labels, stop.points),
+                    np.random.default_rng(2), 1000.0)
     changed(live, sampling__mode='manual')
     feed(live, [*flat.poses, *flat.profiles])
     with pytest.raises(DataError, match=r'crosses p at \d+ degrees, less than sampling.m'):

@@ -47,9 +47,9 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
-class Profiles:
+class ArmProfiles:
     """
-    Profiles of a target: a problem, whose poses are replaced by those of the arm.
+    ArmProfiles of a target: a problem, whose poses are replaced by those of the arm.
 
     axes: residuals in one vector, each with a noise of its own.
     """
@@ -85,7 +85,7 @@ class Profiles:
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class ArmPoints:
     """The point (n, 3) that a target is, in the sensor frame; in_hand: of one on the flange."""
 
     points: Array
@@ -121,7 +121,7 @@ class Points:
         return target + step
 
 
-Measured: TypeAlias = Profiles | Points
+Measured: TypeAlias = ArmProfiles | ArmPoints
 
 
 def lengths(residuals: Array, station: NDArray[np.intp], axes: int = 1) -> Array:
@@ -161,7 +161,7 @@ class ArmState:
 
 
 @dataclass(frozen=True, eq=False)
-class Stops:
+class ArmStops:
     """
     The measurements of all targets: q (n, joints) reported joint values, target by target.
 
@@ -173,7 +173,7 @@ class Stops:
     root: Array
 
     @classmethod
-    def of(cls, q: Array, measured: tuple[Measured, ...]) -> Stops:
+    def of(cls, q: Array, measured: tuple[Measured, ...]) -> ArmStops:
         """Return the measurements of a robot without a smooth error."""
         return cls(q, measured, np.zeros((len(q), 0)))
 
