@@ -384,7 +384,8 @@ class LiveSession:
 
         A folder that is gone is found here too: then there is a trouble.
         """
-        if self.files.path and (self._store_trouble or not self.files.path.is_dir()):
+        path = self.files.path
+        if self._store_trouble or path and not path.is_dir():
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.append, CONFIGURED, self.config)
 

@@ -89,8 +89,9 @@ def _no_profiles(stop: Stop, config: Config) -> FeatureError:
         except UnusableMessageError as error:
             return FeatureError(str(error), reason='unusable')
     return FeatureError(f'no profile has a stamp of the {(stop.end - stop.start) / NS:.1f} s '
-                        'during which the robot stood still here: either the sensor sent none, '
-                        'or its clock is not that of the robot', reason='no_profiles')
+                        'during which the robot stood still here: the sensor sent none, they '
+                        'were dropped (the warnings say why), or its clock is not that of the '
+                        'robot', reason='no_profiles')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
