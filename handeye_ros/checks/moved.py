@@ -109,10 +109,10 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     # of the points that are seen; a smaller move may be part of the robot's smooth error
     arms = _arms(moved)[kind]
     size = rms(np.linalg.norm(step[:3] + np.cross(step[3:], arms), axis=1))
-    clear = evidence > DECISIVE or size > LARGE * smooth
+    least = LARGE * smooth
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
-        clear = clear and size > config.noise.robot_smooth
-    if evidence < STRONG or not clear or (p_value := at_noise_of(moved).p_value) >= RARELY:
+        least = max(least, config.noise.robot_smooth)
+    if evidence < STRONG or size < least or (p_value := at_noise_of(moved).p_value) >= RARELY:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (

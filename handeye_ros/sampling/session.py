@@ -224,15 +224,20 @@ class Session(Copyable):
 
     def require_stops(self) -> None:
         """
-        Refuse a recording in which the robot never stood still.
+        Refuse a recording in which the robot never stood still, or seldom long enough.
 
         Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops,
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        if self._closed or self.last_number:
+        poses, sampling, count = self._pose_stream, self._config.sampling, len(self._closed)
+        if sampling.mode == 'still' and self._finder.short > count and (
+                0 < count < targets.target_for(self._config).minimum):
+            raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
+                            f'times, and {self._finder.short} times for less: stay longer at each '
+                            'stop, or lower sampling.still_time', reason='no_stops')
+        if count or self.last_number:
             return
-        poses, sampling = self._pose_stream, self._config.sampling
         if not poses.count:
             raise self._no_poses()
         if self.unasked:

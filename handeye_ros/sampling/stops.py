@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
 LONGEST = 10 * NS  # of a stop: more adds nothing but memory
 PASS = 2 * NS  # of motion
+SHORT = NS // 10  # a rest that was probably meant as a stop
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63
 
@@ -179,7 +180,7 @@ class StopFinder(Copyable):
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
     began: stamp of the first pose of the current stop; longest: time that the robot stood still so
-    far (ns).
+    far (ns); short: number of times that it did so for SHORT, but not for sampling.still_time.
     """
 
     def __init__(self, sampling: SamplingConfig) -> None:
@@ -188,7 +189,7 @@ class StopFinder(Copyable):
         self._run: deque[TimedPose] = deque()  # poses since the robot stopped
         self._recent: deque[TimedPose] = deque()  # poses of the last MOTION_TIME
         self.began = self._latest = -1
-        self.longest = 0
+        self.longest = self.short = 0
 
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
@@ -203,7 +204,9 @@ class StopFinder(Copyable):
             return None
         ended = self.current()
         if self._run:
-            self.longest = max(self.longest, self._run[-1].stamp - self._run[0].stamp)
+            stood = self._run[-1].stamp - self._run[0].stamp
+            self.longest = max(self.longest, stood)
+            self.short += ended is None and stood >= SHORT
         self._run, self.began = deque([pose]), pose.stamp
         return ended
 

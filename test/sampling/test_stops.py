@@ -211,6 +211,13 @@ def test_why_no_sample_can_be_taken_is_reported() -> None:
         taken(played(stops((0, 1)), profiles(0, 1, points=BAD), MANUAL))
 
 
+def test_rests_that_are_too_short_are_told() -> None:
+    session = played(stops((0, 1), (2, 2.3), (4, 4.3), (6, 6.3)), profiles(0, 7))
+    with pytest.raises(DataError, match='0.5 s only 1 times, and 2 times for less') as refusal:
+        session.require_stops()
+    assert refusal.value.reason == 'no_stops'
+
+
 def test_the_last_sample_can_be_removed() -> None:
     session = played(stops((0, 1), (2, 3)), profiles(0, 3))
     first, second = session.samples
