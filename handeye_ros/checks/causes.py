@@ -21,6 +21,7 @@ from handeye_ros.checks.refusals import (
     contradiction,
     missing_motion,
     require_certain,
+    turning,
     UnexplainedError,
 )
 from handeye_ros.checks.settings import require_settings, require_sign
@@ -33,6 +34,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.session import Session
 
 SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
+FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
 MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
 
 
@@ -54,8 +56,9 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
     if refusal:
-        require_certain(solution.reported, problem.config,
-                        missing_motion(solution, problem.config))
+        if turning(problem.poses)[0][1] < FEW_TURNS:
+            require_certain(solution.reported, problem.config,
+                            missing_motion(solution, problem.config))
         refuse_better(stated, moved_between(problem))
     refuse_better(stated, other_scale(solution))
     if refusal:
