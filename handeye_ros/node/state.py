@@ -119,7 +119,10 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
             'before: sampling continues by itself if the clock was set back'
             ) if session.late else ''
     # what disturbs the node from outside comes first: the others may follow from it
-    troubles = (trouble, str(session.conflict or ''), late, _clocks(profiles, poses),
+    conflict = str(session.conflict or '')
+    if session.conflict and session.conflict.reason == 'two_frames':
+        conflict += '; ~/clear_samples begins anew with the frame of now'
+    troubles = (trouble, conflict, late, _clocks(profiles, poses),
                 session.unasked, *live.troubles)
     return {
         'name': folder_name(config),
@@ -162,6 +165,8 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     trouble = '; '.join(filter(None, (*streams, state['session']['trouble'])))
     if trouble in text:
         return text
+    if text in trouble and not success:
+        return trouble
     return f'{text}; {trouble}' if success else f'{trouble}; {text}'
 
 

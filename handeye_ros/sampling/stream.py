@@ -79,6 +79,7 @@ class Stream(Copyable, Generic[Stamped]):
         self._strays: Counter[str] = Counter()  # number of messages by other frame
         self._strays_in_a_row = 0
         self._strayed = -1  # latest, when the last stray came
+        self._forgiven = 0  # number of strays of the past
 
     @property
     def conflict(self) -> InputError | None:
@@ -89,7 +90,7 @@ class Stream(Copyable, Generic[Stamped]):
         """
         if self.latest - self._strayed > UNMIXED:
             return None
-        strays = sum(self._strays.values())
+        strays = sum(self._strays.values()) - self._forgiven
         if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
                                   and self._strays_in_a_row < 20):
             return None
@@ -135,6 +136,8 @@ class Stream(Copyable, Generic[Stamped]):
 
     def _adopted(self, frame: str) -> bool:
         """Count a message of another frame; return whether the stream now takes that frame."""
+        if self.latest - self._strayed > UNMIXED:
+            self._forgiven = sum(self._strays.values())
         known = len(self._strays) < MOST_REASONS or frame in self._strays
         self._strays[frame if known else OTHER_FRAME] += 1
         self._strays_in_a_row += 1
@@ -142,7 +145,7 @@ class Stream(Copyable, Generic[Stamped]):
         given = not self.count and self._held is None  # by a session that continues
         if given or self.count > FEW or self._strays[frame] < 10:
             return False
-        self._strays = Counter({str(self.frame): self.count})
+        self._strays, self._forgiven = Counter({str(self.frame): self.count}), 0
         self.frame = frame
         self.restart()
         return True

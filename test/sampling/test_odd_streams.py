@@ -109,7 +109,12 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
     for number in range(1, 4):
         add(session, stray(number))
     with pytest.raises(InputError, match=f'{kind}.*two frames'):
-        session.finish()
+        session.copied().finish()
+    for item in sorted([*stops((2, 6)), *profiles(2, 6)], key=lambda item: item.stamp):
+        add(session, item)
+    assert session.conflict is None, 'only the first frame has come for some seconds'
+    add(session, stray(500))
+    assert session.conflict is None, 'one more begins a new count'
 
 
 def test_a_first_message_of_another_frame_is_the_stray_unless_the_session_continues() -> None:
