@@ -105,7 +105,7 @@ class LiveAnswer:
         self.asked_with: dict[str, Any] | None = None
         self._solved: set[int] = set()  # numbers of the samples of the last answer
         self._saved: exports.Saved | None = None  # the files of this answer
-        self._wanted: tuple[Any, ...] = ()  # their folder and formats
+        self._wanted: tuple[Any, ...] = ()  # their folder, formats and times
 
     @property
     def withdrawn(self) -> bool:
@@ -236,11 +236,11 @@ class LiveAnswer:
         live, calibration = self._live, self.required()
         live.store_rest()
         wanted = folder, formats = live.folders.own(live.config), live.config.save.formats
-        if self._saved and self._wanted == wanted and self._saved.files[0].is_file():
+        if self._saved and self._wanted == (*wanted, _times(self._saved)):
             text = f'saved already: {", ".join(map(str, self._saved.files))}'
         else:
             self._saved = exports.save_all(calibration, folder, formats)
-            self._wanted, text = wanted, str(self._saved)
+            self._wanted, text = (*wanted, _times(self._saved)), str(self._saved)
         note = (f'; {COMPUTED} again: save it again after that'
                 if COMPUTED in live.running else '')
         return f'{text}{self.changes(live.copied())}{note}'
@@ -258,6 +258,11 @@ def summary(calibration: Calibration) -> str:
             f'residual {quality.residual_rms * 1e3:.3f} mm '
             f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
             f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
+
+
+def _times(saved: exports.Saved) -> list[int]:
+    """Return when files were written (ns), 0 for one that is gone."""
+    return [file.stat().st_mtime_ns if file.is_file() else 0 for file in saved.files]
 
 
 def _numbers(session: Session) -> set[int]:

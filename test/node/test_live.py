@@ -197,6 +197,9 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
         live.answer.save_calibration()
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     assert not (folder / 'history').exists()
+    (folder / 'calibration.yaml').write_text('of another')
+    assert live.answer.save_calibration().startswith('wrote ')
+    assert (next((folder / 'history').glob('*/calibration.yaml'))).read_text() == 'of another'
     other = new(config)
     other.answer.calibration = live.answer.calibration
     before = (folder / 'calibration.yaml').read_bytes()
