@@ -1,21 +1,22 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Units of lengths and angles: plain numbers of a command are SI, `0.3mm`, `5 deg` state one."""
+"""Units of lengths, angles, times: plain numbers of a command are SI, `0.3mm`, `5 deg` name one."""
 from collections.abc import Iterable
 import math
 import re
 
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
+SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?\d*\.?\d+(?:e[-+]?\d+)?) *([a-z]+)')
 
 
 def assigned(text: str) -> str:
-    """Return key=value with the lengths or angles of its value, such as 20mm, in SI units."""
+    """Return key=value with the numbers of its value that have a unit, as 20mm, in SI units."""
     from handeye_ros.config import parameters
     key, equals, value = text.partition('=')
     unit = next((p.unit for p in parameters() if p.key == key.strip()), '')
-    factors = {'m': METRES, 'rad': RADIANS}.get(unit, {})
+    factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
 
     def in_si(match: re.Match[str]) -> str:
         factor = factors.get(match[2])
