@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Units of lengths, angles, times: plain numbers of a command are SI, `0.3mm`, `5 deg` name one."""
+"""Units of lengths, angles, times: plain numbers of a command are SI, `0.3mm`, `5 deg` say one."""
 from collections.abc import Iterable
 import math
 import re

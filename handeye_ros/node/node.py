@@ -39,12 +39,12 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 CURRENT = 0.2  # s between two messages on ~/current
-REQUESTS = QoSProfile(depth=1000)  # may wait for a solve; by default ROS keeps only ten
+REQUESTS = QoSProfile(history=HistoryPolicy.KEEP_ALL)  # they may wait for a solve; ROS keeps ten
 SLOW = ('compute_calibration', 'verify_result')  # no other service waits for these
 # Keys that cannot change while the node runs.
 FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
