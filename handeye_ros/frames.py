@@ -72,6 +72,14 @@ def other_axes(direction: Array, frame: str) -> str:
     return f'{frame} {" or ".join(sorted(names[:2]))}'
 
 
+def other_sensor(frame: str, sensor: str) -> str:
+    """Return in words that profiles are of another frame than that of a calibration, else ''."""
+    if frame in ('', sensor):
+        return ''
+    return (f'the profiles are of the frame "{frame}", and the calibration is of "{sensor}": '
+            'check that it is of this sensor')
+
+
 def frame_notes(frame: str | None, out_of_plane: float, config: Config) -> Iterator[str]:
     """
     Yield what is unusual in the frame of the profiles, one sentence each.

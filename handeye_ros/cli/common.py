@@ -149,10 +149,9 @@ def gathered(recording: 'Recording', settings: 'Config') -> 'Session':
 
 def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
     """Warn where the profiles are of another frame than the sensor of a calibration."""
+    from handeye_ros.frames import other_sensor
     frame = next((profile.frame_id for profile in recording.profiles), '')
-    if frame and frame != calibration.child_frame:
-        warn(f'the profiles are of the frame "{frame}", and the calibration is of '
-             f'"{calibration.child_frame}": check that it is of this sensor')
+    warn(*filter(None, [other_sensor(frame, calibration.child_frame)]))
 
 
 @contextmanager

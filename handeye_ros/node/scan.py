@@ -25,6 +25,7 @@ from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError, UnusableMessageError
+from handeye_ros.frames import other_sensor
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
@@ -64,11 +65,8 @@ class ScanNode(Node):
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
         seen = returns_of(profile)
-        if profile.frame_id not in ('', self._sensor):
-            self.get_logger().warning(
-                f'the profiles are of the frame "{profile.frame_id}", and the calibration is of '
-                f'"{self._sensor}": check that it is of this sensor',
-                throttle_duration_sec=THROTTLE)
+        if doubt := other_sensor(profile.frame_id, self._sensor):
+            self.get_logger().warning(doubt, throttle_duration_sec=THROTTLE)
         with self._lock:
             self._profiles.append(seen)
 
