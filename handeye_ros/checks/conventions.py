@@ -25,11 +25,10 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.sampling.stops import evenly_chosen
+from handeye_ros.sampling.sweep import FEWER_SAMPLES
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
-MOST_STATIONS = 60  # of a sweep, that are compared
 
 
 def require_convention(samples: Sequence[Sample], problem: Problem, stated: Explanation) -> None:
@@ -43,7 +42,7 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
     motion = next((sample.motion for sample in samples if sample.moving), None)
     poses = problem.robot_poses
     if motion:
-        some = evenly_chosen(len(samples), MOST_STATIONS)
+        some = evenly_chosen(len(samples), FEWER_SAMPLES)
         samples, stated = [samples[i] for i in some], replace(stated, q=stated.q[:, some])
         poses = se3.from_quaternion(motion.values[:, :3], motion.values[:, 3:])
 

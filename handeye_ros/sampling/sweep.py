@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 CLOCKS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
 NO_POSES = 'there are no poses of that time'
-MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep, and of the search for a start
+MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
 
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
