@@ -19,7 +19,7 @@ import yaml
 pytest.importorskip('rclpy', reason='needs rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped  # noqa: E402
-from rclpy.qos import DurabilityPolicy  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from ros_helpers import (  # noqa: E402
     BEST_EFFORT,
     Client,
@@ -250,3 +250,14 @@ def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported
         return bool(client.call('take_sample').success)
 
     client.until(taken, 'a sample is taken')
+
+
+@pytest.mark.thorough
+def test_every_request_that_waits_is_answered(tmp_path: Path, client: Client) -> None:
+    with running_node(tmp_path):
+        client.connect()
+        save = client.node.create_client(Trigger, '/handeye/save_calibration',
+                                         qos_profile=QoSProfile(depth=5000))
+        client.until(save.service_is_ready, 'save_calibration is there')
+        answers = [save.call_async(Trigger.Request()) for _ in range(1500)]
+        client.until(lambda: all(answer.done() for answer in answers), 'all are answered')
