@@ -26,11 +26,11 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import in_mount
 from handeye_ros.robot.estimate import adjusted, ArmFit
-from handeye_ros.robot.points import PointRows, start_of
+from handeye_ros.robot.points import arm_problem_of, PointRows
 from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
 from handeye_ros.robot.selection import ArmOutcome, solve
+from handeye_ros.robot.sources import arm_problem_of as arm_problem_of_sources
 from handeye_ros.robot.sources import Source
-from handeye_ros.robot.sources import start_of as start_of_sources
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -240,7 +240,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     for each in names:
         cell, source = shown(each, rng, len(names), cell)
         sources.append(source)
-    start = start_of_sources(sources, arm_of(robot.urdf()))
+    start = arm_problem_of_sources(sources, arm_of(robot.urdf()))
     stops = start.fit.stops
     used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
     outcome = solve(replace(start, fit=adjusted(replace(start.fit, used=used)), q=stops.q[used]))
@@ -277,7 +277,7 @@ def main() -> None:
             first = np.arange(len(cell.data)) < given.stops
             began = time.perf_counter()
             seen, held = selected(cell.data, first), selected(cell.exact, ~first)
-            outcome = solve(start_of(seen, cell.arm.freed(()), LIMIT))
+            outcome = solve(arm_problem_of(seen, cell.arm.freed(()), LIMIT))
             times.append(time.perf_counter() - began)
             rows.append((*judged(cell, case, outcome, held),
                          bound(cell, seen, held)))

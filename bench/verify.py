@@ -37,7 +37,7 @@ from handeye_ros.config import Config, NoiseConfig, VerifyConfig, with_values
 from handeye_ros.data import Array, Calibration, EdgePoint, FaceLine, Quality, Sample
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import robot as robots
-from handeye_ros.simulate.measuring import draw_pose, Gauge, Recording, rendered, scan_gauge
+from handeye_ros.simulate.measuring import draw_pose, Gauge, Messages, rendered, scan_gauge
 from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import (
     PlateTarget,
@@ -65,7 +65,7 @@ PLAIN = SensorModel(columns=320, rate=5.0, rim_bias=0.0, mixed=0.0, lost=0.0, lo
 AIM = 5e-5  # m: 1 sigma of the aim of the laser at a point
 INTO_CORNER = np.array([[1, 1, 0], [1, -1, 0], [0, 0, -2 ** 0.5]]).T / 2 ** 0.5  # T_target_sensor
 
-Taken: TypeAlias = tuple[Sample, ...] | Recording
+Taken: TypeAlias = tuple[Sample, ...] | Messages
 Take: TypeAlias = Callable[[Scenario, Array, Array, Placements, np.random.Generator], Taken]
 
 
@@ -82,7 +82,7 @@ class Artefact:
     T_flange_sensor: Array
     lengths: tuple[float, ...] = ()
     reference: tuple[float, ...] = ()
-    passes: tuple[Recording, ...] = ()
+    passes: tuple[Messages, ...] = ()
 
 
 def sensor_on_flange(rng: np.random.Generator) -> Array:
@@ -142,8 +142,8 @@ def artefact(rng: np.random.Generator, scene: str, poses: Array, lengths: tuple[
 
 def _taken(taken: list[Taken], X: Array, lengths: tuple[float, ...] = (),
               reference: tuple[float, ...] = ()) -> Artefact:
-    return Artefact(tuple(bag for bag in taken if not isinstance(bag, Recording)), X, lengths,
-                    reference, tuple(bag for bag in taken if isinstance(bag, Recording)))
+    return Artefact(tuple(bag for bag in taken if not isinstance(bag, Messages)), X, lengths,
+                    reference, tuple(bag for bag in taken if isinstance(bag, Messages)))
 
 
 def _poses(count: int) -> Array:
@@ -252,7 +252,7 @@ FINE_AIM = 1e-5  # m: as the corner of a real plate is found inside of it by 0.8
 
 
 def take(scenario: Scenario, X: Array, T: Array, stops: Placements, rng: np.random.Generator
-         ) -> Recording:
+         ) -> Messages:
     """Return a recording with fewer columns, profiles and poses, to be quick."""
     sensor = replace(scenario.sensor, columns=640, rate=10.0)
     robot = replace(scenario.robot, rate=50.0)

@@ -12,13 +12,13 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import (
     Array,
     Calibration,
+    ClockEstimate,
     Quality,
     Reject,
     rms,
     Sample,
     SampleReport,
     TIME_OFFSET,
-    TimeOffset,
 )
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
@@ -58,7 +58,7 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
 def assembled(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
               covariance: Array, residual_rms: float, holdout_rms: float,
               target: Mapping[str, Any], reports: Sequence[SampleReport],
-              provenance: Mapping[str, Any], time_offset: TimeOffset | None = None
+              provenance: Mapping[str, Any], time_offset: ClockEstimate | None = None
               ) -> Calibration:
     """
     Return a calibration with its quality, by its statistics and the reports of all samples.
@@ -151,7 +151,7 @@ def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[Samp
 
 
 def tested_points(used: Sequence[Sample], solution: Solution, fold: NDArray[np.intp] | None = None
-                  ) -> tuple[Measured, Array, Array]:
+                  ) -> tuple[MeasuredPoints, Array, Array]:
     """
     Return the measured points of used samples, their residuals (k,) and those left out (k,).
 
@@ -181,7 +181,7 @@ def rms_by(number: NDArray[np.intp], residuals: Array, n: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredPoints:
     """
     All measured points of the used samples, represented by the target's observations.
 
@@ -194,9 +194,9 @@ class Measured:
     kind: NDArray[np.intp]
     station: NDArray[np.intp]
 
-    def select(self, keep: NDArray[np.bool_]) -> Measured:
+    def select(self, keep: NDArray[np.bool_]) -> MeasuredPoints:
         """Return the points where keep (k,) is true."""
-        return Measured(self.points[keep], self.kind[keep], self.station[keep])
+        return MeasuredPoints(self.points[keep], self.kind[keep], self.station[keep])
 
     def residuals(self, problem: Problem, estimate: Estimate, poses: Array | None = None
                   ) -> Array:
@@ -215,7 +215,7 @@ class Measured:
         return np.asarray(by_x * x + by_z * z + origin)
 
 
-def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
+def measured_points(used: Sequence[Sample], problem: Problem) -> MeasuredPoints:
     """
     Return all measured points of samples, in the order of the problem's stations.
 
@@ -228,4 +228,4 @@ def measured_points(used: Sequence[Sample], problem: Problem) -> Measured:
     station = np.repeat(np.arange(len(used)), [len(kind) for _, kind in parts])
     points, kind = map(np.concatenate, zip(*parts, strict=True))
     step = max(-(-len(kind) // MOST_POINTS), 1)
-    return Measured(points[::step], kind[::step], station[::step])
+    return MeasuredPoints(points[::step], kind[::step], station[::step])

@@ -127,7 +127,7 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
     """Return the fit by one of the own methods."""
     def fit(stations: Stations) -> Array:
         config = replace(stations.config, method=name)
-        solution = pipeline.answer(stations.samples, (), config).consensus()
+        solution = pipeline.answer(stations.samples, (), config).required_solution()
         require_certain(solution.reported, config, missing_motion(solution, config))
         return solution.estimate.X
     return fit
@@ -289,10 +289,10 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     progress(config.target.type)
     start = time.perf_counter()
     answer = pipeline.answer(samples, rejects, config, session=session)
-    solution = answer.consensus()
+    solution = answer.required_solution()
     seconds = time.perf_counter() - start
     # the others know no motion
-    used = tuple(replace(answer.samples[i], motion=None) for i in solution.used)
+    used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
     given = Stations(used, config, solution.problem, solution.estimate, solution.noise)
     rejected = len(samples) + len(rejects) - len(used)
     return _compared(given, solution.estimate.X, answer.refusal, seconds, rejected, T_true, folds,
@@ -388,7 +388,7 @@ def tables(comparison: Comparison) -> RenderableType:
     return Group(Text(title), transforms, figures, Text(legend))
 
 
-def values(comparison: Comparison) -> dict[str, Any]:
+def plain_values(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison as plain values, in SI units, for YAML."""
     rows: list[dict[str, Any]] = []
     for row in comparison.rows:

@@ -273,7 +273,7 @@ class Sample:
     T_base_flange: (4, 4)
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for
-    motion: trajectory of a moving robot (sampling.trajectory)
+    trajectory: trajectory of a moving robot (sampling.trajectory)
     offsets: from the stamp to the time of its pose, of the rotation behind the position (s), and
         drift (sampling.sweep)
     of_pass: samples of the single profiles of a pass, whose middle one this sample repeats
@@ -284,14 +284,14 @@ class Sample:
     features: tuple[Feature, ...]
     profiles: int = 1
     flipped: tuple[Feature, ...] | None = None
-    motion: Any = None
+    trajectory: Any = None
     offsets: tuple[float, ...] = (0.0,)
     of_pass: tuple[Sample, ...] = ()
 
     @property
     def moving(self) -> bool:
         """Return whether the robot moved: then the pose depends on the clocks."""
-        return self.motion is not None
+        return self.trajectory is not None
 
     @property
     def parts(self) -> tuple[Sample, ...]:
@@ -324,7 +324,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class TimeOffset:
+class ClockEstimate:
     """Seconds to be added to the stamps of the profiles, and 1 sigma."""
 
     value: float
@@ -392,4 +392,4 @@ class Calibration:
     quality: Quality
     samples: tuple[SampleReport, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    time_offset: TimeOffset | None = None
+    time_offset: ClockEstimate | None = None

@@ -31,7 +31,7 @@ from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.results.table import figures_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.sweep import Pairing, passes_expanded, problem_at_poses
+from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_at_poses
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
@@ -104,7 +104,7 @@ def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
     used = [answer.samples[i] for i in solution.used]
     measured, residuals, predicted = tested_points(used, solution)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
-    by_stamp = {stamp: i for i, stop in enumerate(stops) for stamp in stop.samples}
+    by_stamp = {stamp: i for i, stop in enumerate(stops) for stamp in stop.sample_stamps}
     stop_of_point = np.array([by_stamp[sample.stamp] for sample in used])[measured.station]
     stops = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
     for i in np.unique(stop_of_point).tolist():
@@ -119,7 +119,7 @@ def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) 
     if not moving:
         return np.empty((0, 3))
     stamps = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
-    twists = used[moving[0]].motion.at(stamps).twists
+    twists = used[moving[0]].trajectory.at(stamps).twists
     return np.column_stack([(stamps - stamps[0]) * 1e-9,
                             rms_by(station, residuals, len(used))[moving],
                             np.linalg.norm(twists[:, :3], axis=1)])
@@ -139,7 +139,7 @@ def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
         points = profile.read(config.profile).points if profile else points
     return StopSnapshot(stop.number, stamp, in_mount(T, config), points,
                         sample.features if sample else (), getattr(stop.result, 'reason', ''),
-                        samples=tuple(s.stamp for s in sample.parts) if sample else (stamp,))
+                        sample_stamps=tuple(s.stamp for s in sample.parts) if sample else (stamp,))
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: So
     ones = list(passes_expanded(samples))
     number = np.repeat(np.arange(len(samples)), [len(s.parts) for s in samples])
     if any(one.moving for one in ones):
-        at = Pairing.of(ones).at(*offsets)
+        at = ClockedPoses.of(ones).at(*offsets)
         ones = [replace(one, T_base_flange=T) for one, T, inside in zip(
             ones, at.T_base_flange, at.inside, strict=True) if inside]
         number = number[at.inside]

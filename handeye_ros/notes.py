@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from handeye_ros.config import Config
-from handeye_ros.data import CLOCK_DRIFT, ROTATION_LAG, TIME_OFFSET, TimeOffset
+from handeye_ros.data import CLOCK_DRIFT, ClockEstimate, ROTATION_LAG, TIME_OFFSET
 from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
 from handeye_ros.estimation.solve import Solution
 import numpy as np
@@ -21,7 +21,7 @@ LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
 
 @dataclass(frozen=True)
-class Parameter:
+class BlockEstimate:
     """
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
@@ -36,16 +36,16 @@ class Parameter:
     evidence: float
 
 
-def parameters(solution: Solution) -> dict[str, Parameter]:
+def parameters(solution: Solution) -> dict[str, BlockEstimate]:
     """Return the first parameter of each block of a solution, by the name of the block."""
-    found = dict[str, Parameter]()
+    found = dict[str, BlockEstimate]()
     variances = np.diag(solution.covariance)[solution.unknowns:]
     for block, own in slices(solution.blocks):
         n = float(solution.nuisance[own][0])
         p = min(float(variances[own][0]), 1 - 1e-9)  # of a prior variance of 1
         alone, variance = n / (1 - p), p / (1 - p)
         stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
-        found[block.name] = Parameter(block, n * block.std, p ** 0.5 * block.std,
+        found[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
                                       alone / math.sqrt(stated + variance),
                                       alone / math.sqrt(max(variance, 1e-300)))
     return found
@@ -54,7 +54,7 @@ def parameters(solution: Solution) -> dict[str, Parameter]:
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
-    every = parameters(solution.for_report).values()
+    every = parameters(solution.conservative).values()
     for one in every:
         if one.block.report and one.block.count == 1:
             report |= {one.block.report: one.block.origin + one.value,
@@ -65,19 +65,19 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
     return report
 
 
-def time_offset_of(solution: Solution) -> TimeOffset | None:
+def time_offset_of(solution: Solution) -> ClockEstimate | None:
     """Return the time offset (s) to add to received stamps, None without samples in motion."""
     offset = _clocks(solution, TIME_OFFSET)
-    return offset and TimeOffset(solution.problem.config.time_offset + offset.value, offset.std)
+    return offset and ClockEstimate(solution.problem.config.time_offset + offset.value, offset.std)
 
 
-def _clocks(solution: Solution, name: str) -> TimeOffset | None:
+def _clocks(solution: Solution, name: str) -> ClockEstimate | None:
     """Return value and 1 sigma of a parameter of the clocks, None without it."""
     best = parameters(solution).get(name)
     if best is None:
         return None
-    wide = parameters(solution.for_report)[name]
-    return TimeOffset(best.value, math.hypot(wide.std, wide.value - best.value))
+    conservative = parameters(solution.conservative)[name]
+    return ClockEstimate(best.value, math.hypot(conservative.std, conservative.value - best.value))
 
 
 def notes_of(solution: Solution, config: Config) -> list[str]:
@@ -111,7 +111,7 @@ def offset_notes(solution: Solution) -> list[str]:
 
 def _bend_notes(solution: Solution) -> Iterator[str]:
     """Yield the note on a laser line that is bent out of its plane, if the data show that."""
-    bend = parameters(solution.for_report).get(LINE_BEND)
+    bend = parameters(solution.conservative).get(LINE_BEND)
     if bend and abs(bend.evidence) > CONTRADICTION and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
@@ -127,7 +127,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
         abs(size - values[name]) for name, size in zip(LENGTHS, sizes, strict=False)))
-    for name, one in parameters(solution.for_report).items():
+    for name, one in parameters(solution.conservative).items():
         if one.block.parameter is None or one.block.count > 1:
             continue
         first = values[name] - best[name].value

@@ -67,14 +67,14 @@ class Answer:
     samples: in the order of the stations that were solved, for a sweep with the poses at the
         estimated time offset
     solution: of those that agree, however uncertain, None where none can be started
-    fits: whether the samples agree with it
+    samples_agree: whether the samples agree with it
     calibration: None where it is refused
     refusal: why, None where it is not
     """
 
     samples: Sequence[Sample]
     solution: Solution | None
-    fits: bool
+    samples_agree: bool
     calibration: Calibration | None
     refusal: DataError | None
 
@@ -85,9 +85,9 @@ class Answer:
             raise self.refusal
         return self.calibration
 
-    def consensus(self) -> Solution:
+    def required_solution(self) -> Solution:
         """Return the solution, however uncertain; raises DataError where samples contradict it."""
-        if self.solution is None or not self.fits:
+        if self.solution is None or not self.samples_agree:
             assert self.refusal is not None
             raise self.refusal
         return self.solution
@@ -158,7 +158,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     """
     ordered: Sequence[Sample] = sorted(passes_expanded(samples), key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
-    solution, calibration, refusal, fits = None, None, None, False
+    solution, calibration, refusal, agree = None, None, None, False
     try:
         # 1. Use only edges whose shape is the same over all stops.
         ordered = with_common_shape(ordered)
@@ -180,7 +180,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # lengths of the target where they are stated wrongly. Refuse scales that differ.
         solution = with_free_size_if_needed(with_blocks(solution))
         require_one_scale(solution)
-        fits = True
+        agree = True
         if config.kinematics:  # a corrected arm, which has errors of its own
             solution = with_arm_errors(solution, Path(config.kinematics))
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
@@ -204,7 +204,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
             others = _without(refusal, session, config)
             if others.calibration:
                 return others
-    return Answer(ordered, solution, fits, calibration, refusal)
+    return Answer(ordered, solution, agree, calibration, refusal)
 
 
 def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answer:

@@ -28,7 +28,7 @@ SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'm
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
 QUATERNION_TOLERANCE = 1e-3
-LARGEST = 1e6  # m or rad: more is a mistake
+LARGEST_VALUE = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')
 
 
@@ -144,7 +144,7 @@ class Table:
                 + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
         values = factors[unit] * np.array([self._number(name, row, value)
                                            for row, value in enumerate(column, 1)])
-        far = np.flatnonzero(np.abs(values) > LARGEST)
+        far = np.flatnonzero(np.abs(values) > LARGEST_VALUE)
         if len(far):
             raise TableError(self.path, f'row {far[0] + 1}: {name} is {column[far[0]]}, which is '
                              'beyond all measure')

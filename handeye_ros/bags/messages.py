@@ -33,9 +33,9 @@ LARGEST_POSITION = 1e6  # m; poses in mm stay below, so that the solver can repo
 LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
 # No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
-# with mm all are smaller than NEAR, the unit is wrong.
-FAR = 10.0
-NEAR = 1e-3
+# with mm all are smaller than ALL_TOO_NEAR, the unit is wrong.
+FARTHEST = 10.0
+ALL_TOO_NEAR = 1e-3
 THICK = 2e-3  # m: largest distance of the points of a profile from its plane
 TILTED, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
 THIN = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
@@ -301,7 +301,7 @@ def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool
     points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
-        good = (np.abs(x) <= FAR) & (np.abs(z) <= FAR) & ((x != 0) | (z != 0))
+        good = (np.abs(x) <= FARTHEST) & (np.abs(z) <= FARTHEST) & ((x != 0) | (z != 0))
     _require_unit(points[:, :2], config.unit)
     _require_one_plane(points[good], _axes(config))
     return points, good
@@ -311,12 +311,12 @@ def _require_unit(points: Array, unit: str) -> None:
     """Raise for coordinates (n, 2), in metres after unit, beyond any sensor."""
     reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
-    too_far = finite & (reach > FAR)
+    too_far = finite & (reach > FARTHEST)
     if too_far.sum() > finite.sum() / 2:
         raise _unusable(f'coordinates reach {reach[too_far].max():.3g} m' + (
             ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
     largest = reach[finite & ~too_far].max(initial=0.0)
-    if unit == 'mm' and 0.0 < largest < NEAR:
+    if unit == 'mm' and 0.0 < largest < ALL_TOO_NEAR:
         raise _unusable(f'no coordinate is larger than {largest * 1e3:.3g} mm: set profile.unit '
                         'to m')
 
@@ -381,7 +381,7 @@ def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> A
 def _sorted(points: Array, good: NDArray[np.bool_]) -> Array:
     """Return points (n, 2) sorted by the first column; points with equal values are averaged."""
     with np.errstate(invalid='ignore'):
-        placed = np.abs(points[:, 0]) <= FAR
+        placed = np.abs(points[:, 0]) <= FARTHEST
     x, group = np.unique(points[placed, 0], return_inverse=True)
     good = good[placed]
     count = np.bincount(group[good], minlength=len(x))

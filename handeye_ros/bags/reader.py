@@ -4,7 +4,7 @@
 Messages of a rosbag2 recording (mcap or db3) in the order of the file, as far as it is readable.
 
 A recording that is cut off (power failure, full disk) is read up to its end, also within a chunk.
-Nothing larger than LARGEST is held in memory, whatever lengths a damaged file states.
+Nothing larger than LARGEST_RECORD is held in memory, whatever lengths a damaged file states.
 """
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ RECORD = struct.Struct('<BQ')  # opcode and length of an mcap record
 MESSAGE = struct.Struct('<HIQQ')  # channel, number, time of receipt and of publishing
 DEFINITIONS: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema,
                                                   Opcode.CHANNEL: Channel}
-LARGEST = 1 << 28  # bytes of one record or message, compressed or not: no recorder writes more
+LARGEST_RECORD = 1 << 28  # bytes of a record or message, compressed or not: none is larger
 CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
 
@@ -196,7 +196,7 @@ def _message(data: bytes) -> bytes:
 def _unpacked(data: bytes) -> bytes:
     """Return decompressed zstd data, also if cut off."""
     with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-        return stream.read(LARGEST)
+        return stream.read(LARGEST_RECORD)
 
 
 class _Mcap:
@@ -219,7 +219,7 @@ class _Mcap:
         count, damaged, complete = 0, 0, False
         with self._path.open('rb') as stream:
             with suppress(Exception):  # damaged bytes cause all kinds of errors in the parser
-                summary = SeekingReader(stream, record_size_limit=LARGEST).get_summary()
+                summary = SeekingReader(stream, record_size_limit=LARGEST_RECORD).get_summary()
                 if summary:
                     for definition in (*summary.schemas.values(), *summary.channels.values()):
                         self._define(definition)
@@ -282,7 +282,7 @@ def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes, bool]]:
         if len(head) < RECORD.size:
             return
         opcode, length = RECORD.unpack(head)
-        content = stream.read(min(length, LARGEST))
+        content = stream.read(min(length, LARGEST_RECORD))
         yield start, opcode, content, len(content) == length
 
 
@@ -293,7 +293,7 @@ def _expanded(opcode: int, content: bytes, whole: bool) -> list[tuple[int, memor
     chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
     data: bytes = chunk.data
     if chunk.compression == 'lz4':
-        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST)
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST_RECORD)
     elif chunk.compression == 'zstd':
         data = _unpacked(data)
     if whole and (len(data) != chunk.uncompressed_size or chunk.uncompressed_crc

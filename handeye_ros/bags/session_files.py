@@ -128,7 +128,7 @@ class Stored:
 def _evaluated(stop: Stop, config: Config) -> Stop:
     """Return the stop with what it gives with a configuration."""
     return replace(stop, result=replace(stop.result, stamp=stop.load(config).start)
-                   if stop.refused else result_of(stop, config))
+                   if stop.final_reason else result_of(stop, config))
 
 
 class SessionFiles:
@@ -261,7 +261,7 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     reason = stop.result.reason if kind == STOP and isinstance(stop.result, Reject) else ''
     values = {'event': kind, 'number': stop.number, 'began': stop.began,
-              'taken': stop.sample is not None, 'text': reason, 'refused': stop.refused}
+              'taken': stop.sample is not None, 'text': reason, 'refused': stop.final_reason}
     if sample := stop.sample:
         values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
                    'T_base_flange': sample.T_base_flange.tolist()}

@@ -26,7 +26,7 @@ import numpy as np
 LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
-SMALLEST = 0.05  # s: a smaller time offset is not visible at stops
+SMALLEST_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class _Still:
 
 def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples fit poses of another time better."""
-    found = [(stop, part) for stop in session.stops if not stop.refused
+    found = [(stop, part) for stop in session.stops if not stop.final_reason
              and not session.excludes(stop) and (part := _profiles(stop, config))]
     seen = [part for _, part in found]
     if len(seen) < targets.target_for(config).minimum:
@@ -61,7 +61,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     stated = fit_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
                      if still.sample], config)
     refuse_better(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
-                           if abs(_offset(stills, behind)) > SMALLEST])
+                           if abs(_offset(stills, behind)) > SMALLEST_OFFSET])
 
 
 def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:

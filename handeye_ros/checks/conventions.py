@@ -39,18 +39,18 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
     are searched anew, as those that were found are of the wrong poses; some stations are enough.
     """
     other = 'eye_on_base' if problem.in_hand else 'eye_in_hand'
-    motion = next((sample.motion for sample in samples if sample.moving), None)
+    trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
     poses = problem.robot_poses
-    if motion:
+    if trajectory:
         some = evenly_chosen(len(samples), FEWER_SAMPLES)
         samples, stated = [samples[i] for i in some], replace(stated, q=stated.q[:, some])
-        poses = se3.from_quaternion(motion.values[:, :3], motion.values[:, 3:])
+        poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
 
     def refit(T: Array) -> Explanation:
-        if motion is None:
+        if trajectory is None:
             return refitted(replace(problem, poses=in_mount(T, problem.config)))
-        moved = replace(motion, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-        return fit_of([replace(sample, motion=moved) for sample in samples], problem.config)
+        moved = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
+        return fit_of([replace(sample, trajectory=moved) for sample in samples], problem.config)
 
     def undone(name: str, T: Array, advice: str) -> Hypothesis:
         """Return the hypothesis that T (n, 4, 4) are the poses without an error."""

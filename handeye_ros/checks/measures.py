@@ -56,7 +56,7 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
     other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
         agreed.linear, problem=replace(problem, config=free))))
-    found, before = (parameters(one.for_report) for one in (other, agreed))
+    found, before = (parameters(one.conservative) for one in (other, agreed))
     lengths = [found[name] for name in LENGTHS if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
     scales = [each['scale'] for each in (before, found) if 'scale' in each]
@@ -103,7 +103,7 @@ def require_one_scale(agreed: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = parameters(agreed.for_report).get('scale')
+    scale = parameters(agreed.conservative).get('scale')
     if scale and abs(scale.contradiction) > CONTRADICTION and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, CONTRADICTION * scale.std):
         with_possible_move(agreed)

@@ -23,14 +23,14 @@ from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import quick_solution
-from handeye_ros.estimation.solve import covering, evaluated, reestimated, Solution
+from handeye_ros.estimation.solve import covering, reestimated, Solution, solution_at
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
 MOVE = 'possible move'  # its name in a budget of the covariance
 MOST_CHANGES = 40  # possible moments of a small move
-STEP = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
+STEP_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
 STRONG = 5.0  # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 LARGE = 3.0  # smallest move over the robot's smooth error
@@ -83,7 +83,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
     where the evidence is decisive.
     """
-    n, reported, config = len(agreed.used), agreed.for_report, agreed.whole.config
+    n, reported, config = len(agreed.used), agreed.conservative, agreed.whole.config
     if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
         return agreed, ''
     few = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
@@ -93,7 +93,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         return agreed, ''
 
     def at_noise_of(moved: Solution) -> _Steps:
-        return _Steps.of(evaluated(agreed.problem, agreed.estimate, moved.noise), changes)
+        return _Steps.of(solution_at(agreed.problem, agreed.estimate, moved.noise), changes)
 
     unmoved, tried = reestimated(reported), dict[tuple[int, int], Solution]()
     for kind, gains in enumerate(first):
@@ -136,7 +136,8 @@ def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock
     """
     columns = np.hsplit(_by_steps(solution), 2)[kind]
     columns[solution.problem.observations.station < station] = 0.0
-    return tuple(ParameterBlock(name, columns[:, part], float(STEP[part][0]), largest_variance=1.0)
+    return tuple(ParameterBlock(name, columns[:, part], float(STEP_STD[part][0]),
+                                largest_variance=1.0)
                  for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
@@ -145,7 +146,7 @@ def _by_steps(solution: Solution) -> Array:
     linear = solution.linear
     about = se3.cross(_arms(solution)[1], linear.by_base)
     steps = np.hstack([linear.jacobian[:, :6], linear.by_base, about])
-    return np.asarray(steps * np.tile(STEP, 2))
+    return np.asarray(steps * np.tile(STEP_STD, 2))
 
 
 def _arms(solution: Solution) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ SIGN = 'profile.range_sign'
 
 def require_settings(session: Session, config: Config) -> None:
     """Raise DataError (settings) where other settings explain the stops of a session better."""
-    kept = [stop for stop in session.stops if not stop.refused and not session.excludes(stop)]
+    kept = [stop for stop in session.stops if not stop.final_reason and not session.excludes(stop)]
     stops = [thinned(stop, config) for stop in kept[:STOPS_READ]]
     results = [result_of(stop, config) for stop in stops]
     seen = with_common_shape([r for r in results if isinstance(r, Sample)])

@@ -27,7 +27,7 @@ import numpy as np
 
 BESIDE = 1e-3  # m: a face that is farther from the plane is another surface
 PARALLEL = 0.05  # rad: what is more inclined is no surface of a clamp or plate
-FEWEST = 2  # stops on another surface
+FEWEST_STOPS = 2  # stops on another surface
 
 
 class OtherSurfaceError(DataError):
@@ -66,7 +66,7 @@ def require_one_surface(session: Session, config: Config) -> None:
         _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)
                 @ estimate.X) for stop in taken if stop.sample])
     beside = np.abs(heights) > BESIDE
-    if (beside & seen).sum() < FEWEST:
+    if (beside & seen).sum() < FEWEST_STOPS:
         return
     others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
                      if other], config, all_starts=True)

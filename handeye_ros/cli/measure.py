@@ -79,7 +79,7 @@ def verify(
     result = verification.with_provenance(
         verification.verify(routine, measured, answer, settings, list(chain(*rejects))), bags,
         calibration)
-    content = verification.values(result)
+    content = verification.plain_values(result)
     show(verification_file.table(content))
     if out:
         write_whole(out, yaml_text(content))
@@ -130,7 +130,7 @@ def check(
     The exit code is 0 only if nothing has changed, and 1 otherwise.
     """
     from handeye_ros.output import write_whole
-    from handeye_ros.verification.check import check_recording, values
+    from handeye_ros.verification.check import check_recording, plain_values
     import yaml
     calibration, settings = calibrated(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
@@ -146,7 +146,7 @@ def check(
     if changed and len(checks) > 1:
         typer.echo(f'since {changed[0]}')
     if out:
-        write_whole(out, yaml.safe_dump(values(checks, str(against)), sort_keys=False))
+        write_whole(out, yaml.safe_dump(plain_values(checks, str(against)), sort_keys=False))
     if changed:
         raise typer.Exit(NOT_AS_WANTED)
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from handeye_ros.data import Array
     from handeye_ros.scanning.cloud import Points
 
-FAR = 10.0  # m: a larger plain number is taken for mm, and refused
+LARGEST_PLAIN = 10.0  # m: a larger plain number is taken for mm, and refused
 THINNED = 2e-4  # m: edge of the cubes, each with one point
 LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
@@ -109,10 +109,10 @@ def seam(
     from handeye_ros import units
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     import numpy as np
-    low, high = np.reshape(units.limits(box, '--box', FAR), (3, 2)).T
+    low, high = np.reshape(units.limits(box, '--box', LARGEST_PLAIN), (3, 2)).T
     gap = units.length(widest, '--widest', 0.1, 1e-4)
     spacing = units.length(pitch, '--pitch', 0.1, 1e-5)
-    begin = [units.length(text, '--start', FAR) for text in start] if start[0] else None
+    begin = [units.length(text, '--start', LARGEST_PLAIN) for text in start] if start[0] else None
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     with doing('looking for the seam'):

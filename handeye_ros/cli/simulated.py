@@ -17,12 +17,12 @@ from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.simulate import (
     FAULTS,
     FILE_SCENES,
-    Measured,
     measuring,
     robot,
     SCENARIOS,
     simulate,
     Simulated,
+    SimulatedFiles,
 )
 import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
@@ -50,7 +50,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
             'gauge': asdict(measuring.Gauge())}), seed, force)
         return f'{", ".join(recordings)}, {PREFORM}'
     joints: Sequence[tuple[int, Array]] = ()
-    made: Simulated | Measured
+    made: Simulated | SimulatedFiles
     if scenario := SCENARIOS.get(name) or FAULTS.get(name):
         made = simulate(scenario, rng)
         found, joints = made.truth, made.joints()
@@ -75,7 +75,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     return ', '.join([f'{len(made.profiles)} profiles', f'{len(made.poses)} poses', *tables])
 
 
-def _write_cell(path: Path, recordings: Mapping[str, measuring.Recording],
+def _write_cell(path: Path, recordings: Mapping[str, measuring.Messages],
                 truth: Mapping[str, Any], seed: int, force: bool) -> None:
     """Write a folder of recordings, and the cloud of a preform with a seam."""
     def fill(folder: Path) -> None:

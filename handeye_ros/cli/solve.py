@@ -67,8 +67,8 @@ def solve(
         from handeye_ros.estimation.covariance import budget as budget_of
         with doing('solving'):
             answer = pipeline.answer_of(given.session, settings)
-        if budget and answer.fits:
-            causes = table.budget_table(budget_of(answer.consensus()))
+        if budget and answer.samples_agree:
+            causes = table.budget_table(budget_of(answer.required_solution()))
             if not answer.calibration:  # what a refused answer is uncertain from
                 show(causes)
         calibration = answer.required()
@@ -211,4 +211,4 @@ def compare(
     if comparison.refusal:
         raise comparison.refusal
     if out:
-        write_whole(out, yaml.safe_dump(comparing.values(comparison), sort_keys=False))
+        write_whole(out, yaml.safe_dump(comparing.plain_values(comparison), sort_keys=False))

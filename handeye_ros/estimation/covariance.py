@@ -18,8 +18,8 @@ from handeye_ros.estimation.basis import box
 from handeye_ros.estimation.blocks import slices
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.estimation.noise import covariances, Noise
-from handeye_ros.estimation.problem import MANY
-from handeye_ros.estimation.solve import evaluated, Solution
+from handeye_ros.estimation.problem import MANY_STATIONS
+from handeye_ros.estimation.solve import Solution, solution_at
 import numpy as np
 
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
@@ -33,14 +33,14 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
-    Between MANY and twice as many stations the probabilities fade to 0. dropped: number of
+    Between MANY_STATIONS and twice as many the probabilities fade to 0. dropped: number of
     stations dropped as wrong, which make another wrong one likelier.
     """
     n = len(solution.problem.poses)
-    weight = min(1.0, 2 - n / MANY)
+    weight = min(1.0, 2 - n / MANY_STATIONS)
     if weight <= 0:
         return solution
-    configured = evaluated(solution.problem, solution.estimate, Noise())
+    configured = solution_at(solution.problem, solution.estimate, Noise())
     wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
@@ -80,12 +80,12 @@ def budget(solution: Solution) -> Budget:
     block's parameters, of unit covariance, give C_xn C_nx. Then what (8), (10) and a corrected arm
     add to it.
     """
-    wide = solution.for_report
-    parts = _of_noise(wide)
-    for block, own in slices(wide.blocks, wide.unknowns):
-        gain = wide.covariance[:6, own]
+    conservative = solution.conservative
+    parts = _of_noise(conservative)
+    for block, own in slices(conservative.blocks, conservative.unknowns):
+        gain = conservative.covariance[:6, own]
         parts[block.name] = gain @ gain.T
-    away, inside = solution.shift_of_report, wide.covariance[:6, :6]
+    away, inside = solution.shift_of_report, conservative.covariance[:6, :6]
     parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
     parts['fit against a free pose'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
                          - sum(solution.added_covariances.values()))
@@ -94,13 +94,14 @@ def budget(solution: Solution) -> Budget:
                   _term(solution, 'all', solution.reported[:6, :6]), len(solution.used))
 
 
-def _of_noise(wide: Solution) -> dict[str, Array]:
+def _of_noise(conservative: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    for at, root in zip(wide.problem.groups, wide.whitening.roots, strict=True):
-        V = covariances(wide.linear, at)
-        V = V * wide.noise.variance_factors[:len(V), None, None, None]
-        gain = (wide.derivatives[at.rows] @ wide.covariance[:, :6]).swapaxes(1, 2) @ root
+    for at, root in zip(conservative.problem.groups, conservative.whitening.roots, strict=True):
+        V = covariances(conservative.linear, at)
+        V = V * conservative.noise.variance_factors[:len(V), None, None, None]
+        J = conservative.derivatives[at.rows]
+        gain = (J @ conservative.covariance[:, :6]).swapaxes(1, 2) @ root
         for name, some in zip(parts, (V[:3].sum(axis=0), V[3:].sum(axis=0)), strict=True):
             parts[name] += (gain @ some @ gain.swapaxes(1, 2)).sum(axis=0)
     return parts

@@ -1,9 +1,9 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The least squares of the estimators, over units of data, and which units are outliers.
+The least squares of the estimators, over items of data, and which items are outliers.
 
-A unit has one weight: a station, a row of a table, a pair of poses. Levenberg-Marquardt; units
+A item has one weight: a station, a row of a table, a pair of poses. Levenberg-Marquardt; items
 that do not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127),
 then those that the others do not predict are dropped, worst first, by leave-one-out residuals,
 (12). In an inverse, a direction that the data do not show keeps a large, finite variance.
@@ -27,13 +27,13 @@ T = TypeVar('T')
 P = ParamSpec('P')
 
 ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
-TYPICAL_SHARE = 0.65  # of the units that a good answer must explain
+TYPICAL_SHARE = 0.65  # of the items that a good answer must explain
 MORE = 30.0  # factor of the damping after a refused step; its square divides it after a good one
 GROSS = 64.0  # squared residual over the typical one (8 sigma): dropped at once
-FALSE_ALARM = 1e-3  # probability that good data lose one unit
+FALSE_ALARM = 1e-3  # probability that good data lose one item
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
-FREE = 1e-13  # relative information, or variance, that is rounding
+ROUNDING = 1e-13  # relative information, or variance, that is rounding
 NOTHING = 1e-280  # smallest information: its inverse is still a number
 
 States: TypeAlias = tuple[NDArray[Any], ...]
@@ -65,22 +65,22 @@ class System(Generic[S]):
     """
     A least-squares problem: rows(state), and retract(state, step (u,)), the state after a step.
 
-    unit: (m,) the number of each row's unit.
+    item: (m,) the number of each row's item.
     """
 
     rows: Callable[[S], Rows]
     retract: Callable[[S, Array], S]
-    unit: NDArray[np.intp]
+    item: NDArray[np.intp]
 
     def least_squares(self, start: S, weights: Array | None = None, iterations: int = 50,
                       converged: float = 1e-8) -> S:
         """
         Return the state with the least squared whitened residuals.
 
-        weights: (n,) on the squared residuals of the units; converged: the iteration ends when a
+        weights: (n,) on the squared residuals of the items; converged: the iteration ends when a
         step changes the residuals by less than this (sigmas).
         """
-        root = np.ones(len(self.unit)) if weights is None else np.sqrt(weights)[self.unit]
+        root = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
 
         def linear(rows: Rows) -> tuple[White, Array, Array]:
             white = rows.white()
@@ -149,11 +149,11 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     Return the state that graduated non-convexity reaches from a start, (11).
 
-    squares(state): (n,) mean squared whitened residuals of the units; refit(state, weights (n,)):
+    squares(state): (n,) mean squared whitened residuals of the items; refit(state, weights (n,)):
     the state after some steps of the weighted least squares.
     """
     state, current = start, squares(start)
-    # where a start explains most units, the few others have little weight from the first step on
+    # where a start explains most items, the few others have little weight from the first step on
     control, before = min(float(current.max()), 10.0 * typical(current)), np.inf
     for _ in range(50):
         spread = typical(current)
@@ -171,21 +171,21 @@ def typical(squares: Array) -> float:
     return float(np.quantile(squares, TYPICAL_SHARE))
 
 
-def groups(unit: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-    """Return arrays (units, count) of rows, one for each count of rows per unit."""
-    _, first, count = np.unique(unit, return_index=True, return_counts=True)
+def groups(item: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+    """Return arrays (items, count) of rows, one for each count of rows per item."""
+    _, first, count = np.unique(item, return_index=True, return_counts=True)
     return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
 
-def leave_one_out(white: Array, jacobian: Array, covariance: Array, unit: NDArray[np.intp]
+def leave_one_out(white: Array, jacobian: Array, covariance: Array, item: NDArray[np.intp]
                   ) -> Array:
     """
-    Return leave-one-out residuals (m,), to first order: each from the fit without its unit.
+    Return leave-one-out residuals (m,), to first order: each from the fit without its item.
 
-    white: (m,) of the fit to all units; jacobian: (m, u), covariance: (u, u) of this fit.
+    white: (m,) of the fit to all items; jacobian: (m, u), covariance: (u, u) of this fit.
     """
     left_out = np.empty_like(white)
-    for rows in groups(unit):
+    for rows in groups(item):
         J = jacobian[rows]
         left_out[rows] = left_out_of(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
     return left_out
@@ -193,11 +193,11 @@ def leave_one_out(white: Array, jacobian: Array, covariance: Array, unit: NDArra
 
 def left_out_of(predicted_covariance: Array, white: Array) -> Array:
     """
-    Return leave-one-out residuals (s, c) of units, to first order, (12).
+    Return leave-one-out residuals (s, c) of items, to first order, (12).
 
     predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
     """
-    # avoids division by zero for what a unit determines alone
+    # avoids division by zero for what an item determines alone
     regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
 
@@ -205,10 +205,10 @@ def left_out_of(predicted_covariance: Array, white: Array) -> Array:
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
              ) -> NDArray[np.intp]:
     """
-    Return the units to drop in this round, worst first, at most one in 50.
+    Return the items to drop in this round, worst first, at most one in 50.
 
     mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: initial number
-    of units; spare: number of units beyond those needed.
+    of items; spare: number of items beyond those needed.
     """
     probability = chi2_sf(mean_squares * freedom, freedom)
     most = max(1, min(len(mean_squares) // 50, spare)) if spare > 0 else 0
@@ -217,7 +217,7 @@ def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, s
 
 
 def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int) -> float:
-    """Return the variance factor common to most units, at least 1."""
+    """Return the variance factor common to most items, at least 1."""
     median = chi2_isf(0.5, freedom) / freedom
     return max(1.0, float(np.median(mean_squares / median)))
 
@@ -228,12 +228,12 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
              wrong: Callable[[F], int | None] = lambda fit: None
              ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
     """
-    Return the fit of the units that agree, these units, and the squares of those dropped.
+    Return the fit of the items that agree, these items, and the squares of those dropped.
 
     One that the others do not predict is dropped here; what is off by much more was left out of
-    `used` before. used: the units to begin with, of `total`; minimum: fewest that remain;
-    fitted(the fit before or None, used): the fit of some units; judged(fit): of each unit the
-    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): a unit that is
+    `used` before. used: the items to begin with, of `total`; minimum: fewest that remain;
+    fitted(the fit before or None, used): the fit of some items; judged(fit): of each item the
+    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): a item that is
     wrong though none of these is too large, None without one.
     """
     fit, dropped = fitted(None, used), dict[int, float]()
@@ -253,11 +253,11 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
 @dataclass(frozen=True, eq=False)
 class Adjusted(Generic[S]):
     """
-    Result of robust least squares over n units of k residuals.
+    Result of robust least squares over n items of k residuals.
 
-    used: ascending indices of the used units
-    residuals (n, k): whitened, of all units
-    left_out (used, k): leave-one-out residuals of the used units, to first order
+    used: ascending indices of the used items
+    residuals (n, k): whitened, of all items
+    left_out (used, k): leave-one-out residuals of the used items, to first order
     covariance: (u, u), multiplied by the variance factor if that exceeds 1
     """
 
@@ -273,9 +273,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
     """
     Return the least-squares state without outliers, from a start near it.
 
-    minimum: smallest number of units that remain; all have equally many rows.
+    minimum: smallest number of items that remain; all have equally many rows.
     """
-    n = int(system.unit[-1]) + 1
+    n = int(system.item[-1]) + 1
 
     def squares(state: S) -> Array:
         rows = system.rows(state)
@@ -286,9 +286,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
         state = system.least_squares(before.state if before else near, good.astype(float))
         at = system.rows(state)
         white = at.white()
-        r, J, rows = white(at.residuals), white(at.jacobian()), good[system.unit]
+        r, J, rows = white(at.residuals), white(at.jacobian()), good[system.item]
         covariance = covariance_of(J[rows])
-        left_out = leave_one_out(r[rows], J[rows], covariance, system.unit[rows])
+        left_out = leave_one_out(r[rows], J[rows], covariance, system.item[rows])
         variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
         return Adjusted(state, used, r.reshape(n, -1), left_out.reshape(len(used), -1),
                         covariance * max(1.0, variance), variance)
@@ -316,11 +316,11 @@ def covariance_of(J: Array) -> Array:
 def inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), NOTHING))
-    scaled = information * scale * scale[:, None] + FREE * np.eye(len(information))
+    scaled = information * scale * scale[:, None] + ROUNDING * np.eye(len(information))
     root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
     if failed:
         values, vectors = eigen(scaled)
-        full = (vectors / np.maximum(values, FREE)) @ vectors.T
+        full = (vectors / np.maximum(values, ROUNDING)) @ vectors.T
     else:
         lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
         full = lower + np.tril(lower, -1).T

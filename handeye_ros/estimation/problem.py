@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-MANY = 200  # stations: more of them change variance factors by less than 1 % of a sigma
+MANY_STATIONS = 200  # stations: more of them change variance factors by less than 1 % of a sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,8 @@ class Observations:
     end: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge points
         have a variance factor of their own
     outward: (m, 2) unit vector out of the face
-    shape: (m,) 1 sigma of the outward edge position from the uncertain shape, common to all edges
+    shape_std: (m,) 1 sigma of the outward edge position from the uncertain shape, common to all
+        edges
     """
 
     station: NDArray[np.intp]
@@ -52,7 +53,7 @@ class Observations:
     source: NDArray[np.intp]
     end: NDArray[np.intp]
     outward: Array
-    shape: Array
+    shape_std: Array
 
     def __len__(self) -> int:
         """Return the number of conditions."""

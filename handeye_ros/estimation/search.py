@@ -32,8 +32,15 @@ from handeye_ros.estimation.least_squares import (
     typical,
 )
 from handeye_ros.estimation.noise import LUMPED, Noise, Whitening, whitening
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem, UNUSED
-from handeye_ros.estimation.solve import evaluated, map_solution, Solution
+from handeye_ros.estimation.problem import (
+    Estimate,
+    Linear,
+    linearise,
+    MANY_STATIONS,
+    Problem,
+    UNUSED,
+)
+from handeye_ros.estimation.solve import map_solution, Solution, solution_at
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,7 +93,7 @@ def without_outliers(solution: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(used)
-        return evaluated(part, fit(part, (before or near).estimate), LUMPED)
+        return solution_at(part, fit(part, (before or near).estimate), LUMPED)
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
@@ -110,15 +117,15 @@ def with_blocks(solution: Solution) -> Solution:
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
         start, noise = near.estimate, Noise()
-        if before is not None and len(used) > MANY:
-            found = before.for_report  # a few of very many hardly move the solution
+        if before is not None and len(used) > MANY_STATIONS:
+            found = before.conservative  # a few of very many hardly move the solution
             start, noise = found.estimate, found.noise
             part = part.with_pose_values(found.problem.pose_values)
         return contaminated(map_solution(part, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = agreeing(
         near.used, len(whole.poses), whole.target.minimum, fitted,
-        lambda found: found.for_report.left_out_squares(), lambda found: found.surely_wrong)
+        lambda found: found.conservative.left_out_squares(), lambda found: found.surely_wrong)
     return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
 

@@ -28,23 +28,23 @@ from handeye_ros.estimation.blocks import (
     pose_corrections,
     slices,
 )
-from handeye_ros.estimation.least_squares import covariance_of, FREE, inverse, left_out_of
+from handeye_ros.estimation.least_squares import covariance_of, inverse, left_out_of, ROUNDING
 from handeye_ros.estimation.noise import (
     covariances,
+    estimated_variances,
     LUMPED,
     Noise,
     PRIOR_FREEDOM,
-    prior_variances,
     total_covariance,
     Whitening,
     whitening,
 )
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY, Problem
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY_STATIONS, Problem
 import numpy as np
 from numpy.typing import NDArray
 
 CONVERGED = 0.1  # sigmas: the last step of the unknowns; one more follows with the final scales
-ALONE = 1e-6  # rest of a variance that the other stations leave
+ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
@@ -67,8 +67,8 @@ class Solution:
     surely_wrong: the station that almost surely is
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
-    conservative: the solution at conservative scales: its estimate moves too far, its covariance
-        is realistic
+    conservative_or_none: the solution at conservative scales, of one that is not: its estimate
+        moves too far, its covariance is realistic
     """
 
     linear: Linear
@@ -84,7 +84,7 @@ class Solution:
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
     surely_wrong: int | None = None
-    conservative: Solution | None = None
+    conservative_or_none: Solution | None = None
 
     @classmethod
     def at(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...] | None = None
@@ -194,7 +194,7 @@ class Solution:
     def estimated_factors(self, stated: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
         sums = np.zeros((len(PRIOR_FACTORS), 2))
-        every = -(-len(self.problem.poses) // MANY)
+        every = -(-len(self.problem.poses) // MANY_STATIONS)
         for group, roots in zip(self.problem.groups, self.whitening.roots, strict=True):
             at, root = group.every(every), roots[::every]
             V = covariances(self.linear, at)
@@ -209,12 +209,12 @@ class Solution:
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
-    def prior_variances(self) -> tuple[Array, Array]:
+    def estimated_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         x, covariance = self._solved
         u, first = self.unknowns, np.cumsum([0, *self._counts])[:-1]
         largest = np.array([block.largest_variance for block in self.priors])
-        return prior_variances(covariance[u:, u:], x[u:], first, self._variances, largest)
+        return estimated_variances(covariance[u:, u:], x[u:], first, self._variances, largest)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
@@ -234,16 +234,16 @@ class Solution:
         """
         found = self
         for _ in range(steps if self.priors else 0):
-            _, variances = found.prior_variances()
+            _, variances = found.estimated_variances()
             if np.abs(np.log(variances / found._variances)).max() < 0.03:
                 break
             found = found.with_variances(variances)
         return found
 
     @property
-    def for_report(self) -> Solution:
+    def conservative(self) -> Solution:
         """Return the solution at the conservative scales, itself where it is that."""
-        return self.conservative or self
+        return self.conservative_or_none or self
 
     @cached_property
     def reported(self) -> Array:
@@ -252,8 +252,8 @@ class Solution:
 
         It covers the errors of both the mount's transform and the best-fit transform.
         """
-        reported = self.for_report.covariance[:self.unknowns, :self.unknowns].copy()
-        if self.conservative is None:
+        reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
+        if self.conservative_or_none is None:
             return reported
         away = self.shift_of_report
         reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away), self._best_fit)
@@ -263,16 +263,16 @@ class Solution:
     @property
     def shift_of_report(self) -> Array:
         """Return d (6,): how far the conservative scales would move the estimate, (8)."""
-        return se3.difference(self.for_report.estimate.X, self.estimate.X)
+        return se3.difference(self.conservative.estimate.X, self.estimate.X)
 
     @property
     def _best_fit(self) -> Array:
         """Return the mean square (6, 6) of the best-fit transform about the estimate, (9)."""
-        wide = self.for_report
-        moving = best_fit_motions(wide.linear, wide.blocks)
-        columns = np.hstack([np.eye(6, wide.unknowns), moving])
-        away = self.shift_of_report + moving @ wide.nuisance
-        return np.asarray(columns @ wide.covariance @ columns.T + np.outer(away, away))
+        conservative = self.conservative
+        moving = best_fit_motions(conservative.linear, conservative.blocks)
+        columns = np.hstack([np.eye(6, conservative.unknowns), moving])
+        away = self.shift_of_report + moving @ conservative.nuisance
+        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))
 
     @cached_property
     def information(self) -> Array:
@@ -315,10 +315,10 @@ class Solution:
     @property
     def target_std(self) -> Array:
         """Return 1 sigma (k,) of the target's parameters, 0 for known ones."""
-        std, wide = np.zeros(len(self.problem.target.labels)), self.for_report
-        variances = np.diag(wide.covariance)
+        std, conservative = np.zeros(len(self.problem.target.labels)), self.conservative
+        variances = np.diag(conservative.covariance)
         std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
-        for block, own in slices(wide.blocks, self.unknowns):
+        for block, own in slices(conservative.blocks, self.unknowns):
             if block.parameter is not None:
                 std[block.parameter] = block.std * variances[own][0] ** 0.5
         return std
@@ -330,7 +330,7 @@ class Solution:
 
         A repeated pose adds no information; of very many poses only some are counted.
         """
-        distinct = farthest_points(pose_features(self.problem.poses), MANY)
+        distinct = farthest_points(pose_features(self.problem.poses), MANY_STATIONS)
         return int(self.ranks[distinct].sum()) - self.unknowns
 
     @property
@@ -408,7 +408,7 @@ class Solution:
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
         for at in self.problem.groups:
             share = np.linalg.eigvalsh(self.predicted_covariance(at.rows))[:, -1]
-            alone[station[at.rows[:, 0]]] = share > 1 - ALONE
+            alone[station[at.rows[:, 0]]] = share > 1 - ALONE_REST
         return alone
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
@@ -435,7 +435,7 @@ def covering(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
-    roots = np.sqrt(np.maximum(values, FREE))
+    roots = np.sqrt(np.maximum(values, ROUNDING))
     root, inverse_root = std[:, None] * vectors * roots, (vectors / roots).T / std
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
     along = root @ vectors
@@ -448,14 +448,14 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
 
     noise: to start with. With very many stations, a part of them says what scales and noise are.
     """
-    every = len(problem.poses) // MANY
+    every = len(problem.poses) // MANY_STATIONS
     if every > 1:
         part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
         problem = problem.with_pose_values(part.problem.pose_values)
-        near = evaluated(problem, part.linear.estimate, part.noise)
+        near = solution_at(problem, part.linear.estimate, part.noise)
         best = Solution.at(near.stepped(), near.noise)
-        return _with_conservative(best, part.for_report.noise, 0)
-    found, diverged = _iterated(evaluated(problem, start, noise))
+        return _with_conservative(best, part.conservative.noise, 0)
+    found, diverged = _iterated(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
         return _with_conservative(found, found.noise, LAST_STEPS)
     return _with_final_scales(found)
@@ -484,8 +484,8 @@ def _with_final_scales(found: Solution) -> Solution:
     """Return the solution at the MAP scales, together with that at the conservative scales."""
     best = found
     if found.priors:
-        wide = found.rescaled(LAST_STEPS - 1)
-        for_estimate, for_report = wide.prior_variances()
+        conservative = found.rescaled(LAST_STEPS - 1)
+        for_estimate, for_report = conservative.estimated_variances()
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
         best = best.with_factors(best.estimated_factors(PRIOR_FACTORS))
@@ -495,11 +495,11 @@ def _with_final_scales(found: Solution) -> Solution:
 def _with_conservative(best: Solution, noise: Noise, steps: int) -> Solution:
     """Return a solution together with that at the conservative scales of noise."""
     long = replace(best.problem, long_errors=True)
-    wide = evaluated(long, best.linear.estimate, noise).rescaled(steps)
-    return replace(best, conservative=wide)
+    conservative = solution_at(long, best.linear.estimate, noise).rescaled(steps)
+    return replace(best, conservative_or_none=conservative)
 
 
-def evaluated(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
+def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     """Return the solution at an estimate."""
     return Solution.at(linearise(problem, estimate), noise)
 

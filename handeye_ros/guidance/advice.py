@@ -110,7 +110,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
                                  f'with the {what} in the middle of the view')
     samples = passes_expanded(samples)
     view = learn_view(samples, seen)
-    solution = found.solution if found.fits else None
+    solution = found.solution if found.samples_agree else None
     mapped = mapped_points(solution.estimate.X, view) if solution else None
     if solution is None or mapped is None or (
             mapped.std(solution.reported[:6, :6]) > ROUGHLY_KNOWN):

@@ -18,7 +18,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
-from handeye_ros.estimation.solve import evaluated, Solution
+from handeye_ros.estimation.solve import Solution, solution_at
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.view import MappedPoints, NORMALS, View
 import numpy as np
@@ -280,13 +280,14 @@ def expected(solution: Solution, mapped: MappedPoints, one: Problem) -> float:
 
     one: the problem of that station alone. Here all blocks are shared with the others.
     """
-    wide = solution.for_report
-    problem = wide.problem
+    conservative = solution.conservative
+    problem = conservative.problem
     more = replace(one.observations, station=one.observations.station + len(problem.poses))
     both = replace(problem, poses=np.concatenate([problem.poses, one.poses]),
                    observations=type(more)(*(
                        np.concatenate([getattr(problem.observations, f.name),
                                        getattr(more, f.name)]) for f in fields(more))))
-    before, after = (mapped.variance(evaluated(p, solution.estimate, wide.noise).covariance[
-        :6, :6]) for p in (problem, both))
+    before, after = (
+        mapped.variance(solution_at(p, solution.estimate, conservative.noise).covariance[:6, :6])
+        for p in (problem, both))
     return mapped.std(solution.reported[:6, :6]) * math.sqrt(min(float(after / before), 1.0))

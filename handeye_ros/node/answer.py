@@ -34,10 +34,11 @@ if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 # Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.
-SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'sampling.min_points',
-               'sampling.settle_time', 'time_offset', 'rotation_lag_std', 'clock_drift_std')
+SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'noise.distortion', 'time_offset',
+               'sampling.mode', 'sampling.min_points', 'sampling.settle_time',
+               'sampling.max_pose_gap')
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
-               'sampling.min_crossing_angle')
+               'rotation_lag_std', 'clock_drift_std', 'sampling.min_crossing_angle')
 COMPUTED = 'the calibration is computed'
 SURE_FREEDOM = 6  # smallest degrees of freedom of a review for valid angles at the edges
 
@@ -177,8 +178,9 @@ class LiveAnswer:
     def _basis(self) -> tuple[object, ...]:
         """Return what identifies samples and settings; a session by its files."""
         live = self._live
-        return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')), len(live.refused),
-                [(o.number, o.began) for o in live.session.stops if o.sample])
+        samples = [(stop.number, stop.began) for stop in live.session.stops if stop.sample]
+        return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')),
+                len(live.without_sample), samples)
 
     def _begin(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
@@ -190,7 +192,7 @@ class LiveAnswer:
         session = Session(config)  # the messages of the streams stay here
         session.restore(now.stops, now.last_number, now.frame_id)
         sampled = {stop.began for stop in now.stops if stop.sample}
-        refused = [T for began, T in live.refused.items() if began not in sampled]
+        refused = [T for began, T in live.without_sample.items() if began not in sampled]
         return live.compute(
             COMPUTED if asked else '', partial(self._put, self._basis(), session, asked),
             review_of, session, config, self.seen, refused, asked or self.calibration is not None)

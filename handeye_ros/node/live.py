@@ -79,7 +79,7 @@ class LiveSession:
     the worker alone: it reads them without, others see them at any time.
 
     attempt: the last one
-    refused: T_base_flange (4, 4) of stops without a sample, by their beginnings
+    without_sample: T_base_flange (4, 4) of stops without a sample, by their beginnings
     running: the long computations in words, '' for a review
     """
 
@@ -107,7 +107,7 @@ class LiveSession:
         self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
         self._store_trouble = ''
         self.attempt: Attempt | None = None
-        self.refused: dict[int, Array] = {}
+        self.without_sample: dict[int, Array] = {}
         self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
 
     # messages
@@ -328,7 +328,7 @@ class LiveSession:
         if stop and not stop.source:  # it could not be stored before
             with suppress(InputError):
                 self._put(self._stored(self._evaluated(stop)[0]), over=False)
-        elif stop and not stop.refused:
+        elif stop and not stop.final_reason:
             result = self.result_elsewhere(stop, self.config)
             self._put(replace(stop, result=result), over=False)
 
@@ -348,7 +348,7 @@ class LiveSession:
         result = self.session.numbered(stop, self.result_elsewhere(stop, self.config))
         objection = self.answer.objection(result)
         if objection or result.sample is None:
-            self.refused[stop.began] = stop.pose(self.config)
+            self.without_sample[stop.began] = stop.pose(self.config)
         return result, objection
 
     def _known(self, number: int) -> Stop | None:
@@ -408,8 +408,8 @@ class LiveSession:
             if self.verification.routine:
                 return self.verification.add_stop(stop, over=True)
             stop, objection = self._evaluated(stop)
-            if stop.refused:
-                raise DataError(f'{stop.refused}: move on, and turn the tool')
+            if stop.final_reason:
+                raise DataError(f'{stop.final_reason}: move on, and turn the tool')
             if objection or stop.sample is None:
                 raise DataError(f'{objection}, and take the sample again' if objection else
                                 sample_summary(stop.result))
@@ -452,7 +452,7 @@ class LiveSession:
             self.session.clear()
             self.early = None
             self.verification.end()
-        self.attempt, self.refused = None, {}
+        self.attempt, self.without_sample = None, {}
         self.answer.forget(why)
         return count
 

@@ -24,7 +24,7 @@ from handeye_ros.sampling.stops import decoded, Stop
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.routines import Routine, routine_of, settings_for
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.verify import values, Verification, verify, with_provenance
+from handeye_ros.verification.verify import plain_values, Verification, verify, with_provenance
 
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
@@ -199,7 +199,7 @@ class LiveVerification:
         live, result = self._live, result_or_ended(job)
         verified = live.config.verify.calibration
         name = f'verification_{result.routine}.yaml'
-        content = values(with_provenance(
+        content = plain_values(with_provenance(
             result, (live.config.profile_topic, live.config.pose_origin[0]),
             Path(verified).expanduser() if verified else None))
         saved = exports.write({name: yaml_text(content)}, live.folders.own(live.config), {name})

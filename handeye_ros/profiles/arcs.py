@@ -119,65 +119,65 @@ def off_circle(points: Array, circle: Array) -> Array:
 def _on_arc(points: Array, circle: Array, noise: float, config: Config
             ) -> tuple[NDArray[np.intp], float]:
     """
-    Return the rows of the points (n, 2) on an arc near a circle, and their noise.
+    Return the columns of the points (n, 2) on an arc near a circle, and their noise.
 
     noise_level does not see noise that is correlated over some columns and larger than configured.
     Then only the part of an arc that happens to lie near the circle would be found. So the noise
     is that of all points between its ends.
     """
-    rows = _refitted(points, circle, TOLERANCE_SIGMAS * noise, WIDTHS)
+    columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, WIDTHS)
     for _ in range(RESCALED):
-        if len(rows) < FEWEST_FITTED:
+        if len(columns) < FEWEST_FITTED:
             break
-        circle = fit_circle(points.take(rows, axis=0), steps=1)
-        off = np.abs(off_circle(points[rows[0]:rows[-1] + 1], circle))
+        circle = fit_circle(points.take(columns, axis=0), steps=1)
+        off = np.abs(off_circle(points[columns[0]:columns[-1] + 1], circle))
         middle = len(off) // 2
         scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
         if not NOISIER * noise < scale < MOST_NOISE * config.noise.sensor:
             break
         noise = scale
-        rows = _refitted(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
-    return rows, noise
+        columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
+    return columns, noise
 
 
 def _refitted(points: Array, circle: Array, tolerance: float, widths: Sequence[float]
               ) -> NDArray[np.intp]:
     """
-    Return the rows of the points (n, 2) on a circle refitted to them, without its rims.
+    Return the columns of the points (n, 2) on a circle refitted to them, without its rims.
 
     widths: of successive fits, in tolerances: nearer points are used for the next circle. Few
     returns come from near a rim, and then none. The angle at which they end depends on the tilt
     across the profile, which is unknown; so the end of the arc is used instead.
     """
-    rows, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
+    columns, (x, z) = np.empty(0, dtype=np.intp), points.T.copy()
     for width in widths:
-        if len(rows) >= FEWEST_FITTED:
-            circle = fit_circle(points.take(rows, axis=0), steps=1)
+        if len(columns) >= FEWEST_FITTED:
+            circle = fit_circle(points.take(columns, axis=0), steps=1)
         along, away = x - circle[0], z - circle[1]
         distance = np.sqrt(along * along + away * away)
         on = np.abs(distance - circle[2]) < width * tolerance
         # the light falls on one side of a ball only
         towards = away if away @ on > 0 else -away
         on &= towards > 0
-        rows = np.flatnonzero(on & (towards > RIM_COSINE * distance))
-        if len(rows) < FEWEST_FITTED:
-            return rows
+        columns = np.flatnonzero(on & (towards > RIM_COSINE * distance))
+        if len(columns) < FEWEST_FITTED:
+            return columns
     turn = np.arctan2(along, towards)
-    ends, turn = np.sort(turn[on]), turn[rows]
+    ends, turn = np.sort(turn[on]), turn[columns]
     stray = len(ends) // 200
     first, last = ends[stray], ends[-1 - stray]
     rim = (turn < first + RIM_WIDTH) & (first < -STEEP)
-    return np.asarray(rows[~(rim | ((turn > last - RIM_WIDTH) & (last > STEEP)))])
+    return np.asarray(columns[~(rim | ((turn > last - RIM_WIDTH) & (last > STEEP)))])
 
 
-def _arc(points: Array, rows: NDArray[np.intp], noise: float, config: Config) -> Arc:
-    """Return the arc of some rows of points; raises FeatureError when it is none."""
+def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config) -> Arc:
+    """Return the arc of some columns of points; raises FeatureError when it is none."""
     min_points, radius = config.sampling.min_points, config.target.radius
-    if len(rows) < min_points:
+    if len(columns) < min_points:
         raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
-    if len(rows) < SMALLEST_DENSITY * (rows[-1] - rows[0] + 1):
+    if len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
-    arc = normal_points(points.take(rows, axis=0))
+    arc = normal_points(points.take(columns, axis=0))
     if _wanders(arc, noise, config):
         raise FeatureError('no arc of the sphere in the profile, only something like it')
     if 0 < LARGEST_SHARE * radius < arc.radius or arc.radius < SMALLEST_SHARE * radius:

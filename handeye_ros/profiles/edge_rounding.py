@@ -14,15 +14,15 @@ from dataclasses import dataclass
 from handeye_ros.data import Array
 import numpy as np
 
-SMALLEST, LARGEST = 5e-5, 4e-3  # radius of a rounding (m)
-RADII = np.geomspace(SMALLEST, LARGEST, 40)[:, None]  # of roundings that are tried
+SMALLEST_RADIUS, LARGEST_RADIUS = 5e-5, 4e-3  # radius of a rounding (m)
+RADII = np.geomspace(SMALLEST_RADIUS, LARGEST_RADIUS, 40)[:, None]  # of roundings that are tried
 SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
 STEEPEST = 0.97  # largest sine of the slope of a fitted arc: no light returns beyond
 ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in columns
 STRAY = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
 LOW = 2.0  # sigmas below the face line from which points indicate a bend
-STEPS = 6  # iterations of the start of a bend
-LEAST = -100.0  # smallest log likelihood of a shape that matters
+BEND_STEPS = 6  # iterations of the start of a bend
+LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
 
 
@@ -61,7 +61,7 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     k, out = len(RADII), np.maximum(end - begin, 0.0)
     depths = np.concatenate([RADII - np.sqrt(np.maximum(RADII ** 2 - out[:k] ** 2, 0.0)),
                              SLOPES * out[k:]])[:, 0]
-    likely = np.maximum((misfit.min() - misfit) / 2, LEAST)
+    likely = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
     shapes = np.append(likely[:k], np.log(np.exp(likely[k:]).mean()))
     share = np.exp(likely) * np.repeat([1 / k, 1 / len(SLOPES)], [k, len(SLOPES)])
     best = int(likely[:k].argmax())
@@ -89,7 +89,7 @@ def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Arra
     begin = u[low].mean() - np.concatenate([np.sqrt(within * (2 * RADII - within)),
                                             depth / SLOPES])
     longest = np.maximum(u[-1] - begin, pitch) / 3
-    for _ in range(STEPS):
+    for _ in range(BEND_STEPS):
         below, slope = _shapes(u - begin)
         off = v - below
         variance = noise ** 2 + (ALONG_STD * pitch * slope) ** 2

@@ -50,9 +50,9 @@ MIN_STEP_SIGMAS = 8.0
 SHADOW_SLOPE = 2.0  # largest width hidden behind a step, over its height
 LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
 STEEP_ERROR = 1.0  # error of a steep surface, as a share of its additional noise
-MOST_LOST = 4  # largest number of rows between neighbouring points of the plate
+MOST_LOST = 4  # largest number of columns between neighbouring points of the plate
 SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
-CONTINUATION_ROWS = 80  # rows behind a face that may still be its bent end or its wall
+MOST_FURTHER = 80  # columns behind a face that may still be its bent end or its wall
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4
@@ -71,13 +71,13 @@ RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 @dataclass(frozen=True, eq=False)
 class FaceEnd:
     """
-    The end of a straight piece with the last of its rows, and the frame of the face there.
+    The end of a straight piece with the last of its columns, and the frame of the face there.
 
     The other end is the last one in the reversed profile, see ends_of_segments.
 
-    segments: all of the profile, in the order of its rows
+    segments: all of the profile, in the order of its columns
     points: (n, 2) of the profile
-    returns: (k,) rows with a return
+    returns: (k,) columns with a return
     near_sign: times a range, it is larger for nearer points
     """
 
@@ -90,15 +90,15 @@ class FaceEnd:
     @cached_property
     def behind(self) -> list[Segment]:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
-        return [other for other in self.segments if other.last > self.row]
+        return [other for other in self.segments if other.last > self.column]
 
     @property
-    def row(self) -> int:
-        """Return the last row of the segment."""
+    def column(self) -> int:
+        """Return the last column of the segment."""
         return self.segment.last
 
     def lost(self, first: int, last: int) -> int:
-        """Return the number of rows without a return, from the first to before the last."""
+        """Return the number of columns without a return, from the first to before the last."""
         found = self.returns.searchsorted([first, last])
         return last - first - int(found[1] - found[0])
 
@@ -121,18 +121,18 @@ class FaceEnd:
         The origin is the point of the face line at the segment's last point.
         """
         segment = self.segment
-        x, middle = (self.points.item(row, 0) for row in
-                     (self.row, segment.rows.item(len(segment.rows) // 2)))
+        x, middle = (self.points.item(column, 0) for column in
+                     (self.column, segment.columns.item(len(segment.columns) // 2)))
         outward = -1.0 if x < middle else 1.0
         length, near = math.hypot(1.0, segment.slope), self.near_sign
         return np.array([[x, segment.height(x)],
                          [outward / length, outward * segment.slope / length],
                          [near * segment.slope / length, -near / length]])
 
-    def outwards_and_below(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return the coordinates of rows of the profile along and below the face."""
+    def outwards_and_below(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return the coordinates of columns of the profile along and below the face."""
         origin, along, below = self.frame
-        away = self.points.take(rows, axis=0) - origin
+        away = self.points.take(columns, axis=0) - origin
         return away @ along, away @ below
 
     def edge(self, place: float, std: float, kind: str) -> EdgePoint:
@@ -140,9 +140,9 @@ class FaceEnd:
         origin, along, _ = self.frame
         return EdgePoint(origin + place * along, along, std, 0.0, kind)
 
-    def rise_of(self, row: int) -> float:
+    def rise_of(self, column: int) -> float:
         """Return by how much a point is nearer than the face line (m, along the range)."""
-        x, z = self.points[row].tolist()
+        x, z = self.points[column].tolist()
         return float(self.near_sign * (z - self.segment.height(x)))
 
 
@@ -151,7 +151,7 @@ def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
     """Yield the first and the last end of segments of a profile (n, 2), the longest first."""
     n, returns, near = len(points), returned(points), -config.profile.range_sign
     turned = [segment.reversed(n) for segment in reversed(segments)]
-    for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].rows)):
+    for k in sorted(range(len(segments)), key=lambda k: -len(segments[k].columns)):
         yield (FaceEnd(turned[-1 - k], turned, points[::-1], n - 1 - returns[::-1], near),
                FaceEnd(segments[k], segments, points, returns, near))
 
@@ -164,18 +164,19 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
     shadow if its foot is hidden), or where nothing is seen behind it (gap, or open if the driver
     does not say).
     """
-    rows, size = _continuation(end), len(end.points)
-    other = next((s for s in end.behind if s is not end.behind[0] or not _is_bevel(end, s, rows)),
-                 None)
+    further, size = _further_columns(end), len(end.points)
+    other = next((s for s in end.behind
+                  if s is not end.behind[0] or not _is_bevel(end, s, further)), None)
     # a driver that leaves lost points out does not say where the field of view ends
     marks_lost = len(end.returns) < size
     if other is None:
-        if marks_lost and end.lost(end.row + 1, size) < GAP_COLUMNS:
+        if marks_lost and end.lost(end.column + 1, size) < GAP_COLUMNS:
             return BORDER
         kind = 'gap' if marks_lost else 'open'
     else:
-        rows, start, least = rows[rows < other.first], other.first, smallest_step(end, other)
-        corner = _meet_in_a_corner(end, other, rows)
+        start, least = other.first, smallest_step(end, other)
+        further = further[further < start]
+        corner = _meet_in_a_corner(end, other, further)
         # a surface that turns away from the sensor leaves the line over its whole length
         rise = end.rise_of(other.last if corner else start)
         if corner:
@@ -184,23 +185,23 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
                 return NEARER
         elif rise > least:
             kind = 'gap'
-            if abs(end.points[start, 0] - end.points[end.row, 0]) <= SHADOW_SLOPE * rise:
+            if abs(end.points[start, 0] - end.points[end.column, 0]) <= SHADOW_SLOPE * rise:
                 return NEARER
         elif rise < -least:
-            foot_hidden = end.lost(int(rows[-1]) if len(rows) else end.row, start) >= GAP_COLUMNS
-            kind = 'shadow' if foot_hidden else 'step'
+            last = int(further[-1]) if len(further) else end.column
+            kind = 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
         else:
             return BENT
-    room = min(end.row, size - 1 - end.row) * end.pitch
+    room = min(end.column, size - 1 - end.column) * end.pitch
     if marks_lost and room < NEAREST:
         return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
                 f'(move it {NEAREST * 1e3:.0f} mm or more into the view)')
     if kind == 'roof' and other is not None:
         return _corner(end, other)
-    wall = _wall(end, rows)
+    wall = _wall(end, further)
     if wall:
         return end.edge(*wall, 'roof')
-    return _last_point(end, rows, other if kind in ('step', 'shadow') else None, kind)
+    return _last_point(end, further, other if kind in ('step', 'shadow') else None, kind)
 
 
 def smallest_step(end: FaceEnd, other: Segment) -> float:
@@ -208,24 +209,24 @@ def smallest_step(end: FaceEnd, other: Segment) -> float:
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
-def _is_bevel(end: FaceEnd, other: Segment, rows: NDArray[np.intp]) -> bool:
+def _is_bevel(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
-    if other.first not in rows:
+    if other.first not in further:
         return False
-    u, v = end.outwards_and_below(other.rows[[0, -1]])
+    u, v = end.outwards_and_below(other.columns[[0, -1]])
     size, down = math.hypot(u[1] - u[0], v[1] - v[0]), float(v[1] - v[0])
     return size <= LARGEST_BEVEL and down > 0 and abs(u[1] - u[0]) > WALL_SLOPE * down
 
 
-def _meet_in_a_corner(end: FaceEnd, other: Segment, rows: NDArray[np.intp]) -> bool:
+def _meet_in_a_corner(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> bool:
     """Return whether two pieces end in a common corner."""
     a, b = end.segment, other
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
         return False
     x = (b.offset - a.offset) / (a.slope - b.slope)
-    x_end, x_start = end.points[end.row, 0], end.points[other.first, 0]
+    x_end, x_start = end.points[end.column, 0], end.points[other.first, 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
-    bent = len(rows) > 0 and other.first - rows[-1] <= MOST_LOST
+    bent = len(further) > 0 and other.first - further[-1] <= MOST_LOST
     reach = max(ROOF_REACH * end.column_pitch, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
@@ -246,25 +247,25 @@ def _corner(end: FaceEnd, other: Segment) -> EdgePoint:
 
 def _std_at(segment: Segment, x: float, points: Array) -> float:
     """Return 1 sigma of the range of a segment's line at x."""
-    xs = points[segment.rows, 0]
+    xs = points[segment.columns, 0]
     return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
 
 
-def _continuation(end: FaceEnd) -> NDArray[np.intp]:
+def _further_columns(end: FaceEnd) -> NDArray[np.intp]:
     """
-    Return the rows behind the last point of a segment that continue its surface, outwards.
+    Return the further columns: behind the end of a face, but of its surface, outwards.
 
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
     """
-    at = int(end.returns.searchsorted(end.row))
-    ahead = end.returns[at:at + CONTINUATION_ROWS + 2].tolist()
-    found, skipped = [end.row], False
-    for row, after in pairwise([*ahead[1:], end.row]):
-        if row - end.row > CONTINUATION_ROWS:
+    at = int(end.returns.searchsorted(end.column))
+    ahead = end.returns[at:at + MOST_FURTHER + 2].tolist()
+    found, skipped = [end.column], False
+    for column, after in pairwise([*ahead[1:], end.column]):
+        if column - end.column > MOST_FURTHER:
             break
-        if _follows(end, found[-1], row):
-            found.append(row)
+        if _follows(end, found[-1], column):
+            found.append(column)
         elif skipped or not _follows(end, found[-1], after):
             break
         else:
@@ -272,13 +273,13 @@ def _continuation(end: FaceEnd) -> NDArray[np.intp]:
     return np.array(found[1:], dtype=np.intp)
 
 
-def _follows(end: FaceEnd, row: int, after: int) -> bool:
-    """Return whether a row continues the surface of another one, and may curve away."""
-    (x, z), (x_after, z_after) = end.points[row].tolist(), end.points[after].tolist()
+def _follows(end: FaceEnd, column: int, after: int) -> bool:
+    """Return whether a column continues the surface of another one, and may curve away."""
+    (x, z), (x_after, z_after) = end.points[column].tolist(), end.points[after].tolist()
     aside, drop = abs(x_after - x), end.near_sign * (z - z_after)
     slack = SLACK_SIGMAS * end.segment.noise
-    # a driver may leave lost points out: then the next row need not be near
-    return (0 < after - row <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column_pitch
+    # a driver may leave lost points out: then the next column need not be near
+    return (0 < after - column <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column_pitch
             and -slack < drop < STEEPEST * aside + slack)
 
 
@@ -288,15 +289,15 @@ def _leading(values: NDArray[np.bool_]) -> int:
     return len(values) if not len(values) or values[first] else first
 
 
-def _wall(end: FaceEnd, rows: NDArray[np.intp]) -> tuple[float, float] | None:
+def _wall(end: FaceEnd, further: NDArray[np.intp]) -> tuple[float, float] | None:
     """
-    Return position and 1 sigma (m) where a wall in the continuation (rows) meets the face line.
+    Return position and 1 sigma (m) where a wall in the further columns meets the face line.
 
     The position is along the face from its last point. None without a visible wall.
     """
-    if len(rows) < WALL_POINTS:
+    if len(further) < WALL_POINTS:
         return None
-    all_u, all_v = u, v = end.outwards_and_below(rows)
+    all_u, all_v = u, v = end.outwards_and_below(further)
     lowest = float(v.max())
     low = (v > 0.5 * lowest) & (v < 0.97 * lowest)
     if lowest < SMALLEST_WALL or np.count_nonzero(low) < WALL_POINTS:
@@ -319,19 +320,19 @@ def _end_of_face(end: FaceEnd, u: Array, v: Array) -> float:
     return float(u[flat - 1]) if flat else 0.0
 
 
-def _last_point(end: FaceEnd, rows: NDArray[np.intp], ground: Segment | None, kind: str
+def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None, kind: str
                 ) -> EdgePoint:
     """
-    Return the end of a plate before a drop, its continuation (rows) included.
+    Return the end of a plate before a drop, the further columns included.
 
     ground: the surface seen below, or None. The distance of a bent end from its edge is determined
     later from all stations (see sampling/edge_shapes.py).
     """
-    plate = np.concatenate([end.segment.rows[-LAST_POINTS:], rows])
+    plate = np.concatenate([end.segment.columns[-LAST_POINTS:], further])
     u, v = end.outwards_and_below(plate)
     pitch, noise = end.pitch, end.segment.noise
     step = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1)
-    step = min(max(step, 0.0), pitch) if len(rows) else pitch
+    step = min(max(step, 0.0), pitch) if len(further) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
     mixed, width = _transition(end, int(plate[-1]), ground)
@@ -342,8 +343,8 @@ def _last_point(end: FaceEnd, rows: NDArray[np.intp], ground: Segment | None, ki
     if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < ROUNDED_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
     # the end is bent: its last points are the worst
-    before = end.segment.rows[-max(2 * len(rows), SHORTEST_ROUNDING):]
-    inner = rows[:len(rows) - min(len(rows) // RIM_SHARE, LARGEST_RIM)]
+    before = end.segment.columns[-max(2 * len(further), SHORTEST_ROUNDING):]
+    inner = further[:len(further) - min(len(further) // RIM_SHARE, LARGEST_RIM)]
     bend = rounding_of(*end.outwards_and_below(np.concatenate([before, inner])), place, pitch,
                        noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall

@@ -50,14 +50,14 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     # the longest first: most of the others then cannot be preferred, whatever their edges are
     for ends in ends_of_segments(segments, points, config):
         segment = ends[1].segment
-        if len(segment.rows) * SURE_EDGE < best:
+        if len(segment.columns) * SURE_EDGE < best:
             break
         found = [edge_at(end) for end in ends]
         reasons += [reason for reason in found if isinstance(reason, str)]
         of_segment = [edge for edge in found if isinstance(edge, EdgePoint)]
         sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in of_segment)
         behind = any(_is_above(end, other) for end in ends for other in end.behind)
-        likely = len(segment.rows) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
+        likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
         if of_segment and (likely > best or (likely == best and segment.first < face.first)):
             best, face, edges = likely, segment, of_segment
     if not edges:
@@ -70,10 +70,10 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
 
 def _is_above(end: FaceEnd, other: Segment) -> bool:
     """Return whether the adjacent surface, behind a gap or a wall, is nearer."""
-    rise = end.rise_of(other.rows.item(len(other.rows) // 2))
+    rise = end.rise_of(other.columns.item(len(other.columns) // 2))
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False
-    u, v = end.outwards_and_below(other.rows[[0, -1]])
+    u, v = end.outwards_and_below(other.columns[[0, -1]])
     return (math.hypot(u[1] - u[0], v[1] - v[0]) > SPLINTER
             and bool(u.min() < WIDEST_GAP + HIDDEN * rise))
 
@@ -89,9 +89,9 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     if not segments:
         raise FeatureError('no straight piece of '
                            f'{config.sampling.min_points} points or more in the profile')
-    longest = sorted(segments, key=lambda s: -len(s.rows))[:MOST_SURFACES]
+    longest = sorted(segments, key=lambda s: -len(s.columns))[:MOST_SURFACES]
     return tuple(face_line(segment, points) for segment in longest
-                 if len(segment.rows) >= SMALLEST_SURFACE * len(longest[0].rows))
+                 if len(segment.columns) >= SMALLEST_SURFACE * len(longest[0].columns))
 
 
 def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
@@ -111,7 +111,7 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     if not pairs:
         raise FeatureError(f'no two of the {len(segments)} straight pieces in the profile meet in '
                            f'an edge of more than {np.degrees(SMALLEST_ANGLE):.0f} degrees')
-    shorter = [min(len(segment.rows) for segment in pair) for pair in pairs]
+    shorter = [min(len(segment.columns) for segment in pair) for pair in pairs]
     order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
     best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
     lines = {segment: face_line(segment, points) for pair in best for segment in pair}

@@ -37,15 +37,15 @@ class Segment:
     """
     A straight piece of a profile: z = offset + slope * x.
 
-    first, last: its first and last point, as rows of the profile
-    rows: (k,) all its points
+    first, last: its first and last point, as columns of the profile
+    columns: (k,) all its points
     noise: the standard deviation of its points in range
-    straight: rows without the ends that are bent
+    straight: columns without the ends that are bent
     """
 
     first: int
     last: int
-    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
     offset: float
     slope: float
     noise: float
@@ -56,9 +56,9 @@ class Segment:
         return self.offset + self.slope * x
 
     def reversed(self, size: int) -> Segment:
-        """Return the segment in the reversed profile of so many rows."""
+        """Return the segment in the reversed profile of so many columns."""
         end = size - 1
-        return Segment(end - self.last, end - self.first, end - self.rows[::-1], self.offset,
+        return Segment(end - self.last, end - self.first, end - self.columns[::-1], self.offset,
                        self.slope, self.noise, end - self.straight[::-1])
 
 
@@ -77,44 +77,44 @@ def noise_level(z: Array, configured: float) -> float:
 
 
 def returned(points: Array) -> NDArray[np.intp]:
-    """Return the rows of points (n, 2) that are finite."""
+    """Return the columns of points (n, 2) that are finite."""
     finite = np.isfinite(points)
     return (finite[:, 0] & finite[:, 1]).nonzero()[0]
 
 
-def without_clutter(rows: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
+def without_clutter(columns: NDArray[np.intp], points: Array, noise: float) -> NDArray[np.intp]:
     """
-    Return the rows (k,) whose points are on a surface; all rows if few points are clutter.
+    Return the columns (k,) whose points are on a surface; all columns if few points are clutter.
 
     A sensor may return random ranges where nothing reflects. A point of a surface has neighbours
     at a similar range. noise: configured, 1 sigma (m).
     """
-    z, slack = points[:, 1].take(rows), MOST_NOISE * noise
-    if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= MOST_JUMPS * len(rows):
-        return rows
-    x = points[:, 0].take(rows)
-    neighbours = np.zeros(len(rows), dtype=np.intp)
+    z, slack = points[:, 1].take(columns), MOST_NOISE * noise
+    if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= MOST_JUMPS * len(columns):
+        return columns
+    x = points[:, 0].take(columns)
+    neighbours = np.zeros(len(columns), dtype=np.intp)
     for k in range(1, NEIGHBOURS + 1):
         near = np.abs(z[k:] - z[:-k]) < slack + STEEPEST * np.abs(x[k:] - x[:-k])
         neighbours[k:] += near
         neighbours[:-k] += near
-    return rows[neighbours >= FEWEST_NEIGHBOURS]
+    return columns[neighbours >= FEWEST_NEIGHBOURS]
 
 
 def straight_segments(points: Array, noise: float, min_points: int) -> list[Segment]:
     """
-    Return the straight pieces of a profile, in the order of its rows.
+    Return the straight pieces of a profile, in the order of its columns.
 
     points: (n, 2); noise: configured range noise (1 sigma); min_points: fewest of a piece.
     """
-    rows = without_clutter(returned(points), points, noise)
-    x, z = points.take(rows, axis=0).T.copy()
+    columns = without_clutter(returned(points), points, noise)
+    x, z = points.take(columns, axis=0).T.copy()
     tolerance = INLIER_SIGMAS * max(noise_level(z, noise), noise)
-    segments, free = list[Segment](), np.arange(len(rows))
+    segments, free = list[Segment](), np.arange(len(columns))
 
     def fitted(members: NDArray[np.intp]) -> list[Segment]:
         return [segment for piece in _pieces(members) if len(piece) >= min_points for segment in
-                _segments(rows.take(piece), x.take(piece), z.take(piece), noise / 3)
+                _segments(columns.take(piece), x.take(piece), z.take(piece), noise / 3)
                 if segment.noise <= MOST_NOISE * noise]
 
     for _ in range(MAX_LINES):
@@ -124,7 +124,7 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
         found = fitted(free[near])
         if len(found) > 1:
             # a line that slants through two surfaces may have more points than either has
-            largest = max(found, key=lambda s: len(s.rows))
+            largest = max(found, key=lambda s: len(s.columns))
             near = np.abs(z.take(free) - largest.height(x.take(free))) < tolerance
             found = fitted(free[near])
         segments += found
@@ -144,16 +144,16 @@ def _pieces(members: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
         yield members[first:last]
 
 
-def _segments(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> list[Segment]:
+def _segments(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float) -> list[Segment]:
     """
-    Return the segment fitted to the points x, z of rows, none if all have the same x.
+    Return the segment fitted to the points x, z of columns, none if all have the same x.
 
     least_noise: lower bound of the noise (m), as a sensor that rounds may show none.
     """
     # the last points at an end are the worst: the line is fitted without them
-    first = last = min(max(2, len(rows) // 50), (len(rows) - 3) // 2)
+    first = last = min(max(2, len(columns) // 50), (len(columns) - 3) // 2)
     for is_last in (False, True):
-        inner = slice(first, len(rows) - last)
+        inner = slice(first, len(columns) - last)
         count = inner.stop - inner.start
         middle_x, middle_z = float(x[inner].sum()) / count, float(z[inner].sum()) / count
         dx, dz = x - middle_x, z - middle_z
@@ -171,8 +171,9 @@ def _segments(rows: NDArray[np.intp], x: Array, z: Array, least_noise: float) ->
         if max(bent) <= first:
             break
         first, last = max(first, bent[0]), max(last, bent[1])
-    return [Segment(rows.item(0), rows.item(-1), rows, middle_z - slope * middle_x, slope, noise,
-                    rows[bent[0]:len(rows) - bent[1]])]
+    straight = columns[bent[0]:len(columns) - bent[1]]
+    return [Segment(columns.item(0), columns.item(-1), columns, middle_z - slope * middle_x,
+                    slope, noise, straight)]
 
 
 def _bent_end(residual: Array, noise: float) -> int:

@@ -36,7 +36,7 @@ SWEEP: Array = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class Readings:
     """
     What tracker and profiler see, metres.
 
@@ -69,7 +69,7 @@ class Result:
     angles: Array
 
 
-def solve(measured: Measured, direction: Array = SWEEP) -> Result:
+def solve(measured: Readings, direction: Array = SWEEP) -> Result:
     """
     Return the hand-eye transform by eqs. 5 to 12.
 
@@ -86,7 +86,7 @@ def solve(measured: Measured, direction: Array = SWEEP) -> Result:
                   np.array([face_angle(*by_tracker), face_angle(*by_sweep)]))
 
 
-def link_frame(measured: Measured) -> Array:
+def link_frame(measured: Readings) -> Array:
     """Return T_tracker_flange (4, 4), frame 3 at reading q30, by eqs. 6 and 7."""
     centre, axis = fit_arc(measured.parts['arc'])
     along = fit_line(measured.parts['line'])

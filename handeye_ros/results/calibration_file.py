@@ -15,7 +15,7 @@ from typing import Any, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, yaml_content
-from handeye_ros.data import Array, Calibration, Quality, SampleReport, TimeOffset
+from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_whole, yaml_text
 import numpy as np
@@ -34,7 +34,7 @@ HEADER = """\
 # that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
 """
 
-LARGEST = sys.float_info.max  # also of whole numbers
+LARGEST_NUMBER = sys.float_info.max  # also of whole numbers
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 
 
@@ -124,7 +124,7 @@ def file_of(path: Path) -> Path:
 def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
     path = Path(path)
-    file = Section(path, content_of(path))
+    file = FileSection(path, content_of(path))
     require_format(path, file.get('format', str), FORMAT)
     T = transform_from(path, 'transform', file.get('transform', dict))
     _check_rpy(file, T)
@@ -133,16 +133,16 @@ def read_calibration(path: Path | str) -> Calibration:
                                                   'child_frame')},
         T_flange_sensor=T, covariance=file.numbers('covariance', 36).reshape(6, 6),
         target=file.get('target', dict), quality=file.section('quality').read(Quality),
-        samples=tuple(Section(path, item, f'samples[{i}].').read(SampleReport)
+        samples=tuple(FileSection(path, item, f'samples[{i}].').read(SampleReport)
                       for i, item in enumerate(file.get('samples', list))),
         provenance=file.get('provenance', dict),
-        time_offset=file.section('time_offset').read(TimeOffset) if 'time_offset' in file.values
+        time_offset=file.section('time_offset').read(ClockEstimate) if 'time_offset' in file.values
         else None)
 
 
 def transform_from(path: Path, key: str, values: Any) -> Array:
     """Return the transform (4, 4) of plain values, which a file holds under a key."""
-    section = Section(path, values, f'{key}.')
+    section = FileSection(path, values, f'{key}.')
     translation, rotation = section.section('translation'), section.section('rotation')
     quaternion = np.array([rotation.get(key, float) for key in 'xyzw'])
     length = float(np.linalg.norm(quaternion))
@@ -152,7 +152,7 @@ def transform_from(path: Path, key: str, values: Any) -> Array:
                                quaternion)
 
 
-def _check_rpy(file: Section, T: Array) -> None:
+def _check_rpy(file: FileSection, T: Array) -> None:
     """Raise for angles that were edited without the quaternion, which is the one used."""
     if 'rpy' not in file.values:
         return
@@ -188,7 +188,7 @@ def unusable(path: Path, reason: str) -> InputError:
     return InputError(f'{path} cannot be used: {reason}')
 
 
-class Section:
+class FileSection:
     """A mapping in a file; each value is checked on access, and a refusal names file and key."""
 
     def __init__(self, path: Path, values: Any, prefix: str = '') -> None:
@@ -204,7 +204,7 @@ class Section:
         found = type(value)
         if found is not kind and (found, kind) != (int, float):
             raise self.error(key, f'is {value!r}, expected {kind.__name__}')
-        if kind is float and not abs(value) <= LARGEST:
+        if kind is float and not abs(value) <= LARGEST_NUMBER:
             raise self.error(key, f'is {value}')
         return kind(value)
 
@@ -212,13 +212,13 @@ class Section:
         """Return a list of finite numbers as an array (count,)."""
         values: list[Any] = self.get(key, list)
         if len(values) != count or not all(
-                type(v) in (int, float) and abs(v) <= LARGEST for v in values):
+                type(v) in (int, float) and abs(v) <= LARGEST_NUMBER for v in values):
             raise self.error(key, f'does not hold {count} numbers')
         return np.array(values, dtype=float)
 
-    def section(self, key: str) -> Section:
+    def section(self, key: str) -> FileSection:
         """Return a nested mapping."""
-        return Section(self.path, self.get(key, dict), f'{self._prefix}{key}.')
+        return FileSection(self.path, self.get(key, dict), f'{self._prefix}{key}.')
 
     def read(self, kind: type[Kind]) -> Kind:
         """Return a dataclass from its fields; those with a default may be missing."""

@@ -25,7 +25,7 @@ import numpy as np
 
 BLUE, ORANGE = '#1f6fb4', '#e07b00'
 MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
-SAME = 0.1  # sigmas: two answers of the same recording agree so well
+SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ def _wrong(calibration: Calibration, evidence: Evidence) -> str:
     if evidence.calibration:
         delta = se3.difference(calibration.T_flange_sensor, evidence.calibration.T_flange_sensor)
         # the same data give the same answer: their noise explains no difference
-        if (np.abs(delta) > SAME * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
+        if (np.abs(delta) > SAME_ANSWER * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
             return ('the recording gives another answer than the one saved, '
                     f'{np.linalg.norm(delta[:3]) * 1e3:.3f} mm and '
                     f'{math.degrees(np.linalg.norm(delta[3:])):.4f} degrees away: is it the '

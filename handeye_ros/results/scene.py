@@ -39,7 +39,7 @@ class StopSnapshot:
     reason: why it was not used, empty if it was
     residuals, left_out: (k,) of its measured points (metres), with and without it in the fit;
         empty where it was not used
-    samples: stamps of its samples, many where the robot moved; of a reject its own
+    sample_stamps: of its samples, many where the robot moved; of a reject its own
     """
 
     number: int
@@ -50,7 +50,7 @@ class StopSnapshot:
     reason: str = ''
     residuals: Array = field(default_factory=lambda: np.empty(0))
     left_out: Array = field(default_factory=lambda: np.empty(0))
-    samples: tuple[int, ...] = ()
+    sample_stamps: tuple[int, ...] = ()
 
     @property
     def used(self) -> bool:

@@ -10,12 +10,12 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import content_of, Section, transform_from
+from handeye_ros.results.calibration_file import content_of, FileSection, transform_from
 import numpy as np
 import yaml
 
 NAME = 'truth.yaml'
-STEPS = 13  # points along each side of the field of view: fewer would be mostly its corners
+SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
 FIELD = 'x within +-20 mm, range 160-190 mm'
 
 
@@ -34,7 +34,7 @@ def true_transform(bag: Path) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / NAME
     if not path.is_file():
         return None
-    values = Section(path, content_of(path)).get('T_flange_sensor', dict)
+    values = FileSection(path, content_of(path)).get('T_flange_sensor', dict)
     return transform_from(path, 'T_flange_sensor', values)
 
 
@@ -70,5 +70,5 @@ def errors_against(T_est: Array, T_true: Array, field: Array | None = None) -> E
 def field_points(x: tuple[float, float] = (-0.02, 0.02), z: tuple[float, float] = (0.16, 0.19)
                  ) -> Array:
     """Return a grid (k, 3) in the sensor plane, along the line within x, in range within z."""
-    along, across = np.meshgrid(np.linspace(*x, STEPS), np.linspace(*z, STEPS))
+    along, across = np.meshgrid(np.linspace(*x, SIDE_POINTS), np.linspace(*z, SIDE_POINTS))
     return np.column_stack([along.ravel(), np.zeros(along.size), across.ravel()])

@@ -22,7 +22,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.estimation.noise import prior_variances
+from handeye_ros.estimation.noise import estimated_variances
 from handeye_ros.robot.residuals import ArmState, ArmStops
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ MINIMUM = 12  # stops
 ROUNDS, CONVERGED = 6, 0.02  # iterations of prior scales and noise; relative change that ends them
 POOLED = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
-LARGEST = 1e3  # largest prior scale
+LARGEST_SCALE = 1e3  # largest prior scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +106,9 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
         order = np.argsort(fit.state.kinds, kind='stable')
         sigma, covariance = fit.stds[order], fit.covariance[u:, u:][np.ix_(order, order)]
         first = np.searchsorted(fit.state.kinds[order], np.arange(len(variances)))
-        variances = prior_variances(
+        variances = estimated_variances(
             covariance / np.outer(sigma, sigma), fit.state.errors[order] / sigma, first,
-            variances, np.full(len(variances), LARGEST))[int(conservative)]
+            variances, np.full(len(variances), LARGEST_SCALE))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % fit.stops.axes
     free, squares = (np.bincount(axis, values) for values in (
         1 - np.einsum('mi,mi->m', J @ fit.covariance, J), (r * fit.noise[axis]) ** 2))

@@ -18,14 +18,14 @@ from handeye_ros.published import fixed_point
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
 from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
-from handeye_ros.robot.selection import joint_notes, require_enough, solve, Start
+from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve
 from handeye_ros.tables import ANGLE, LENGTH, Table
 from handeye_ros.targets.target import xyz
 import numpy as np
 from numpy.typing import NDArray
 
 ROUGH = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
-FAR = 25.0  # squared residuals over their median: left out of the first fit
+FAR_SQUARES = 25.0  # squared residuals over their median: left out of the first fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +75,14 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
             [*unused, *joint_notes(arm, q)])
 
 
-def start_of(rows: PointRows, arm: Arm, limit: float) -> Start:
+def arm_problem_of(rows: PointRows, arm: Arm, limit: float) -> ArmProblem:
     """Return the hand-eye transform alone, with the arm as stated; raises DataError."""
     require_enough(len(rows))
 
-    def missed(joints: Array, other_side: bool) -> float:
+    def residual_with(joints: Array, other_side: bool) -> float:
         changed = replace(rows, q=rows.q @ joints.T, in_hand=rows.in_hand != other_side)
         return _alone(changed, arm).residual_rms
-    return Start(_alone(rows, arm), limit, rows.in_hand, rows.q, missed)
+    return ArmProblem(_alone(rows, arm), limit, rows.in_hand, rows.q, residual_with)
 
 
 def _alone(rows: PointRows, arm: Arm) -> ArmFit:
@@ -105,7 +105,7 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
         return (stops.distances(state) / ROUGH) ** 2 / 3
     state = graduated(start, squares, System(linearised, stops.moved, stops.station).reweighted)
     left = squares(state)
-    good = left <= FAR * max(float(np.median(left)), (LEAST_NOISE / ROUGH) ** 2)
+    good = left <= FAR_SQUARES * max(float(np.median(left)), (LEAST_NOISE / ROUGH) ** 2)
     return first_fit(stops, state, good, ROUGH)
 
 
@@ -117,7 +117,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
     rows, notes = read_table(path, arm, config.calibration_type == 'eye_in_hand')
-    outcome = solve(start_of(rows, arm, config.limits.residual))
+    outcome = solve(arm_problem_of(rows, arm, config.limits.residual))
     fit, covariance = outcome.chosen.fit, outcome.covariance[:6, :6]
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '

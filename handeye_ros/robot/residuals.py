@@ -121,7 +121,7 @@ class ArmPoints:
         return target + step
 
 
-Measured: TypeAlias = ArmProfiles | ArmPoints
+Measurement: TypeAlias = ArmProfiles | ArmPoints
 
 
 def lengths(residuals: Array, station: NDArray[np.intp], axes: int = 1) -> Array:
@@ -169,11 +169,11 @@ class ArmStops:
     """
 
     q: Array
-    measured: tuple[Measured, ...]
+    measured: tuple[Measurement, ...]
     root: Array
 
     @classmethod
-    def of(cls, q: Array, measured: tuple[Measured, ...]) -> ArmStops:
+    def of(cls, q: Array, measured: tuple[Measurement, ...]) -> ArmStops:
         """Return the measurements of a robot without a smooth error."""
         return cls(q, measured, np.zeros((len(q), 0)))
 
@@ -192,7 +192,7 @@ class ArmStops:
         return int(self.parts[-1][2].stop)
 
     @cached_property
-    def parts(self) -> list[tuple[Measured, slice, slice]]:
+    def parts(self) -> list[tuple[Measurement, slice, slice]]:
         """Return for each target its measurements, its stops, and the columns of its unknowns."""
         stops = np.cumsum([0, *map(len, self.measured)])
         columns = np.cumsum([6, *(one.unknowns for one in self.measured)])

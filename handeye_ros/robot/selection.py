@@ -38,7 +38,7 @@ MOST_SHARE = 0.8  # largest ratio of parameters to conditions
 AGREEING = 0.5  # smallest share of the stops that agree
 HOPELESS = 20.0  # times the limit of the residual: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
-STEPS = 15  # configurations on the line from one to another
+LINE_CONFIGURATIONS = 15  # configurations on the line from one to another
 # Per kind of joint, rad and m: tolerance of the limits, which are often stated roughly, and the
 # smallest range of values that determines the error of a joint.
 BEYOND = {REVOLUTE: 0.35, PRISMATIC: 0.1}
@@ -97,7 +97,7 @@ class ArmOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class ArmProblem:
     """
     Stops with the arm as stated, from which an outcome is found.
 
@@ -105,15 +105,15 @@ class Start:
     limit: the largest valid residual (m)
     in_hand: whether the sensor is on the flange
     q: (n, joints) of all stops
-    missed(joints, other_side): the residual (m) with the joint values multiplied by a matrix
-        (joints, joints), and with the sensor on the other side
+    residual_with(joints, other_side): the residual (m) with the joint values multiplied by a
+        matrix (joints, joints), and with the sensor on the other side
     """
 
     fit: ArmFit
     limit: float
     in_hand: bool
     q: Array
-    missed: Callable[[Array, bool], float]
+    residual_with: Callable[[Array, bool], float]
 
     @property
     def arm(self) -> Arm:
@@ -130,16 +130,16 @@ def require_enough(usable: int) -> None:
 
 
 @single_threaded
-def solve(start: Start) -> ArmOutcome:
+def solve(problem: ArmProblem) -> ArmOutcome:
     """Return the corrected arm and its hand-eye transform; raises DataError."""
-    fit = start.fit
-    if fit.used.sum() < max(MINIMUM, AGREEING * len(start.q)) or (
-            fit.residual_rms > HOPELESS * start.limit):
-        raise _contradiction(start)
-    richest = without_outliers(with_arm(fit, start.arm.freed(GEOMETRY)))
-    if richest.residual_rms > start.limit or richest.used.mean() < AGREEING:
-        raise _contradiction(start)
-    offsets = without_outliers(with_arm(fit, start.arm.freed([OFFSET])))
+    fit = problem.fit
+    if fit.used.sum() < max(MINIMUM, AGREEING * len(problem.q)) or (
+            fit.residual_rms > HOPELESS * problem.limit):
+        raise _contradiction(problem)
+    richest = without_outliers(with_arm(fit, problem.arm.freed(GEOMETRY)))
+    if richest.residual_rms > problem.limit or richest.used.mean() < AGREEING:
+        raise _contradiction(problem)
+    offsets = without_outliers(with_arm(fit, problem.arm.freed([OFFSET])))
     alone = adjusted(replace(fit, used=richest.used))
     fold = _regions(fit.stops.q)
     models = tuple(Model(replace(each, used=richest.used), _left_out(each, fold))
@@ -232,7 +232,7 @@ def one_configuration(arm: Arm, q: Array) -> bool:
     """
     if [joint.kind for joint in arm.joints] != [REVOLUTE] * 6:
         return False
-    fractions = np.linspace(0.0, 1.0, STEPS)[:, None, None]
+    fractions = np.linspace(0.0, 1.0, LINE_CONFIGURATIONS)[:, None, None]
     between = (q[0] + fractions * (q - q[0])).reshape(-1, 6)
     return len(np.unique(np.sign(np.linalg.det(arm.freed(()).twists(between)[..., 0])))) == 1
 
@@ -259,27 +259,27 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     return sentences
 
 
-def _contradiction(start: Start) -> DataError:
+def _contradiction(problem: ArmProblem) -> DataError:
     """Return the refusal of stops that no arm explains, with the likely cause."""
-    stated = start.missed(np.eye(len(start.arm.joints)), False)
+    stated = problem.residual_with(np.eye(len(problem.arm.joints)), False)
     cause, best = ('check that the URDF is of this robot, the unit and the sign of each joint, '
                    'calibration_type, and that the target did not move'), BETTER * stated
-    for words, joints, other_side in _changes(start):
+    for words, joints, other_side in _changes(problem):
         with suppress(DataError, np.linalg.LinAlgError):
-            missed = start.missed(joints, other_side)
+            missed = problem.residual_with(joints, other_side)
             if missed < best:
                 best, cause = missed, words
     return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
-                     f'beyond the {mm(start.limit)} of a robot that is only inaccurate: {cause}',
+                     f'beyond the {mm(problem.limit)} of a robot that is only inaccurate: {cause}',
                      reason=UNSOLVED)
 
 
-def _changes(start: Start) -> Iterator[tuple[str, Array, bool]]:
-    """Yield possible errors in words, and what undoes them; see Start.missed."""
-    joints, identity = start.arm.joints, np.eye(len(start.arm.joints))
+def _changes(problem: ArmProblem) -> Iterator[tuple[str, Array, bool]]:
+    """Yield possible errors in words, and what undoes them; see ArmProblem.residual_with."""
+    joints, identity = problem.arm.joints, np.eye(len(problem.arm.joints))
     revolute = np.array([joint.kind == REVOLUTE for joint in joints])
     words, unit = (('degrees stated as radians', math.radians(1))
-                   if np.median(np.abs(start.q).max(axis=0)) > 2 * math.pi else
+                   if np.median(np.abs(problem.q).max(axis=0)) > 2 * math.pi else
                    ('radians stated as degrees', math.degrees(1)))
     yield f'the joint values seem to be {words}', np.diag(np.where(revolute, unit, 1.0)), False
     for joint, column in zip(joints, identity, strict=True):
@@ -289,5 +289,5 @@ def _changes(start: Start) -> Iterator[tuple[str, Array, bool]]:
         yield (f'{joints[2].name} seems to be counted from the horizontal, as some controllers '
                f'do: add {joints[1].name} to it', identity + np.outer(identity[2], identity[1]),
                False)
-    other = 'eye_on_base' if start.in_hand else 'eye_in_hand'
+    other = 'eye_on_base' if problem.in_hand else 'eye_in_hand'
     yield f'set calibration_type to {other}', identity, True

@@ -20,7 +20,7 @@ from handeye_ros.frames import in_mount, sensor_axes
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
 from handeye_ros.robot.residuals import ArmProfiles, ArmState, ArmStops, lengths
-from handeye_ros.robot.selection import joint_notes, require_enough, solve, Start, UNSOLVED
+from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_at_poses, synchronised
@@ -88,7 +88,7 @@ def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Arr
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
 
 
-def start_of(sources: Sequence[Source], arm: Arm) -> Start:
+def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     """Return the samples that agree, with the arm as stated; raises DataError."""
     measured, states, q = [], [], []
     for source in sources:
@@ -109,12 +109,12 @@ def start_of(sources: Sequence[Source], arm: Arm) -> Start:
     state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
-    return Start(fit, problem.config.limits.residual, problem.in_hand, every,
+    return ArmProblem(fit, problem.config.limits.residual, problem.in_hand, every,
                  lambda *change: max(_misfit(source, arm, *change) for source in sources))
 
 
 def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
-    """Return the median residual (m) of the stops at the best estimate; see Start.missed."""
+    """Return the median residual (m) of the stops; see residual_with of ArmProblem."""
     in_hand = source.problem.in_hand != other_side
     config = replace(source.problem.config,
                      calibration_type='eye_in_hand' if in_hand else 'eye_on_base')
@@ -134,7 +134,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     inputs: further files.
     """
     try:
-        outcome = solve(start_of(sources, arm))
+        outcome = solve(arm_problem_of(sources, arm))
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
@@ -154,7 +154,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
 
 def _calibrated(source: Source, arm: Arm) -> Calibration:
     """Return the calibration with the poses of a corrected arm; raises DataError."""
-    samples = [replace(sample, T_base_flange=T, motion=None)
+    samples = [replace(sample, T_base_flange=T, trajectory=None)
                for sample, T in zip(source.samples, arm.forward(source.q), strict=True)]
     return pipeline.solve(samples, source.session.rejects, source.problem.config,
                           source.session.frame_id)

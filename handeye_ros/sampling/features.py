@@ -78,7 +78,7 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     middle = single[len(single) // 2]
     return replace(middle, profiles=len(single), of_pass=single,
-                   motion=trajectory_of(stop.poses, config.sampling.max_pose_gap))
+                   trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap))
 
 
 def _no_profiles(stop: Stop, config: Config) -> FeatureError:

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
-LONGEST = 10 * NS  # of a stop: more adds nothing but memory
+LONGEST_STOP = 10 * NS  # of a stop: more adds nothing but memory
 PASS = 2 * NS  # of motion
-SHORT = NS // 10  # a rest that was probably meant as a stop
+SHORT_REST = NS // 10  # a rest that was probably meant as a stop
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63
 
@@ -65,7 +65,7 @@ class Stop:
         return self.result if isinstance(self.result, Sample) else None
 
     @property
-    def refused(self) -> str:
+    def final_reason(self) -> str:
         """Return why the stop gives no sample, whatever its profiles show, '' if it may."""
         result = self.result
         return result.reason if isinstance(result, Reject) and result.final else ''
@@ -179,8 +179,9 @@ class StopFinder(Copyable):
     """
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
-    began: stamp of the first pose of the current stop; longest: time that the robot stood still so
-    far (ns); short: number of times that it did so for SHORT, but not for sampling.still_time.
+    began: stamp of the first pose of the current stop
+    longest: time that the robot stood still so far (ns)
+    short: number of times that it did so for SHORT_REST, but not for sampling.still_time
     """
 
     def __init__(self, sampling: SamplingConfig) -> None:
@@ -206,7 +207,7 @@ class StopFinder(Copyable):
         if self._run:
             stood = self._run[-1].stamp - self._run[0].stamp
             self.longest = max(self.longest, stood)
-            self.short += ended is None and stood >= SHORT
+            self.short += ended is None and stood >= SHORT_REST
         self._run, self.began = deque([pose]), pose.stamp
         return ended
 
@@ -235,7 +236,7 @@ class StopFinder(Copyable):
         if not self._run:
             return 0, FOREVER
         limited = self.sampling.by_itself
-        return self._run[0].stamp, self._run[0].stamp + LONGEST if limited else FOREVER
+        return self._run[0].stamp, self._run[0].stamp + LONGEST_STOP if limited else FOREVER
 
     def _continues(self, pose: TimedPose) -> bool:
         first, limits = self._run[0], self.sampling
@@ -256,7 +257,7 @@ class StopFinder(Copyable):
             self._run.popleft()
 
     def _is_full(self, pose: TimedPose) -> bool:
-        return pose.stamp - self._run[0].stamp > LONGEST or len(self._run) > MOST_POSES
+        return pose.stamp - self._run[0].stamp > LONGEST_STOP or len(self._run) > MOST_POSES
 
 
 def _turned(a: TimedPose, b: TimedPose) -> float:

@@ -11,7 +11,7 @@ start from several offsets, on some of the samples, until one is good. However l
 sweep is, MOST_SAMPLES of its profiles make the answer.
 
 How a sweep differs from stops: a pass is cut by time (StopFinder), and its profiles are not
-combined (sampling/features.py); passes_expanded takes it apart, with one motion for all parts;
+combined (sampling/features.py); passes_expanded takes it apart, with one trajectory for all parts;
 synchronised finds the clocks, on which the poses of the parts depend (problem_of). What follows
 from that elsewhere asks Sample.moving or sampling.moving: a pass is never a duplicate, nor taken
 early (session.py); other settings and clocks are not asked (checks/causes.py), and a move must be
@@ -48,14 +48,14 @@ MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep; where some do: a start, a w
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    motions = [sample.motion for sample in samples if sample.of_pass]
-    motion = joined(motions) if motions else None
-    return tuple(replace(one, motion=motion) if sample.of_pass else one
+    trajectories = [sample.trajectory for sample in samples if sample.of_pass]
+    trajectory = joined(trajectories) if trajectories else None
+    return tuple(replace(one, trajectory=trajectory) if sample.of_pass else one
                  for sample in samples for one in sample.parts)
 
 
 @dataclass(frozen=True, eq=False)
-class Pairing:
+class ClockedPoses:
     """
     Poses of n samples as a function of the clocks; those of stops are constant.
 
@@ -65,26 +65,26 @@ class Pairing:
     T_base_flange: Array
     stamps: NDArray[np.int64]
     moving: NDArray[np.bool_]
-    motion: Trajectory
+    trajectory: Trajectory
 
     @classmethod
-    def of(cls, samples: Sequence[Sample]) -> Pairing:
-        """Return the pairing of samples, at least one of them of a moving robot."""
+    def of(cls, samples: Sequence[Sample]) -> ClockedPoses:
+        """Return the clocked of samples, at least one of them of a moving robot."""
         return cls(np.array([sample.T_base_flange for sample in samples]),
                    np.array([sample.stamp for sample in samples]),
                    np.array([sample.moving for sample in samples]),
-                   next(sample.motion for sample in samples if sample.moving))
+                   next(sample.trajectory for sample in samples if sample.moving))
 
     @property
     def since_middle(self) -> Array:
         """Return the time (n,) of each sample since the middle of the recording (s)."""
-        first, last = int(self.motion.stamps[0]), int(self.motion.stamps[-1])
+        first, last = int(self.trajectory.stamps[0]), int(self.trajectory.stamps[-1])
         return np.asarray((self.stamps - (first + (last - first) // 2)) * 1e-9)
 
     def at(self, offset: float, lag: float = 0.0, drift: float = 0.0) -> Instants:
         """Return the flange at each sample; offset, lag (s), drift: as in the module's text."""
         shift = np.rint((offset + drift * self.since_middle) * 1e9).astype(np.int64)
-        found = self.motion.at((self.stamps + shift)[self.moving], lag)
+        found = self.trajectory.at((self.stamps + shift)[self.moving], lag)
         n = len(self.stamps)
         T, twists, inside = self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool)
         T[self.moving], twists[self.moving] = found.T_base_flange, found.twists
@@ -92,19 +92,19 @@ class Pairing:
         return Instants(T, twists, inside)
 
 
-def _poses_and_twists(pairing: Pairing, unknown: tuple[int, ...], values: Array
+def _poses_and_twists(clocked: ClockedPoses, unknown: tuple[int, ...], values: Array
                       ) -> tuple[Array, Array]:
     """Return poses (n, 4, 4) and twists (n, 6, k) for values of the unknown clocks."""
-    return _evaluated(pairing, unknown, tuple(values.tolist()))
+    return _evaluated(clocked, unknown, tuple(values.tolist()))
 
 
 @lru_cache(maxsize=8)  # poses, then twists, are requested for the same values
-def _evaluated(pairing: Pairing, unknown: tuple[int, ...], values: tuple[float, ...]
+def _evaluated(clocked: ClockedPoses, unknown: tuple[int, ...], values: tuple[float, ...]
                ) -> tuple[Array, Array]:
-    poses = pairing.at(*_all_values(unknown, values))
+    poses = clocked.at(*_all_values(unknown, values))
     twists = np.stack([poses.twists] * len(CLOCKS), axis=2)
     twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
-    twists[:, :, 2] *= pairing.since_middle[:, None]
+    twists[:, :, 2] *= clocked.since_middle[:, None]
     return poses.T_base_flange, twists[:, :, list(unknown)]
 
 
@@ -132,12 +132,12 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     problem = problem_at_poses(samples, config)
     if not any(sample.moving for sample in samples):
         return problem
-    pairing = Pairing.of(samples)
+    clocked = ClockedPoses.of(samples)
     unknown, stds = _unknown(config)
     model = PoseModel(
-        partial(_poses_and_twists, pairing, unknown), tuple(CLOCKS[k] for k in unknown),
+        partial(_poses_and_twists, clocked, unknown), tuple(CLOCKS[k] for k in unknown),
         (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
-        blocks=partial(errors_in_motion, pairing.stamps),
+        blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
     found = (*next(s.offsets for s in samples if s.moving), 0.0, 0.0)
     return replace(problem, pose_model=model, pose_values=np.array([found[k] for k in unknown]))
@@ -208,7 +208,7 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
 def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
     """Return offset, lag and drift of a fit, and the flange at each sample by them."""
     values = _all_values(_unknown(fit.problem.config)[0], fit.problem.pose_values)
-    return values, Pairing.of(samples).at(*values)
+    return values, ClockedPoses.of(samples).at(*values)
 
 
 def _searched(problem: Problem, rng: np.random.Generator) -> Linear:

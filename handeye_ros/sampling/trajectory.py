@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 DEGREE = 3
 # spacings of knots that are tried (s)
 SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
-FEWEST = 8  # fewest poses of a piece
+FEWEST_POSES = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
 AVERAGED = 0.004  # time over which many poses are averaged (s)
 OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
@@ -71,7 +71,8 @@ class Trajectory:
         """Return the pieces between the gaps."""
         ends = np.flatnonzero(np.diff(self.stamps) > self.gap * 1e9) + 1
         parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
-        return tuple(_fitted(stamps, values) for stamps, values in parts if len(stamps) >= FEWEST)
+        return tuple(_fitted(stamps, values) for stamps, values in parts
+                     if len(stamps) >= FEWEST_POSES)
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""

@@ -19,7 +19,7 @@ KNOT_SPACING = 0.03  # m between the knots of a spline
 CUT = 3.5  # sigmas of points that are left out
 FINEST = 1e-6  # m: the smallest scatter assumed when outliers are removed
 FINE = 2000  # points of a curve for its length
-SAME = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
+CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,4 +114,4 @@ def through(points: Array) -> Curve:
     t = np.arange(1.0, len(points) + 1.0)
     simple, flexible = _fitted(t, points, np.repeat([t[0], t[-1]], 4)), spline(t, points)
     difference = simple.position(t) - flexible.position(t)
-    return simple if np.sqrt((difference ** 2).sum(axis=1).mean()) < SAME else flexible
+    return simple if np.sqrt((difference ** 2).sum(axis=1).mean()) < CUBIC_ENOUGH else flexible

@@ -33,7 +33,7 @@ COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', '
 NEARBY = 0.01  # m along the seam: sections within it give the residual at a frame
 WIDEST = 0.012  # m between the edges of a seam
 POINTS = 400_000  # largest number of points of a cloud that are used
-FEWEST = 500  # smallest number
+FEWEST_POINTS = 500  # smallest number
 SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
 UNCERTAIN = 4e-5, np.deg2rad(0.4)  # largest 1 sigma of position (m) and approach of an end frame
 UNCLEAR = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
@@ -107,9 +107,9 @@ def find_seam(points: Array, widest: float = WIDEST,
     """
     points = np.unique(points, axis=0)
     points = points[::max(-(-len(points) // POINTS), 1)]
-    if len(points) < FEWEST:
-        raise DataError(f'the cloud has {len(points)} different points, fewer than {FEWEST}: scan '
-                        'more densely, or widen --box')
+    if len(points) < FEWEST_POINTS:
+        raise DataError(f'the cloud has {len(points)} different points, fewer than '
+                        f'{FEWEST_POINTS}: scan more densely, or widen --box')
     up = -np.asarray(towards)
     sheets = sheets_of(points, up)
     rough = course(sheets, widest, up)

@@ -29,7 +29,7 @@ OPPOSITE, AHEAD = -0.5, -0.3  # cosines between outward directions, and to the p
 INWARDS = 0.3  # cosine between one sheet's normal and the direction into the other: hollow corner
 NEXT_NEAREST = 1.15  # largest ratio of a partner's distance to that of the nearest partner
 LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
-SHORTEST = 0.01  # m: smallest length of a seam
+SHORTEST_SEAM = 0.01  # m: smallest length of a seam
 HIGHEST_LAP = 8e-3  # m: a higher step is no lap
 NARROWEST = 4.0  # spacings: smallest gap
 TOUCHING = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
@@ -131,7 +131,7 @@ def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
         inner = graph[rows][:, rows]
         end = int(np.argmax(dijkstra(inner, directed=False, indices=0)))
         along = dijkstra(inner, directed=False, indices=end)
-        if along.max() >= SHORTEST:
+        if along.max() >= SHORTEST_SEAM:
             order = np.argsort(along)
             found.append((pairs[rows[order]], along[order]))
     return found

@@ -24,13 +24,13 @@ from scipy.optimize import brentq
 from scipy.signal import find_peaks
 from scipy.special import log_ndtr
 
-FEWEST = 12  # points of a side of a section
-SHORT = 0.365  # mean bias of the most likely end for few points, times the density
+FEWEST_OF_SIDE = 12  # points of a side of a section
+SHORT_BIAS = 0.365  # mean bias of the most likely end for few points, times the density
 INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
 BIN = 0.05  # spacings: width of a bin of the points beside the seam
 FREQUENCIES = np.fft.rfftfreq(1024, BIN)  # of columns, per spacing
 REGULAR = 0.25  # periodicity of columns, more than random points have
-WIDTH = 24.0  # spacings: width of a sheet's section, at least
+SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
 NARROWEST = 6e-3  # m: the same
 MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
 BEYOND = 2e-3  # m: largest distance of the end from the rough edge
@@ -163,7 +163,7 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     offset = np.median(points[own] - on_line, axis=0)
     # the points of a pair may be displaced along the seam
     start = position + offset - (offset @ tangent) * tangent
-    width = max(WIDTH * spacing, NARROWEST)
+    width = max(SECTION_WIDTH * spacing, NARROWEST)
     rows = np.array(sheets.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
                     dtype=int)
     labels, counts = np.unique(sheets.label[own], return_counts=True)
@@ -211,7 +211,7 @@ def _sheet_through(b: Array, height: Array, margin: float, degree: int
     sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
         used = (b > margin) & (np.abs(height - np.polyval(sheet, b)) <= cut * noise)
-        if used.sum() < FEWEST or np.ptp(b[used]) < margin:
+        if used.sum() < FEWEST_OF_SIDE or np.ptp(b[used]) < margin:
             return None
         sheet = np.polyfit(b[used], height[used], degree)
         scatter = np.median(np.abs(height[used] - np.polyval(sheet, b[used])))
@@ -234,7 +234,7 @@ def _end_of(b: Array, noise: float, density: float) -> float:
     low, high = last - 5 * noise, last + 5 * noise + 10 / max(density, 1.0)
     if excess(low) < 0 or excess(high) > 0:
         return last
-    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT / density
+    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT_BIAS / density
 
 
 def _column_resolution(b: Array, spacing: float) -> float:
@@ -250,7 +250,7 @@ def _column_resolution(b: Array, spacing: float) -> float:
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
     # the first, not a multiple of it
     peaks, _ = find_peaks(periodic, height=max(REGULAR, 0.8 * periodic.max()))
-    few = counts.sum() < FEWEST or not len(peaks)
+    few = counts.sum() < FEWEST_OF_SIDE or not len(peaks)
     return 0.0 if few else float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 
 

@@ -27,7 +27,7 @@ LINKED = 10  # neighbours, near and far, that are compared with a point
 FLAT = 1.35  # times the median thickness of a neighbourhood: a thicker one is no plane
 SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
-SMALLEST = 60  # points of a sheet
+SMALLEST_SHEET = 60  # points of a sheet
 THINNEST = 0.25  # spacings: smallest standard deviation across a sheet; less is a single profile
 FREE_ANGLE = 2.2  # rad without neighbours: an edge
 CHUNK = 20_000
@@ -124,7 +124,7 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDAr
                        shape=(len(points), len(points)))
     label = connected_components(graph, directed=False)[1].astype(np.intp)
     size = np.bincount(label[flat], minlength=len(points) + 1)
-    return np.where(flat & (size[label] >= SMALLEST), label, -1)
+    return np.where(flat & (size[label] >= SMALLEST_SHEET), label, -1)
 
 
 def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array, spacing: float

@@ -6,7 +6,7 @@ Simulated recordings with known truth, without ROS.
 `simulate` renders profiles and poses; `simulate_samples` makes the features directly; `FAULTS`
 are cells with the faults of real ones; `FILE_SCENES` make files of measured values.
 """
-from handeye_ros.simulate.measured import FILE_SCENES, Measured
+from handeye_ros.simulate.measured import FILE_SCENES, SimulatedFiles
 from handeye_ros.simulate.recording import (
     settings,
     simulate,
@@ -17,5 +17,5 @@ from handeye_ros.simulate.recording import (
 )
 from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
 
-__all__ = ['FAULTS', 'FILE_SCENES', 'Measured', 'SCENARIOS', 'Scenario', 'Simulated', 'Station',
-           'Truth', 'settings', 'simulate', 'simulate_samples']
+__all__ = ['FAULTS', 'FILE_SCENES', 'SCENARIOS', 'Scenario', 'Simulated', 'SimulatedFiles',
+           'Station', 'Truth', 'settings', 'simulate', 'simulate_samples']

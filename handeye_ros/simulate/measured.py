@@ -27,7 +27,7 @@ DIGITS = 9  # after the point in the tables
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class SimulatedFiles:
     """
     Files, with their true values.
 
@@ -46,7 +46,7 @@ class Measured:
     poses: tuple[TimedPose, ...] = ()
 
 
-def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Measured:
+def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> SimulatedFiles:
     """Return the tip of a tool at several positions, 0.5 m from a camera beside the robot."""
     R = Rotation.random(random_state=rng).as_matrix()
     middle, reach = np.array([0.6, 0.1, 0.3]), np.array([0.0, 0.0, 0.5])
@@ -55,12 +55,12 @@ def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Me
     camera = se3.apply(se3.inverse(X), base) + noise * rng.normal(size=base.shape)
     header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
     text = csv_text(header, (1e3 * np.hstack([camera, base])).round(DIGITS))
-    return Measured({'points.csv': text}, X, {'point': noise},
+    return SimulatedFiles({'points.csv': text}, X, {'point': noise},
                     {'target.type': 'points', 'calibration_type': 'eye_on_base'})
 
 
 def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
-             count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> Measured:
+             count: int = 12, tilts: Sequence[float] = (30.0, 30.0, 60.0)) -> SimulatedFiles:
     """
     Return poses of the robot, and of a target that is seen by a camera, and faces it.
 
@@ -84,7 +84,7 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
     header = [f'{name}_{column}' for name in ('flange', 'target')
               for column in ('x [mm]', 'y [mm]', 'z [mm]', 'qx', 'qy', 'qz', 'qw')]
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
-    return Measured({'poses.csv': csv_text(header, np.hstack(columns).round(DIGITS))}, X,
+    return SimulatedFiles({'poses.csv': csv_text(header, np.hstack(columns).round(DIGITS))}, X,
                     dict(zip(names, (*robot, *target), strict=True)),
                     {'target.type': 'hand_eye', 'calibration_type': (
                         'eye_on_base' if eye_on_base else 'eye_in_hand')})
@@ -108,7 +108,7 @@ def arm(turn: float, q3: float) -> Array:
 
 
 def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
-                  noise: float = TRACKER_NOISE, reported: float = REPORTED) -> Measured:
+                  noise: float = TRACKER_NOISE, reported: float = REPORTED) -> SimulatedFiles:
     """
     Return a bag of the sweep over ball and block, and the reflector's positions by kind.
 
@@ -131,7 +131,7 @@ def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
     reflector = [[kind, *point] for kind, points in _reflector(T_base_target, rng).items()
                  for point in (1e3 * (points + noise * rng.normal(size=points.shape))
                                ).round(DIGITS)]
-    return Measured(
+    return SimulatedFiles(
         {'tracker.csv': csv_text(['kind', 'x [mm]', 'y [mm]', 'z [mm]'], reflector)}, X,
         {'tracker': noise, 'sensor': sensor.noise, 'readings': reported},
         {'target.type': 'tracker', 'target.radius': RADIUS, 'tracker.h0': H0, 'tracker.h1': H1,
@@ -157,7 +157,7 @@ def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Arra
     return {kind: se3.apply(T_tracker_base, points) for kind, points in in_base.items()}
 
 
-FILE_SCENES: dict[str, Callable[[np.random.Generator], Measured]] = {
+FILE_SCENES: dict[str, Callable[[np.random.Generator], SimulatedFiles]] = {
     'points': points,
     'hand_eye': hand_eye,
     'hand_eye_on_base': partial(hand_eye, eye_on_base=True),

@@ -35,7 +35,7 @@ GAP = 1.0  # s between two stops
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Messages:
     """Profiles and reported poses of the flange."""
 
     profiles: tuple[Profile, ...]
@@ -49,7 +49,7 @@ def draw_pose(rng: np.random.Generator, tilt: float = 0.2, low: float = 0.0) -> 
 
 
 def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, stops: Placements,
-             rng: np.random.Generator, start: float = 0.0) -> Recording:
+             rng: np.random.Generator, start: float = 0.0) -> Messages:
     """Return the messages at stops from start (s) on, without those between the stops."""
     sensor, robot = scenario.sensor, scenario.robot
     T = T_base_target @ stops.T_target_sensor @ se3.inverse(T_flange_sensor)
@@ -65,7 +65,7 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
         ranges = sensors.measure(sensor, z[again], angle[again], rng)
         profiles += timed_profiles(begin + times, sensors.plane_points(sensor, ranges))
         poses += _jittering(robot, pose, begin + np.arange(0.0, STOP, 1 / robot.rate), rng)
-    return Recording(tuple(profiles), tuple(poses))
+    return Messages(tuple(profiles), tuple(poses))
 
 
 def _jittering(robot: RobotModel, T: Array, times: Array, rng: np.random.Generator
@@ -115,7 +115,7 @@ class Gauge:
 
 
 def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor: SensorModel,
-               robot: RobotModel, rng: np.random.Generator) -> tuple[Recording, ...]:
+               robot: RobotModel, rng: np.random.Generator) -> tuple[Messages, ...]:
     """Return the passes of a scan; the robot's error is constant during a pass."""
     distance, speed = gauge.length - 0.02, 0.01  # m, m/s along the teeth
     times = np.arange(0.0, distance / speed, 1 / sensor.rate)
@@ -130,7 +130,7 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
         points = sensors.plane_points(sensor, sensors.measure(sensor, z, angle, rng))
         T = T_base_gauge @ T_gauge_sensor @ se3.inverse(T_flange_sensor)
         T = se3.perturb(T, np.repeat(pose_error(robot, T[:1], rng), len(T), axis=0))
-        passes.append(Recording(timed_profiles(times + k * 100.0, points),
+        passes.append(Messages(timed_profiles(times + k * 100.0, points),
                                 _jittering(robot, T, times + k * 100.0, rng)))
     return tuple(passes)
 
@@ -144,7 +144,7 @@ BAR = 0.2  # m between two balls
 
 
 def measuring_cell(rng: np.random.Generator, columns: int = 1280
-                   ) -> tuple[dict[str, Recording], Array]:
+                   ) -> tuple[dict[str, Messages], Array]:
     """
     Return recordings by name and T_flange_sensor (4, 4); the artefacts are BALL, BAR and Gauge().
 
@@ -154,7 +154,7 @@ def measuring_cell(rng: np.random.Generator, columns: int = 1280
     sensor, robot = replace(plate.sensor, columns=columns), plate.robot
     simulated = simulate(replace(plate, sensor=sensor), rng)
     X, T_bar = simulated.truth.T_flange_sensor, draw_pose(rng)
-    recordings = {'plate': Recording(simulated.profiles, simulated.poses)}
+    recordings = {'plate': Messages(simulated.profiles, simulated.poses)}
     wide = changed(SCENARIOS['sphere'], 'ball', target=BALL, stations=(12, 0), robot=robot,
                    sensor={'columns': columns, 'noise': sensor.noise})
     for k in range(2):

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
-class Motion:
+class Orientations:
     """
     The variation of orientations between stations.
 
@@ -41,11 +41,11 @@ class Motion:
 
 
 MOTIONS = {
-    'general': Motion(),
-    'one_orientation': Motion(shared=True, axes=(False, False, False)),
-    'one_orientation_per_edge': Motion(axes=(False, False, False), per_edge=True),
-    'tilt_only': Motion(shared=True, axes=(True, False, False), level=True),
-    'yaw_only': Motion(axes=(False, False, True), level=True),
+    'general': Orientations(),
+    'one_orientation': Orientations(shared=True, axes=(False, False, False)),
+    'one_orientation_per_edge': Orientations(axes=(False, False, False), per_edge=True),
+    'tilt_only': Orientations(shared=True, axes=(True, False, False), level=True),
+    'yaw_only': Orientations(axes=(False, False, True), level=True),
 }
 
 
@@ -393,11 +393,12 @@ SCENES = {
     'sphere': Scene(sphere_stops, sphere_features, sphere_solids),
     'wedge': Scene(wedge_stops, wedge_features, wedge_solids),
 }
-MANY = 100  # stops at each edge
+MANY_STOPS = 100  # stops at each edge
 
 
 def anywhere(scenario: Scenario) -> Placements:
     """Return many stops drawn like the scenario's own."""
     first, second = scenario.stations
-    enlarged = replace(scenario, stations=(MANY * (first > 0), MANY * (second > 0)), wrong_edges=0)
+    enlarged = replace(scenario, wrong_edges=0,
+                       stations=(MANY_STOPS * (first > 0), MANY_STOPS * (second > 0)))
     return SCENES[scenario.scene].stops(enlarged, np.random.default_rng(0))

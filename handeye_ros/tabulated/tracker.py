@@ -25,7 +25,7 @@ from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
 from handeye_ros.tabulated.values import Index, Input, TableAnswer, Values
 import numpy as np
 
-FEWEST = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # points in the file
+FEWEST_POINTS = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # points in the file
 # unknowns that a fit to the points of a part has
 UNKNOWNS = {'arc': 6, 'line': 4, 'face_c': 3, 'face_d': 3,
             'swept_ball': 6, 'swept_face_c': 3, 'swept_face_d': 3}
@@ -72,11 +72,11 @@ class TrackerSession(Values):
         return replace(self, pieces=[self.pieces[i] for i in samples])
 
     @cached_property
-    def measured(self) -> jing2020.Measured:
+    def measured(self) -> jing2020.Readings:
         """Return the points of both instruments by part."""
         parts = {part: np.concatenate([p.points for p in self.pieces if p.part == part])
                  for part in UNKNOWNS}
-        return jing2020.Measured(parts | {'ball': self.ball[None]},
+        return jing2020.Readings(parts | {'ball': self.ball[None]},
                                  self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
     def by_part(self, values: Any, statistic: Callable[[Any], Any]) -> Array:
@@ -235,9 +235,10 @@ def read_table(path: Path, noise: float) -> tuple[list[Piece], Array]:
     table = Table(path)
     kinds, points = table.text('kind'), table.values('xyz', LENGTH)
     for row, kind in enumerate(kinds, 1):
-        if kind not in FEWEST:
-            raise TableError(path, f'row {row}: kind is "{kind}", expected {", ".join(FEWEST)}')
-    for kind, fewest in FEWEST.items():
+        if kind not in FEWEST_POINTS:
+            raise TableError(
+                path, f'row {row}: kind is "{kind}", expected {", ".join(FEWEST_POINTS)}')
+    for kind, fewest in FEWEST_POINTS.items():
         if kinds.count(kind) < fewest:
             raise TableError(path, f'holds {kinds.count(kind)} points of the kind {kind}; at '
                              f'least {fewest} are needed')

@@ -43,7 +43,7 @@ class ObservationRows:
     noise: list[Array] = field(default_factory=list)
     numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
     outward: list[Array] = field(default_factory=list)
-    shape: list[float] = field(default_factory=list)
+    shape_std: list[float] = field(default_factory=list)
 
     def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
             edge: EdgePoint | None = None) -> None:
@@ -57,7 +57,7 @@ class ObservationRows:
         self.noise.append(noise)
         self.numbers.append((station, kind, source, 1 + END_KINDS.index(edge.kind) if edge else 0))
         self.outward.append(edge.direction if edge else NOWHERE)
-        self.shape.append(edge.shape_std if edge else 0.0)
+        self.shape_std.append(edge.shape_std if edge else 0.0)
 
     def observations(self) -> Observations:
         """Return the observations collected; each point of a feature has its own error."""
@@ -70,7 +70,7 @@ class ObservationRows:
             np.concatenate([np.empty((0, 2, 2)), *self.noise]),
             source + np.arange(len(first)) - first, end,
             np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
-            np.repeat(np.array(self.shape), count))
+            np.repeat(np.array(self.shape_std), count))
 
 
 def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int, kind: int
@@ -251,10 +251,10 @@ def setbacks(linear: Linear) -> Blocks:
 def edge_shapes(linear: Linear) -> Blocks:
     """Yield the blocks of the deviation of edge shapes from those seen in profiles."""
     obs = linear.problem.observations
-    if not obs.shape.any():
+    if not obs.shape_std.any():
         return
     ends = face_ends(obs)
-    outwards = ends.outwards(linear) * obs.shape
+    outwards = ends.outwards(linear) * obs.shape_std
     for kind in sorted({kind for kind, _ in ends.parts}):
         rows = np.any([own for (k, _), own in ends.parts.items() if k == kind], axis=0)
         # it comes from few points of a curve, and is extrapolated

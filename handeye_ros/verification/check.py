@@ -26,10 +26,10 @@ from handeye_ros.data import (
     AnyProfile,
     Array,
     Calibration,
+    ClockEstimate,
     Reject,
     Sample,
     TimedPose,
-    TimeOffset,
 )
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.noise import covariances
@@ -124,7 +124,7 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     if not config.sampling.moving:
         return check(session.samples, calibration, config, session.rejects)
     answer = pipeline.answer_of(session, config)
-    offset, solution = answer.required().time_offset, answer.consensus()
+    offset, solution = answer.required().time_offset, answer.required_solution()
     used = [answer.samples[i] for i in solution.used]
     result = check(_some_of_sweep(used), calibration, config, session.rejects)
     return _with_offset(result, offset, calibration) if offset else result
@@ -376,7 +376,7 @@ def _shown(axes: Array, shifts: Array, frame: str) -> str:
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
-def _with_offset(result: Check, offset: TimeOffset, calibration: Calibration) -> Check:
+def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration) -> Check:
     """Return a check with the time offset of a sweep."""
     previous = calibration.time_offset
     if previous is None:
@@ -393,10 +393,10 @@ def _with_offset(result: Check, offset: TimeOffset, calibration: Calibration) ->
 def _some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
     """Return some samples of a sweep, evenly spaced, as samples of stops."""
     step = -(-len(samples) // KEPT)
-    return [replace(sample, motion=None) for sample in samples[step // 2::step]]
+    return [replace(sample, trajectory=None) for sample in samples[step // 2::step]]
 
 
-def values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
+def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:
     """Return checks, each with the name of its recording, as plain values."""
     return {'format': FORMAT, 'against': against,
             'checks': [{'input': name, **asdict(result)} for name, result in checks]}

@@ -39,7 +39,7 @@ import scipy.linalg
 
 SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
 K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
-STEP = 1e-7  # of numeric derivatives (m, rad)
+DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFITS = 5  # iterations for the calibration's error
 FARTHEST = 0.1  # m: no calibration error is larger
 LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
@@ -47,8 +47,8 @@ MOST_DISTANCES = 1500  # of which the expected RMS is computed
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 OPEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
-FREE = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
-ALONE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
+FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
+ALONE_SHARE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 T = TypeVar('T')
@@ -214,8 +214,8 @@ class Shape:
 
 def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
     """Return the central differences (m, k) of a function at q (k,)."""
-    return np.stack([(function(q + d) - function(q - d)) / (2 * STEP)
-                     for d in STEP * np.eye(len(q))], axis=1)
+    return np.stack([(function(q + d) - function(q - d)) / (2 * DIFFERENCE_STEP)
+                     for d in DIFFERENCE_STEP * np.eye(len(q))], axis=1)
 
 
 @dataclass(frozen=True)
@@ -357,7 +357,7 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
         error=error, p_error=float(chi2_sf(left, freedom_left)),
         p_no_error=float(chi2_sf((both @ both - left) / scale, 6)),
         implied=implied, implied_std=implied_std, residuals=r,
-        by_unknowns=unknowns * FREE / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+        by_unknowns=unknowns * FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
@@ -468,7 +468,7 @@ def _predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Number
     for k, group in enumerate(groups):
         own, own_left = U[row_groups == group], left[row_groups == group]
         share, V = np.linalg.eigh(own.T @ own)
-        shared = share < 1 - ALONE
+        shared = share < 1 - ALONE_SHARE
         b = (own_left @ own @ V)[shared]
         squares[k] = own_left @ own_left + b @ (b / (1 - share[shared]))  # Woodbury
         freedom[k] = len(own) - np.count_nonzero(~shared)

@@ -19,17 +19,17 @@ from handeye_ros.data import (
     Arc,
     Array,
     Calibration,
+    ClockEstimate,
     EdgePoint,
     FaceLine,
     Feature,
     Profile,
     Sample,
-    TimeOffset,
 )
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount, mounted, sensor_axes
 from handeye_ros.sampling.stops import evenly, evenly_chosen
-from handeye_ros.sampling.sweep import Pairing, passes_expanded
+from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import edge_noise, ObservationRows
@@ -38,12 +38,12 @@ from handeye_ros.verification.routines import Routine
 import numpy as np
 
 SURE_CHANGE = 4.0  # sigmas of a change
-SMALLEST = 1e-4  # s: a smaller change does not matter to a scan
-MOST = 60  # samples of a sweep
+SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
+MOST_SAMPLES = 60  # samples of a sweep
 OUTLIER, OF_ANOTHER_SURFACE = 4.0, 20.0  # robust sigmas of a point that is left out; or that is
-STEPS, ALL = 16, 6  # Gauss-Newton steps, of which the first with all points
+GAUSS_NEWTON_STEPS, STEPS_WITH_ALL = 16, 6  # of which the first are with all points
 CORRELATED = 1_000_000_000  # ns, over which residuals are not independent
-SAME = 1.5e-3  # m: pieces this near to a plane are one surface, or
+SAME_SURFACE = 1.5e-3  # m: pieces this near to a plane are one surface, or
 WIDE = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
 LEAST_SEEN = 0.5  # of the stops must see the nearest surface
 LEAST_STOPS = 4
@@ -196,7 +196,7 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS)
     while len(stop) > len(np.unique(stop)) and len(np.unique(stop[free])) >= least:
         away, nearest = _common(ends[free], stop[free], 2)
-        on = away <= max(SAME, WIDE * float(np.median(nearest)))
+        on = away <= max(SAME_SURFACE, WIDE * float(np.median(nearest)))
         if len(np.unique(stop[free][on])) >= least:
             surfaces.append([pieces[row] for row in free[on].tolist()])
         free = free[~on]
@@ -225,8 +225,8 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     moved, it stays near it. X: (4, 4) sensor plane in the mount. Samples that show another surface
     or edge are left out.
     """
-    samples = evenly(passes_expanded(samples), MOST)
-    pairing = Pairing.of(samples)
+    samples = evenly(passes_expanded(samples), MOST_SAMPLES)
+    pairing = ClockedPoses.of(samples)
     stations = _stations(routine, [samples], X, config)
     one = replace(config.verify, lengths=())  # face or ball, of an artefact of several
     obs, shape = stations.observations, routine.shape(stations, X, one)
@@ -237,10 +237,10 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
                               x[:-1])
 
     x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)
-    for step in range(STEPS):
+    for step in range(GAUSS_NEWTON_STEPS):
         r = distances(x)
         scatter = 1.4826 * np.median(np.abs(r))
-        if step >= ALL:
+        if step >= STEPS_WITH_ALL:
             inliers = np.abs(r) <= OUTLIER * scatter
         prior = np.append(np.zeros(len(x) - 1), scatter / config.time_offset_std)
         x = x - np.linalg.lstsq(np.vstack([derivatives(distances, x)[inliers], prior]),
@@ -250,20 +250,20 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     parts = np.bincount(np.unique(time, return_inverse=True)[1], gain[-1] * r[inliers])
     std = float(np.sqrt((parts ** 2).sum() * len(parts) / max(len(parts) - len(x), 1)))
     foreign = set(obs.station[np.abs(r) > OF_ANOTHER_SURFACE * scatter].tolist())
-    previous = calibration.time_offset or TimeOffset(config.time_offset, 0.0)
-    _, sentence = compared(TimeOffset(config.time_offset + float(x[-1]), std), previous)
+    previous = calibration.time_offset or ClockEstimate(config.time_offset, 0.0)
+    _, sentence = compared(ClockEstimate(config.time_offset + float(x[-1]), std), previous)
     if foreign:
         sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
     at = pairing.at(x[-1]).T_base_flange
-    return [replace(sample, T_base_flange=at[k], motion=None) for k, sample in enumerate(samples)
-            if k not in foreign], sentence
+    return [replace(sample, T_base_flange=at[k], trajectory=None)
+            for k, sample in enumerate(samples) if k not in foreign], sentence
 
 
-def compared(offset: TimeOffset, previous: TimeOffset) -> tuple[bool, str]:
+def compared(offset: ClockEstimate, previous: ClockEstimate) -> tuple[bool, str]:
     """Return whether the time offset has changed, and by how much in words."""
     change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
     change_text = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
-    if abs(change) <= max(SURE_CHANGE * std, SMALLEST):
+    if abs(change) <= max(SURE_CHANGE * std, SMALLEST_CHANGE):
         return False, f'the time offset is as it was: {change_text}'
     return True, (f'the time offset has changed by {change_text}: the clock or the delay of '
                   f'sensor or robot is another; set time_offset to {offset.value:.5f}, or '

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
 CORNER = 0.12  # of the height: nearer to a corner no point is used
-FAR = 0.15  # of the height: a point further from all faces is on none
+OFF_ALL_FACES = 0.15  # of the height: a point further from all faces is on none
 BIN = 0.05  # of the pitch
 CUT = 4.0  # sigmas of the points of a face
 ROUNDING = 0.1  # of the sensor's noise: the smallest scatter assumed when outliers are removed
 LEAST_ON_GAUGE = 0.2  # of the points must be on the gauge
 LEAST_FACE = 0.01  # of the points must be on tops and valleys, and on flanks
 ROUNDS = 6
-GRAZING = 0.05  # cosine of a face to the ray, at least
+MOST_GRAZING = 0.05  # cosine of a face to the ray, at least
 
 
 def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
@@ -60,7 +60,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     rays = found.poses[found.observations.station, :3, :3] @ X[:3, 2]
     by_range = np.abs((shape.by_point(p[on_gauge], q) * rays).sum(axis=1))
     good, scatter = _without_outliers(
-        shape.distance(p[on_gauge], q), np.maximum(by_range, GRAZING),
+        shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
         np.stack([found.row_bags, face[on_gauge], tooth[on_gauge]], axis=1),
         ROUNDING * float(np.median(found.observations.noise[:, 1, 0])))
     obs = found.observations.select(good)
@@ -137,7 +137,7 @@ def _faces(local: Array, pitch: float, height: float, q: Array
     face = np.where(on_top, TOP, np.where(in_valley, VALLEY, np.where(u < 0, RISING, FALLING)))
     distance = np.where(on_top, z - height, np.where(in_valley, z, out + slope * (z - height / 2)))
     on_face = (on_top | in_valley | on_flank & (np.abs(out) < reach + margin)) & (
-        np.abs(distance) < FAR * height)
+        np.abs(distance) < OFF_ALL_FACES * height)
     return face.astype(np.intp), tooth, on_face
 
 

@@ -50,7 +50,7 @@ NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
 SIGNIFICANT = 0.01  # level of the tests of a calibration error
 INCONSISTENT = 1e-3  # level of the test that the points agree
 LARGE = 0.01  # m: a larger tolerance gets a note
-UNEXPLAINED = 1e-6  # below this p no error of the calibration explains the points
+UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 
 
 @dataclass(frozen=True)
@@ -147,9 +147,9 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
         return (shape, found), found.residuals, found.by_unknowns, shape.stations.row_groups
 
     (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
-    if max(found.scatter.p, found.p_error) < UNEXPLAINED and not routine.in_passes:
+    if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit(shape, X, calibration.covariance, config)
-        if freed.p_error < UNEXPLAINED and freed.scatter.maximum > config.verify.tolerance:
+        if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
                 f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
@@ -190,7 +190,7 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
 def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
             limits: VerifyConfig) -> tuple[str, tuple[str, ...]]:
     """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
-    other_size = fit.p_error < UNEXPLAINED < fit.scatter.p  # the shape fits, but not in its size
+    other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     notes = _notes(fit, other_size, stations, limits)
     failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
     for q in quantities:
@@ -282,6 +282,6 @@ def with_provenance(verification: Verification, inputs: Iterable[object],
                    created=datetime.now(UTC).isoformat(timespec='seconds'))
 
 
-def values(verification: Verification) -> dict[str, Any]:
+def plain_values(verification: Verification) -> dict[str, Any]:
     """Return a verification as plain values: the content of its YAML."""
     return {'format': FORMAT, 'version': __version__, 'k': K, **asdict(verification)}

@@ -20,7 +20,7 @@ from command import assert_refused, handeye, PATIENCE, PLATE, ROOT, running
 from handeye_ros import __version__, pipeline
 from handeye_ros.bags import bag
 from handeye_ros.config import Config, load, with_assignments
-from handeye_ros.data import TimeOffset
+from handeye_ros.data import ClockEstimate
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.units import assigned
@@ -182,7 +182,7 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path):
     run = handeye('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert 'UNCHANGED' in run.stdout and 'time offset is as it was' in run.stdout
-    other = TimeOffset(solved.time_offset.value + 5e-3, solved.time_offset.std)
+    other = ClockEstimate(solved.time_offset.value + 5e-3, solved.time_offset.std)
     calibration_file.write_calibration(replace(solved, time_offset=other), tmp_path / 'b.yaml')
     run = handeye('check', bag, '--against', 'b.yaml', cwd=tmp_path)
     assert run.returncode == 1, run.stderr

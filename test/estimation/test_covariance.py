@@ -27,7 +27,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import budget
 from handeye_ros.estimation.noise import covariances, LUMPED
 from handeye_ros.estimation.search import fit
-from handeye_ros.estimation.solve import covering, evaluated
+from handeye_ros.estimation.solve import covering, solution_at
 from handeye_ros.simulate import FAULTS, simulate_samples
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     made = noisy(name)
     ordered = sorted(made.samples, key=lambda s: s.stamp)
     answer = calibration_of(name)
-    solution = pipeline.answer(ordered, (), made.config).consensus()
+    solution = pipeline.answer(ordered, (), made.config).required_solution()
     assert len(solution.used) == len(ordered) <= 20, 'each station is a fold of its own'
     measured = measured_points(ordered, solution.problem)
     squares, own = [], []
@@ -112,7 +112,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     sigma = made.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    there = evaluated(replace(solution.problem, poses=moved), solution.estimate, LUMPED)
+    there = solution_at(replace(solution.problem, poses=moved), solution.estimate, LUMPED)
     mine = there.problem.observations.station == 3
     assert (there.whitened[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
     assert np.allclose(there.whitened[~mine], 0, atol=1e-3)
@@ -122,7 +122,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
 def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     made = cell(target, 0)
     config = settings_of(made.scenario)
-    solution = pipeline.answer(made.samples, (), config).consensus()
+    solution = pipeline.answer(made.samples, (), config).required_solution()
     found = budget(solution)
     assert found.samples == len(made.samples)
     assert {'sensor, white', 'poses, white', 'robot_smooth', 'fit against a free pose'} <= {

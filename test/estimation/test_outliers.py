@@ -12,7 +12,7 @@ from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import LUMPED
 from handeye_ros.estimation.search import robust_solution, with_blocks
-from handeye_ros.estimation.solve import evaluated
+from handeye_ros.estimation.solve import solution_at
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate, simulate_samples
 from handeye_ros.targets import TARGETS
@@ -142,7 +142,7 @@ def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
     made = cell('plane', 0)
     whole = robust_solution(made.problem, np.random.default_rng(0))
     few = made.problem.subset(np.arange(4))
-    covariance = evaluated(few, whole.estimate, LUMPED).covariance
+    covariance = solution_at(few, whole.estimate, LUMPED).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 

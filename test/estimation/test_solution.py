@@ -77,7 +77,7 @@ def test_some_of_many_stations_lead_to_the_answer_of_all(monkeypatch: pytest.Mon
     made = cell(replace(SCENARIOS['plate'], stations=(30, 30)), noise__robot_smooth=1e-4)
     start = solved(made.problem).estimate
     plain = map_solution(made.problem, start, Noise())
-    monkeypatch.setattr(solve, 'MANY', 20)
+    monkeypatch.setattr(solve, 'MANY_STATIONS', 20)
     quick = map_solution(made.problem, start, Noise())
     off = se3.difference(quick.estimate.X, plain.estimate.X)
     std = np.sqrt(np.diag(plain.reported)[:6])
@@ -94,7 +94,7 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(monkeypatch: pyte
     of_a_cause = replace(found, added_covariances={'cause': 1e-6 * np.eye(6)})
     more = of_a_cause.reported - found.reported
     np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
-    beside = found.for_report.covariance[:6, :6]
+    beside = found.conservative.covariance[:6, :6]
     assert np.linalg.eigvalsh(found.reported[:6, :6] - beside).min() > -1e-9 * beside.max()
 
 

@@ -9,7 +9,7 @@ import math
 
 from calibrations import CALIBRATION, equal
 from handeye_ros import se3
-from handeye_ros.data import Calibration, Quality, SampleReport, TimeOffset
+from handeye_ros.data import Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError, UnwritableError
 from handeye_ros.results import calibration_file, table, truth_file
 from hypothesis import given
@@ -67,7 +67,7 @@ def calibrations(draw):
         inner, max_size=3) | st.dictionaries(words, inner, max_size=3), max_leaves=5)
     target = draw(st.dictionaries(words, plain, max_size=3))
     provenance = {'version': draw(words), 'created': draw(words), 'config': {}}
-    offset = draw(st.none() | st.builds(TimeOffset, finite, finite))
+    offset = draw(st.none() | st.builds(ClockEstimate, finite, finite))
     names = [draw(words) for _ in range(4)]
     return Calibration(*names, T, covariance, target, quality, tuple(samples), provenance,
                        offset)

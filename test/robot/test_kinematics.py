@@ -100,7 +100,7 @@ def test_twists_are_the_derivatives_of_the_pose(urdf):
 
 
 def solve_rows(rows, arm):
-    return solve(points.start_of(rows, arm, 1e-3))
+    return solve(points.arm_problem_of(rows, arm, 1e-3))
 
 
 @pytest.fixture(scope='module')

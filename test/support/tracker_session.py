@@ -50,7 +50,7 @@ def ball_profiles(ball: Array, steps: Array, along: Array) -> Array:
 
 
 def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
-            skew: float = 0.0) -> jing2020.Measured:
+            skew: float = 0.0) -> jing2020.Readings:
     """Return what tracker and profiler see of arm, ball and block (1 sigma in metres)."""
     rng = np.random.default_rng(seed)
     T_tracker_arm = se3.transform(Rotation.from_euler('xyz', [3, -4, 50], True).as_matrix(),
@@ -73,4 +73,4 @@ def session(seed: int, tracker_noise: float = 0.0, sensor_noise: float = 0.0,
              for p in (ball_profiles(ball, steps, along), *faces)]
     names = ('arc', 'line', 'ball', 'face_c', 'face_d',
              'swept_ball', 'swept_face_c', 'swept_face_d')
-    return jing2020.Measured(dict(zip(names, [*noisy, *swept], strict=True)), H0 + H1, Q30)
+    return jing2020.Readings(dict(zip(names, [*noisy, *swept], strict=True)), H0 + H1, Q30)

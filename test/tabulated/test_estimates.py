@@ -10,7 +10,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.published import jing2020
-from handeye_ros.simulate.measured import laser_tracker, Measured, RADIUS
+from handeye_ros.simulate.measured import laser_tracker, RADIUS, SimulatedFiles
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
 from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
@@ -114,7 +114,7 @@ SENSOR = 3.7e-5
 CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 'test')
 
 
-def tracked(measured: jing2020.Measured) -> TableAnswer:
+def tracked(measured: jing2020.Readings) -> TableAnswer:
     config = with_values(CELL, {'tracker.h0': measured.height, 'tracker.h1': 0.0}, 'test')
     pieces = [Piece(row, part, point[None], np.array([SENSOR if part in SWEPT else 2e-5]))
               for part, points in measured.parts.items() if part != 'ball'
@@ -136,7 +136,7 @@ def test_the_tracker_is_as_sure_as_it_says() -> None:
     assert 0.3 < np.mean(squares) < 2.0
 
 
-def of_cell(cell: Measured) -> Config:
+def of_cell(cell: SimulatedFiles) -> Config:
     return with_values(CELL, cell.settings, 'test')
 
 

@@ -54,7 +54,7 @@ def given(name: str, folder: Path) -> tuple[object, ...]:
 
 PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                       outliers=0.0, rim_bias=0.0)
-EXACT: dict[str, Callable[[np.random.Generator], measured.Measured]] = {
+EXACT: dict[str, Callable[[np.random.Generator], measured.SimulatedFiles]] = {
     'points': lambda rng: measured.points(rng, 0.0, 4),
     'hand_eye': lambda rng: measured.hand_eye(rng, noise=0.0, count=3),
     'hand_eye_on_base': lambda rng: measured.hand_eye(rng, True, 0.0),

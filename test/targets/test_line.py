@@ -11,7 +11,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
 from handeye_ros.estimation.noise import LUMPED
-from handeye_ros.estimation.solve import evaluated
+from handeye_ros.estimation.solve import solution_at
 from handeye_ros.evidence import flat_crossing
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.scenario import PlateTarget
@@ -136,7 +136,7 @@ def test_the_crossing_angle_does_not_depend_on_the_axes_across_a_line(turned: fl
     solution = solved(found.problem)
     T = solution.estimate.state.reshape(4, 4)
     about_line = se3.transform(se3.exp_rotation(np.array([turned, 0.0, 0.0])), np.zeros(3))
-    elsewhere = evaluated(solution.problem, replace(
+    elsewhere = solution_at(solution.problem, replace(
         solution.estimate, state=(T @ about_line).reshape(-1)), LUMPED)
     config = with_values(found.config, {'sampling.min_crossing_angle': 1.5}, 'test')
     for sample in found.samples[:5]:  # whose laser lines are not square to it

@@ -17,7 +17,7 @@ from handeye_ros.simulate.robot import pose_error
 from handeye_ros.simulate.scenario import PlateTarget, SCENARIOS
 from handeye_ros.simulate.scenes import SCENES
 from handeye_ros.verification.routines import routine_of, ROUTINES, settings_for
-from handeye_ros.verification.verify import values, verify
+from handeye_ros.verification.verify import plain_values, verify
 import numpy as np
 import pytest
 from verifications import bench, measured, result
@@ -140,9 +140,9 @@ def test_a_protocol_says_what_an_inspector_asks_for():
         result('ball_bar', *measured('ball_bar'), config, certificate=2e-6),
         created='2026-11-24T13:00:00+00:00',
         calibration_file={'path': '/cell/calibration.yaml', 'sha256': 'ab12'})
-    read = yaml.safe_load(yaml_text(values(report)))
-    assert read == json.loads(json.dumps(values(report)))
-    page, other = (protocol(yaml.safe_load(yaml_text(values(one)))) for one in (
+    read = yaml.safe_load(yaml_text(plain_values(report)))
+    assert read == json.loads(json.dumps(plain_values(report)))
+    page, other = (protocol(yaml.safe_load(yaml_text(plain_values(one)))) for one in (
         report, replace(report, verdict='insensitive')))
     diameters = [f'{2e3 * (q["value"] - 0.02):.4f} mm' for q in read['quantities']
                  if q['characteristic'] == 'PS']

@@ -11,7 +11,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.bags import bag_write
 from handeye_ros.cli import command
 from handeye_ros.config import Config, flatten, with_values
-from handeye_ros.data import TimeOffset
+from handeye_ros.data import ClockEstimate
 from handeye_ros.errors import InputError
 from handeye_ros.results import verification_file
 from handeye_ros.results.calibration_file import write_calibration
@@ -117,7 +117,7 @@ def sweep(target, calibrated, knot, delay, **values):
         'sampling.mode': 'moving', 'time_offset': calibrated,
         'verify.radius': float(getattr(scenario.target, 'radius', 0.0))}, 'a test'), 1)
     found = stated(made.truth.T_flange_sensor, target, {'config': flatten(config)},
-                   TimeOffset(calibrated, 2e-5))
+                   ClockEstimate(calibrated, 2e-5))
     stamped = [replace(p, stamp=p.stamp + round(calibrated * 1e9)) for p in made.profiles]
     return pipeline.gather(stamped, made.poses, config).samples, found, config
 
