@@ -119,6 +119,12 @@ def by_perturbation(arms: Array) -> Array:
     return np.concatenate([by_shift, -skew(arms)], axis=-1)
 
 
+def mapped_covariance(arms: Array, covariance: Array) -> Array:
+    """Return the mean covariance (3, 3) of points at arms (k, 3), by that of their frame."""
+    J = by_perturbation(arms)
+    return np.asarray(np.einsum('kij,jl,kml->im', J, covariance, J) / len(J))
+
+
 def difference(T: Array, T_reference: Array) -> Array:
     """Return the deltas (..., 6) with perturb(T_reference, delta) equal to T (..., 4, 4)."""
     turn = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)

@@ -19,7 +19,7 @@ from handeye_ros.estimation.problem import Target
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
 from handeye_ros.notes import lost_edges
-from handeye_ros.se3 import worst_rotation, worst_translation
+from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -181,15 +181,12 @@ def require_certain_points(solution: Solution, config: Config) -> None:
     what the sensor measures; each alone may be large.
     """
     turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
-    by_rotation = np.cross(np.eye(3), turned[:, None, :]).swapaxes(1, 2)
-    moved = np.concatenate([np.broadcast_to(np.eye(3), by_rotation.shape), by_rotation], axis=2)
-    mean = np.einsum('kij,jl,kml->im', moved, solution.reported[:6, :6], moved) / len(moved)
-    values, vectors = np.linalg.eigh(mean)
-    std, limit, frame = float(np.sqrt(values[-1])), config.limits.points, mount_frame(config)
+    std, direction = worst_translation(mapped_covariance(turned, solution.reported[:6, :6]))
+    limit, frame = config.limits.points, mount_frame(config)
     if std > limit:
         raise DataError(
             f'the points that the samples show are uncertain by {mm(std)} along '
-            f'{name_direction(vectors[:, -1], frame)} (1 sigma; limits.points is {mm(limit)}): '
+            f'{name_direction(direction, frame)} (1 sigma; limits.points is {mm(limit)}): '
             f'{missing_motion(solution, config)}', reason='uncertain')
 
 

@@ -110,7 +110,7 @@ def _of_noise(conservative: Solution) -> dict[str, Array]:
 def _term(solution: Solution, name: str, part: Array) -> Term:
     """Return the sigmas of a part (6, 6) of the covariance."""
     points = box(solution.problem.observations.points, (-1, 0, 1))
-    by_motion = se3.by_perturbation(points @ solution.estimate.X[:3, [0, 2]].T)
-    mapped = np.einsum('pix,xy,piy->', by_motion, part, by_motion) / len(points)
+    arms = points @ solution.estimate.X[:3, [0, 2]].T
+    mapped = np.trace(se3.mapped_covariance(arms, part))
     squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
     return Term(name, *(float(max(square, 0.0) ** 0.5) for square in squares))

@@ -127,9 +127,8 @@ def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
 
 def mapped_std(calibration: Calibration, points: Array) -> float:
     """Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame."""
-    J = se3.by_perturbation(points @ calibration.T_flange_sensor[:3, :3].T)
-    variances = np.einsum('kij,jl,kil->k', J, calibration.covariance, J)
-    return float(np.sqrt(variances.mean()))
+    arms = points @ calibration.T_flange_sensor[:3, :3].T
+    return math.sqrt(np.trace(se3.mapped_covariance(arms, calibration.covariance)))
 
 
 def _plots(used: Sequence[StopSnapshot], sweep: Array) -> Iterator[tuple[str, str]]:
