@@ -72,6 +72,7 @@ tf2_msgs:
 lint:
 	@tools/environment.sh .venv ros,kinematics,test,dev
 	.venv/bin/ruff check
+	.venv/bin/flake8
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 

@@ -36,8 +36,8 @@ setup(
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
                  'selenium', 'urdf-parser-py'],
         'docs': ['mkdocs', 'pymdown-extensions'],
-        'dev': ['colcon-common-extensions', 'foxglove-sdk', 'import-linter', 'mkdocs', 'mypy',
-                'pymdown-extensions', 'ruff', 'types-PyYAML', 'wheel'],
+        'dev': ['colcon-common-extensions', 'flake8', 'foxglove-sdk', 'import-linter', 'mkdocs',
+                'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML', 'wheel'],
     },
     entry_points={
         'console_scripts': [

@@ -141,7 +141,7 @@ def artefact(rng: np.random.Generator, scene: str, poses: Array, lengths: tuple[
 
 
 def _taken(taken: list[Taken], X: Array, lengths: tuple[float, ...] = (),
-              reference: tuple[float, ...] = ()) -> Artefact:
+           reference: tuple[float, ...] = ()) -> Artefact:
     return Artefact(tuple(bag for bag in taken if not isinstance(bag, Messages)), X, lengths,
                     reference, tuple(bag for bag in taken if isinstance(bag, Messages)))
 

@@ -285,7 +285,7 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(outcome_of, rows)).most_common(),
         target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
-                               if (out / row['label'] / name).exists()), '')))
+                                 if (out / row['label'] / name).exists()), '')))
 
 
 def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:

@@ -200,7 +200,7 @@ def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: So
     problem = reassigned(problem_at_poses(ones, config), solution.estimate)
     measured = measured_points(ones, problem)
     return rms_by(number[measured.station], measured.residuals(problem, solution.estimate),
-                len(samples))
+                  len(samples))
 
 
 def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:

@@ -46,8 +46,8 @@ def parameters(solution: Solution) -> dict[str, BlockEstimate]:
         alone, variance = n / (1 - p), p / (1 - p)
         stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
         found[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
-                                      alone / math.sqrt(stated + variance),
-                                      alone / math.sqrt(max(variance, 1e-300)))
+                                          alone / math.sqrt(stated + variance),
+                                          alone / math.sqrt(max(variance, 1e-300)))
     return found
 
 

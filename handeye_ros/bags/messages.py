@@ -297,7 +297,7 @@ def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool
         value = -value if range_axis[0] == '-' else value
         ranges[np.isclose(ranges, value, rtol=1e-6, atol=0.0)] = np.nan
     out_of_plane = (cloud.column(across) if across in [field.name for field in cloud.fields]
-              else np.full(len(ranges), np.nan))
+                    else np.full(len(ranges), np.nan))
     points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):

@@ -240,4 +240,4 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
 
 
 SOURCES: tuple[BlockSource, ...] = (stated_measures, robot_scale, sensor_scale, sensor_distortion,
-                               line_bend, pose_model, robot_smooth)
+                                    line_bend, pose_model, robot_smooth)

@@ -88,7 +88,7 @@ def budget(solution: Solution) -> Budget:
     away, inside = solution.shift_of_report, conservative.covariance[:6, :6]
     parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
     parts['fit against a free pose'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
-                         - sum(solution.added_covariances.values()))
+                                        - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
                   _term(solution, 'all', solution.reported[:6, :6]), len(solution.used))

@@ -128,7 +128,7 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
 
 
 def estimated_variances(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
-                 largest: Array) -> tuple[Array, Array]:
+                        largest: Array) -> tuple[Array, Array]:
     """
     Return the scales of blocks, (6), for the estimate and for the report, as variances (d,).
 

@@ -211,7 +211,7 @@ class Target(ABC):
         return np.array([label not in stated for label in self.labels])
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
-                ) -> Observations:
+                 ) -> Observations:
         """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
         return observations
 

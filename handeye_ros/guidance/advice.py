@@ -55,7 +55,7 @@ SCALE = Cause('noise.robot_scale', "the scale of the robot's lengths as configur
               'robot, or a better statement of its scale,')
 CAUSES = {  # by the name of a block, without the number of its degree
     'robot_smooth': Cause('noise.robot_smooth', "the robot's accuracy as configured",
-                    'robot, or a better statement of its accuracy,'),
+                          'robot, or a better statement of its accuracy,'),
     'scale': SCALE, 'sensor_scale': SCALE,
     'distortion': Cause('noise.distortion', "the sensor's linearity as configured", 'sensor'),
     'line_bend': Cause('noise.line_bend', 'how straight the laser line is as configured',

@@ -199,7 +199,7 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
         good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)
     # and with the same labels
     labelled = target.reassign(problem.observations, problem.points_in_base(linear.estimate.X),
-                              linear.estimate.state, replace(problem.config, sampling=strict))
+                               linear.estimate.state, replace(problem.config, sampling=strict))
     return np.asarray(good & (labelled.kind.reshape(A.shape[:2]) == obs.kind).all(axis=1))
 
 

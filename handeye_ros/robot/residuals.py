@@ -240,4 +240,5 @@ class ArmStops:
             self.parts, state.targets, strict=True))
         of_arm, smooth = np.split(step[self.unknowns:], [len(state.arm.values)])
         return ArmState(se3.perturb(state.X, step[:6]), targets,
-                     replace(state.arm, values=state.arm.values + of_arm), state.smooth + smooth)
+                        replace(state.arm, values=state.arm.values + of_arm),
+                        state.smooth + smooth)

@@ -150,7 +150,7 @@ def solve(problem: ArmProblem) -> ArmOutcome:
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
     return ArmOutcome(models, chosen, covariance * _misfit(models[-1]), _known(chosen.fit),
-                   wide.smooth_rms, tuple(_notes(models, chosen)))
+                      wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGIONS) -> NDArray[np.intp]:

@@ -110,7 +110,7 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
     return ArmProblem(fit, problem.config.limits.residual, problem.in_hand, every,
-                 lambda *change: max(_misfit(source, arm, *change) for source in sources))
+                      lambda *change: max(_misfit(source, arm, *change) for source in sources))
 
 
 def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:

@@ -199,7 +199,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     x = float(np.median(centres[:, 0]))
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
     good = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
-                     'how high the face is')
+                        'how high the face is')
     slope = float(slopes[good].mean())
     scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if good.sum() > 1 else 0.0
     return combined_line([line for line, g in zip(lines, good, strict=True) if g],

@@ -56,7 +56,7 @@ def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Si
     header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
     text = csv_text(header, (1e3 * np.hstack([camera, base])).round(DIGITS))
     return SimulatedFiles({'points.csv': text}, X, {'point': noise},
-                    {'target.type': 'points', 'calibration_type': 'eye_on_base'})
+                          {'target.type': 'points', 'calibration_type': 'eye_on_base'})
 
 
 def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float = 1.0,
@@ -85,7 +85,7 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
               for column in ('x [mm]', 'y [mm]', 'z [mm]', 'qx', 'qy', 'qz', 'qw')]
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
     return SimulatedFiles({'poses.csv': csv_text(header, np.hstack(columns).round(DIGITS))}, X,
-                    dict(zip(names, (*robot, *target), strict=True)),
+                          dict(zip(names, (*robot, *target), strict=True)),
                     {'target.type': 'hand_eye', 'calibration_type': (
                         'eye_on_base' if eye_on_base else 'eye_in_hand')})
 

@@ -72,7 +72,7 @@ def _jittering(robot: RobotModel, T: Array, times: Array, rng: np.random.Generat
                ) -> tuple[TimedPose, ...]:
     """Return the poses T (4, 4) or (n, 4, 4) as they are streamed at times (n,)."""
     T = se3.perturb(np.broadcast_to(T, (len(times), 4, 4)),
-                  rng.normal(size=(len(times), 6)) * robot.jitter)
+                    rng.normal(size=(len(times), 6)) * robot.jitter)
     return timed_poses(times, T[:, :3, 3], se3.quaternion(T))
 
 
@@ -131,7 +131,7 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
         T = T_base_gauge @ T_gauge_sensor @ se3.inverse(T_flange_sensor)
         T = se3.perturb(T, np.repeat(pose_error(robot, T[:1], rng), len(T), axis=0))
         passes.append(Messages(timed_profiles(times + k * 100.0, points),
-                                _jittering(robot, T, times + k * 100.0, rng)))
+                               _jittering(robot, T, times + k * 100.0, rng)))
     return tuple(passes)
 
 

@@ -43,6 +43,7 @@ LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 MINIMUM = 3
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 
+
 @dataclass(frozen=True, eq=False)
 class Views(Lists):
     """

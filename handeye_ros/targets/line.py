@@ -156,7 +156,7 @@ class Line(FaceTarget):
         return {} if config.target.use_face else {'rx': (0.0, 0.0)}
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
-                ) -> Observations:
+                 ) -> Observations:
         """
         Return the observations labelled, unused ones marked.
 

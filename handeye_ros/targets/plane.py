@@ -126,7 +126,7 @@ class Plane(FaceTarget):
             (*local.shape[:-1], 0))
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
-                ) -> Observations:
+                 ) -> Observations:
         """Return the observations with one surface per station: the longest of the near ones."""
         if not self.ambiguous(observations):
             return observations

@@ -216,7 +216,7 @@ class Plate(FaceTarget):
         return {'size_p': (size_p, std), 'size_q': (size_q, std), **angle}
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
-                ) -> Observations:
+                 ) -> Observations:
         """
         Return the observations with each edge point assigned to the nearest edge.
 

@@ -138,7 +138,7 @@ class Sphere(ProfileTarget):
         return {'radius': (target.radius, target.radius_std)} if target.radius > 0 else {}
 
     def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
-                   ) -> tuple[Array, NDArray[np.intp]]:
+                 ) -> tuple[Array, NDArray[np.intp]]:
         """Return all raw points of the arcs of a sample."""
         arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
         points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]

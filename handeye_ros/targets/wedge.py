@@ -181,7 +181,7 @@ class Wedge(FaceTarget):
         return super().retract(state, np.concatenate([delta[..., :4], turns], axis=-1))
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
-                ) -> Observations:
+                 ) -> Observations:
         """Return two lines per station, the best fitting ones, assigned to the two faces."""
         kind, pair = observations.kind, self.pieces(observations)
         group = observations.station * (int(pair.max()) + 1) + pair

@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 
 pytestmark = pytest.mark.thorough
 
+
 def with_poses(made: Cell, change: Callable[[Array], Array]) -> list[Sample]:
     changed = change(np.array([s.T_base_flange for s in made.samples]))
     return [replace(s, T_base_flange=T) for s, T in zip(made.samples, changed, strict=True)]

@@ -86,7 +86,7 @@ def test_some_of_many_stations_lead_to_the_answer_of_all(monkeypatch: pytest.Mon
 
 
 def test_a_solve_that_diverges_reports_the_errors_of_any_other(monkeypatch: pytest.MonkeyPatch
-                                                              ) -> None:
+                                                               ) -> None:
     made = cell('plate')
     start = solved(made.problem).estimate
     monkeypatch.setattr(solve, '_iterated', lambda found: (found, True))

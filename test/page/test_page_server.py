@@ -48,7 +48,7 @@ class Cell:
 def served(address: str = '127.0.0.1') -> Iterator[tuple[PageServer, Cell]]:
     cell = Cell()
     source = PageSource(lambda: {'name': 'plate', 'count': math.nan},
-                    {'take': cell.take, 'wait': cell.wait})
+                        {'take': cell.take, 'wait': cell.wait})
     with socket.socket() as probe:
         probe.bind(('127.0.0.1', 0))
         port = int(probe.getsockname()[1])

@@ -109,7 +109,7 @@ def test_of_a_step_the_side_nearer_to_the_sensor_is_the_face(config: Config) -> 
 
 
 @pytest.mark.parametrize(('left', 'behind', 'kind'), [(-0.008, np.nan, 'gap'),
-                                                       (-0.006, 0.01, 'step')])
+                                                      (-0.006, 0.01, 'step')])
 def test_both_edges_of_a_profile_are_found(left: float, behind: float, kind: str) -> None:
     def height(x: Array) -> Array:
         return np.where(x > 0.008, np.nan, np.where(x > left, face(x), face(x) + behind))

@@ -115,7 +115,7 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, fo
 
 
 def test_a_recording_that_says_something_else_is_reported(calibration: Calibration,
-                                                           found: Evidence) -> None:
+                                                          found: Evidence) -> None:
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
     said = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
     assert not said.good

@@ -76,7 +76,7 @@ def test_noise_and_faults_are_as_large_and_as_many_as_stated() -> None:
 def test_at_a_step_points_lie_between_the_levels_and_more_are_lost() -> None:
     step = [FLOOR, box((0, -1, 0), (1, 1, 0.01))]
     between = [(z > 0.1652) & (z < 0.1748) for _, z in (measured(step, mixed=1.0),
-                                                         measured(step))]
+                                                        measured(step))]
     assert between[0].any(axis=1).mean() > 0.8 and between[0].sum(axis=1).max() == 1
     assert not between[1].any()
     exact, left = measured([box((0, -1, -1), (1, 1, 0))], lost_at_edge=0.5)

@@ -52,6 +52,7 @@ def given(name: str, folder: Path) -> tuple[object, ...]:
     return (folder if target == 'tracker' else folder / TABLES[target], '--config',
             ROOT / 'config' / f'{target}.yaml', '--set', f'calibration_type={where}')
 
+
 PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, lost_at_edge=0.0,
                       outliers=0.0, rim_bias=0.0)
 EXACT: dict[str, Callable[[np.random.Generator], measured.SimulatedFiles]] = {
@@ -266,7 +267,7 @@ def test_turns_about_one_axis_are_refused(eye_on_base: bool, handeye: Run, tmp_p
 
 
 def test_an_answer_beyond_the_limits_is_refused_and_others_may_answer(handeye: Run, tmp_path: Path
-                                                                     ) -> None:
+                                                                      ) -> None:
     simulated.write('points', 1, tmp_path / 'cell')
     arguments = given('points', tmp_path / 'cell')
     for limit, words in (('translation', 'the position along'), ('rotation', 'the rotation about'),

@@ -97,7 +97,7 @@ def singular_values(name: str, motion: str) -> np.ndarray:
     problem, estimate = made.problem, at_truth(made)
     p = problem.points_in_base(estimate.X)
     observations = problem.target.reassign(problem.observations, p, estimate.state,
-                                                   problem.config)
+                                           problem.config)
     used = observations.select(observations.kind != UNUSED)
     problem = replace(problem, observations=used)
     linear = linearise(problem, estimate)

@@ -264,7 +264,7 @@ def test_passes_that_contradict_the_others_are_told():
 
 def test_of_points_without_noise_none_is_an_outlier():
     made = bench.tooth(np.random.default_rng(0), replace(bench.PLAIN, noise=0.0),
-                        replace(bench.ROBOT, repeatability=(0.0, 0.0)))
+                       replace(bench.ROBOT, repeatability=(0.0, 0.0)))
     report = teeth(made, bench.calibration(made.T_flange_sensor, np.diag(bench.STD ** 2)))
     assert report.verdict == 'pass' and max(abs(q.error) for q in report.quantities) < 1e-6
     assert report.scatter.points > 0.5 * len(made.passes) * 960
