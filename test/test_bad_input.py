@@ -19,8 +19,8 @@ BASE = replace(BASE, robot=replace(BASE.robot, dwell=0.8, move=0.4, rate=50.0),
                sensor=replace(BASE.sensor, columns=640, rate=15.0))
 
 
-def made(path, scenario=BASE, change=lambda profiles, poses: (profiles, poses)):
-    recording = simulate.simulate(scenario, np.random.default_rng(11))
+def made(path, change=lambda profiles, poses: (profiles, poses), **differs):
+    recording = simulate.simulate(replace(BASE, **differs), np.random.default_rng(11))
     bag_write.write(path, *change(recording.profiles, recording.poses))
     return path
 
@@ -48,26 +48,19 @@ def stamps_since_boot(profiles, poses):
     return [replace(p, stamp=p.stamp - first + 1) for p in profiles], poses
 
 
-@pytest.mark.parametrize(('change', 'code', 'words'), [
-    (lambda profiles, poses: (profiles, ()), 2, ('no messages on /flange_pose', 'set pose_topic')),
-    (stamps_since_boot, 3, ('clocks',))])
-def test_messages_that_cannot_be_used(tmp_path, solve, change, code, words):
-    assert_refused(solve(made(tmp_path / 'bag', change=change)), code, *words)
-
-
-@pytest.mark.parametrize(('differs', 'words'), [
-    ({'empty': True}, ('no edge of a face in the profile', 'with the laser across the target')),
-    ({'motion': 'one_orientation'}, ('one orientation', 'tilt the tool')),
-    pytest.param({'convention_errors': ('inverted',)}, ('inverse poses',),
-                 marks=pytest.mark.thorough)])
-def test_recordings_that_cannot_carry_an_answer(tmp_path, solve, differs, words):
-    assert_refused(solve(made(tmp_path / 'bag', replace(BASE, **differs))), 3, *words)
+@pytest.mark.parametrize(('how', 'code', 'words'), [
+    ({'change': lambda profiles, poses: (profiles, ())}, 2,
+     ('no messages on /flange_pose', 'set pose_topic')),
+    ({'change': stamps_since_boot}, 3, ('clocks',)),
+    ({'empty': True}, 3, ('no edge of a face in the profile', 'with the laser across the target')),
+    ({'motion': 'one_orientation'}, 3, ('one orientation', 'tilt the tool'))])
+def test_recordings_without_an_answer(tmp_path, solve, how, code, words):
+    assert_refused(solve(made(tmp_path / 'bag', **how)), code, *words)
 
 
 @pytest.mark.parametrize(('assignment', 'words'), [
-    ('profile_topic=/scan', ('--set profile_topic=/profile',)),
     ('target.tipe=plate', ('unknown key "target.tipe"', 'did you mean "target.type"?')),
-    ('target.type=cone', ('cone',)), ('target.radius=20 furlong', ('target.radius',))])
+    ('target.radius=20 furlong', ('target.radius',))])
 def test_settings_that_do_not_fit(good, solve, assignment, words):
     assert_refused(solve(good, '--set', assignment), 2, *words)
 
