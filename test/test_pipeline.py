@@ -80,12 +80,19 @@ def test_of_a_surface_beside_the_plate_all_stations_take_the_same(
     assert made.error(found.T_flange_sensor) < 9e-5
 
 
-@pytest.mark.parametrize('name', ['sphere', 'sphere_on_flange'])
-def test_a_sphere_is_enough_too(name: str) -> None:
-    made, found = recording(name), answer(name)
+@pytest.mark.parametrize(('name', 'where', 'fewest', 'worst'), [
     # the rim of a ball is biased in the simulation, as on the real recording
-    assert made.error(found.T_flange_sensor) < 4e-4
+    ('sphere', 'eye_in_hand', 12, 4e-4), ('sphere', 'eye_on_base', 12, 4e-4),
+    ('plane', 'eye_in_hand', 14, 5e-4), ('plane', 'eye_on_base', 14, 5e-4),
+    ('wedge', 'eye_in_hand', 12, 3e-4), ('groove', 'eye_in_hand', 12, 3e-4)])
+def test_other_targets_are_enough_too(name: str, where: str, fewest: int, worst: float) -> None:
+    made = recorded(replace(SCENARIOS[name], calibration_type=where), 1)
+    found = calibrated(made)
+    assert found.quality.samples_used >= fewest
+    assert made.error(found.T_flange_sensor) < worst
     assert squared_error(found, made.truth) < 36
+    if 'face_angle' in found.target:
+        assert abs(found.target['face_angle'] - np.pi / 2) < 4 * found.target['face_angle_std']
 
 
 def test_a_sphere_of_unknown_radius_is_measured() -> None:
