@@ -47,30 +47,19 @@ def made(name: str) -> Simulated:
                     np.random.default_rng(0))
 
 
-def solved(name: str, **values: object) -> object:
-    config = settings_of(FAULTS[name], **values)
-    return pipeline.calibrate(made(name).profiles, made(name).poses, config)
-
-
-@pytest.mark.parametrize(('name', 'wrong', 'right'), [
-    ('sphere', 'plate', 'sphere'),
-    pytest.param('baseline', 'sphere', 'plate', marks=pytest.mark.thorough),
-    pytest.param('baseline', 'line', 'plate', marks=pytest.mark.thorough),
-    pytest.param('wedge', 'sphere', 'wedge', marks=pytest.mark.thorough)])
-def test_another_target_is_named(name: str, wrong: str, right: str) -> None:
-    with pytest.raises(DataError, match=f'set target.type to {right}$'):
-        solved(name, target__type=wrong)
-
-
-def test_a_wrong_radius_is_named_with_the_right_one() -> None:
-    with pytest.raises(DataError, match='set target.radius to 0.040'):
-        solved('sphere', target__radius=0.012)
-
-
-def test_two_wrong_settings_are_named_together() -> None:
-    with pytest.raises(DataError,
-                       match='set target.type to plate and profile.range_sign to 1$'):
-        solved('baseline', target__type='wedge', profile__range_sign=-1)
+@pytest.mark.parametrize(('name', 'wrong', 'words'), [
+    ('sphere', {'target__type': 'plate'}, 'target.type to sphere$'),
+    ('sphere', {'target__radius': 0.012}, 'target.radius to 0.040'),
+    ('baseline', {'target__type': 'wedge', 'profile__range_sign': -1},
+     'target.type to plate and profile.range_sign to 1$'),
+    *(pytest.param(name, {'target__type': wrong}, f'target.type to {right}$',
+                   marks=pytest.mark.thorough)
+      for name, wrong, right in (('baseline', 'sphere', 'plate'), ('baseline', 'line', 'plate'),
+                                 ('wedge', 'sphere', 'wedge')))])
+def test_wrong_settings_are_named(name: str, wrong: dict[str, object], words: str) -> None:
+    with pytest.raises(DataError, match=f'set {words}'):
+        pipeline.calibrate(made(name).profiles, made(name).poses,
+                           settings_of(FAULTS[name], **wrong))
 
 
 def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
