@@ -182,7 +182,6 @@ def in_millimetres(profiles, poses, spans):
 
 
 @pytest.mark.parametrize(('change', 'error', 'words'), [
-    (lambda profiles, poses, spans: (profiles, []), DataError, 'no flange pose'),
     (lambda profiles, poses, spans: ([], poses), DataError, 'no profile has a stamp of'),
     (in_motion, DataError, 'never stood still'), (in_millimetres, DataError, None),
     (of_two_sensors, InputError, 'two frames')])
