@@ -10,7 +10,6 @@ from cells import settings_of, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.errors import HandeyeError
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.stream import interpolate
@@ -181,13 +180,6 @@ def test_jitter_of_the_stamps_is_noise_along_the_path() -> None:
     # the fastest profiles, which say most of the offset, have most of this noise
     assert found.time_offset.std > 1.2 * isotropic.time_offset.std
     assert found.quality.weakest_std < isotropic.quality.weakest_std
-
-
-def test_a_sweep_of_one_orientation_is_refused_with_the_missing_motion() -> None:
-    scenario = replace(sweep('plate', 0.02), motion='one_orientation')
-    made = simulate(scenario, np.random.default_rng(4))
-    with pytest.raises(HandeyeError, match='share one orientation'):
-        pipeline.calibrate(made.profiles, made.poses, config_of(scenario))
 
 
 def random_walk(seed: int, count: int = 6) -> list[TimedPose]:
