@@ -9,7 +9,8 @@ import math
 from pathlib import Path
 import re
 
-from cells import cell, settings_of, squared_error
+from cells import cell, Recorded, recorded, set_to, settings_of, squared_error
+from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
@@ -19,7 +20,7 @@ from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import deviance, Explanation, refitted
 from handeye_ros.checks.settings import require_settings
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Array, EdgePoint
+from handeye_ros.data import Array, Calibration, EdgePoint, NS
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import (
@@ -41,10 +42,8 @@ from recordings import scan, with_messages
 
 
 @lru_cache
-def made(name: str) -> Simulated:
-    found = FAULTS[name]
-    return simulate(replace(found, sensor=replace(found.sensor, rate=8.0)),
-                    np.random.default_rng(0))
+def made(name: str) -> Recorded:
+    return recorded(FAULTS[name], rate=8.0)
 
 
 @pytest.mark.parametrize(('name', 'wrong', 'words'), [
@@ -59,7 +58,7 @@ def made(name: str) -> Simulated:
 def test_wrong_settings_are_named(name: str, wrong: dict[str, object], words: str) -> None:
     with pytest.raises(DataError, match=f'set {words}'):
         pipeline.calibrate(made(name).profiles, made(name).poses,
-                           settings_of(FAULTS[name], **wrong))
+                           set_to(made(name).config, **wrong))
 
 
 def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
@@ -87,30 +86,25 @@ def test_what_no_setting_mends_is_not_blamed_on_one() -> None:
     poses = [replace(p, quaternion=se3.quaternion(se3.from_quaternion(
         np.zeros((1, 3)), np.random.default_rng(k // 20).normal(size=(1, 4))))[0])
         for k, p in enumerate(made('baseline').poses)]
-    config = settings_of(FAULTS['baseline'])
     with pytest.raises(DataError) as caught:
-        pipeline.calibrate(made('baseline').profiles, poses, config)
+        pipeline.calibrate(made('baseline').profiles, poses, made('baseline').config)
     assert caught.value.reason != 'settings'
 
 
 @pytest.mark.thorough
 def test_right_settings_are_not_blamed() -> None:
-    config, cell = settings_of(FAULTS['baseline']), made('baseline')
-    require_settings(pipeline.gather(cell.profiles, cell.poses, config), config)
-
-
-NS = 1_000_000_000
+    cell = made('baseline')
+    require_settings(pipeline.gather(cell.profiles, cell.poses, cell.config), cell.config)
 
 
 @lru_cache(maxsize=2)
-def recorded(target: str) -> tuple[Simulated, Config]:
+def at_20_hz(target: str) -> tuple[Simulated, Config]:
     scenario = replace(SCENARIOS[target], sensor=replace(SCENARIOS[target].sensor, rate=20.0))
-    return (simulate(scenario, np.random.default_rng(1)),
-            settings_of(scenario))
+    return simulate(scenario, np.random.default_rng(1)), settings_of(scenario)
 
 
-def solved_late(target: str, late: float) -> object:
-    made, config = recorded(target)
+def solved_late(target: str, late: float) -> Calibration:
+    made, config = at_20_hz(target)
     profiles = [replace(p, stamp=p.stamp + round(late * NS)) for p in made.profiles]
     return pipeline.calibrate(profiles, made.poses, config)
 
@@ -128,7 +122,7 @@ def test_clocks_apart_are_reported_and_mended(target: str, late: float) -> None:
 
 
 def test_clocks_are_not_blamed_for_what_else_is_wrong() -> None:
-    made, config = recorded('plate')
+    made, config = at_20_hz('plate')
     wrong = [replace(p, quaternion=p.quaternion[[3, 0, 1, 2]]) for p in made.poses]
     with pytest.raises(DataError, match='quaternions read as w x y z'):
         pipeline.calibrate(made.profiles, wrong, config)
@@ -146,9 +140,7 @@ def test_clocks_are_not_blamed_for(scenario: Scenario, seed: int) -> None:
 
 
 def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
-    answer = solved_late('sphere', 0.3)
-    made, config = recorded('sphere')
-    good = pipeline.calibrate(made.profiles, made.poses, config)
+    answer, good = solved_late('sphere', 0.3), solved_late('sphere', 0.0)
     assert answer.quality.residual_rms < 3 * good.quality.residual_rms
 
 
@@ -156,11 +148,9 @@ def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
     pytest.param('plate', 0, marks=pytest.mark.thorough), ('plate_z_up', 1),
     ('small_plate_sweep', 0)])
 def test_a_range_counted_the_wrong_way_is_named(name: str, seed: int) -> None:
-    scenario = replace(SCENARIOS[name], sensor=replace(SCENARIOS[name].sensor, rate=10.0))
-    made = simulate(scenario, np.random.default_rng(seed))
-    right = settings_of(scenario, sampling__mode='moving' if scenario.sweep else 'still')
-    with pytest.raises(DataError, match=f'range_sign {right.profile.range_sign}, '):
-        pipeline.calibrate(made.profiles, made.poses, flipped_range(right))
+    made = recorded(name, seed, sampling__mode='moving' if SCENARIOS[name].sweep else 'still')
+    with pytest.raises(DataError, match=f'range_sign {made.config.profile.range_sign}, '):
+        pipeline.calibrate(made.profiles, made.poses, flipped_range(made.config))
 
 
 @given(arrays(float, 12, elements=st.floats(0.1, 4.0)), st.floats(1.05, 4.0), st.integers(0, 11))
@@ -184,9 +174,6 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor
     assert stray.evidence_against(waved) < 0
-
-
-ROOT = Path(__file__).parents[2]
 
 
 def tilted(raw: Raw, types: dict[str, str], degrees: float) -> Raw:
