@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from handeye_ros.config import Config, ProfileConfig, with_values
-from handeye_ros.data import EdgePoint, NS, Profile, RawProfile
+from handeye_ros.data import EdgePoint, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import MOST_PROFILES, ProfileBuffer, Stop
@@ -198,24 +198,16 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
 
 
-def test_why_no_sample_can_be_taken_is_reported() -> None:
-    session = Session(MANUAL)
-    with pytest.raises(DataError, match='no flange pose'):
-        taken(session)
-    session = played([pose(t, x=t) for t in np.arange(0, 1, 0.02)], profiles(0, 1), MANUAL)
-    with pytest.raises(DataError, match='0.5 s'):
-        taken(session)
-    with pytest.raises(DataError, match='no profile has a stamp'):
-        taken(played(stops((0, 1)), [], MANUAL))
-    with pytest.raises(DataError, match='edge'):
-        taken(played(stops((0, 1)), profiles(0, 1, points=BAD), MANUAL))
-
-
-def test_rests_that_are_too_short_are_told() -> None:
-    session = played(stops((0, 1), (2, 2.3), (4, 4.3), (6, 6.3)), profiles(0, 7))
-    with pytest.raises(DataError, match='0.5 s only 1 times, and 2 times for less') as refusal:
-        session.require_stops()
-    assert refusal.value.reason == 'no_stops'
+@pytest.mark.parametrize(('poses', 'found', 'words'), [
+    ([], [], 'no flange pose'),
+    ([pose(t, x=t) for t in np.arange(0, 1, 0.02)], profiles(0, 1), '0.5 s'),
+    (stops((0, 1)), [], 'no profile has a stamp'),
+    (stops((0, 1)), profiles(0, 1, points=BAD), 'edge'),
+    (stops((0, 1)), profiles(0, 1.32), r'no pose has come for 0\.3 s')])
+def test_why_no_sample_can_be_taken_is_reported(
+        poses: list[TimedPose], found: list[Profile], words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        taken(played(poses, found, MANUAL, finish=False))
 
 
 def test_the_last_sample_can_be_removed() -> None:
