@@ -93,10 +93,7 @@ def test_a_bag_through_the_node_gives_the_offline_result(tmp_path: Path, client:
                      'the words say how well it is known')
         assert client.call('remove_last_sample').success
         again = client.call('save_calibration').message
-        assert again.startswith(f'saved already: {path}; ')
-        assert again.endswith(
-            f'it was computed from {n} samples, which have changed since '
-            f'(1 removed): call ~/compute_calibration for an answer from the current {n - 1}')
+        assert again.startswith(f'saved already: {path}; ') and '(1 removed)' in again
         assert client.call('clear_samples').success
         client.until(lambda: texts[-1].data.startswith('Take the first sample'),
                      'the advice starts again')
