@@ -109,10 +109,10 @@ def test_nothing_listens_but_dds(node: subprocess.Popen[str]) -> None:
 
 def test_samples_by_hand_and_refusals(client: Client, node: subprocess.Popen[str]) -> None:
     for service, reason in (
-            ('take_sample', 'no flange pose was received on /flange_pose: start the robot driver'),
+            ('take_sample', 'no flange pose was received on /flange_pose'),
             ('remove_last_sample', 'there is no sample to remove'),
             ('compute_calibration', 'no flange pose was received'),
-            ('save_calibration', 'there is no calibration to save: call ~/compute_calibration'),
+            ('save_calibration', 'there is no calibration to save'),
             ('verify_result', 'no verification was started')):
         answer = client.call(service)
         assert (answer.success, reason in answer.message) == (False, True), answer.message
@@ -201,9 +201,6 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     for name, value, reason in (
             ('limits.residual', 3.0, 'Max: 1.0'),
             ('noise.sensor', 'loud', "noise.sensor is 'loud', expected a value of type float"),
-            ('profile.axes', ['x', '-x'], 'two different axes'),
-            ('target.type', 'cone', "target.type is 'cone', expected one of"),
-            ('name', 'a/b', 'expected the name of a folder'),
             ('profile_topic', 'a b', '"a b" cannot name a topic'),
             ('profile_topic', '/flange_pose', 'each needs its own'),
             ('page.port', 1234, 'read-only parameter: page.port')):
@@ -224,8 +221,7 @@ def test_other_topics_are_heard_while_the_node_runs_and_a_wrong_type_is_reported
         client: Client, node: subprocess.Popen[str]) -> None:
     robot = client.node.create_publisher(PoseStamped, '/robot/pose', BEST_EFFORT)
     client.node.create_publisher(PointStamped, '/scan', RELIABLE)
-    cause = ('(it carries geometry_msgs/msg/PointStamped, expected sensor_msgs/msg/PointCloud2; '
-             'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic)')
+    cause = 'sensor_msgs/msg/PointCloud2 is on /profile: set profile_topic'
     assert set_parameter(client, 'pose_topic', '/robot/pose').successful
     assert set_parameter(client, 'profile_topic', '/other').successful
     client.until(lambda: '/other has no publisher' in client.state()['message'], 'it says so')
