@@ -55,9 +55,8 @@ def assert_names(message: str, direction: Array, frame: str, within: float = 0.0
 @pytest.mark.parametrize('noise', [True, False])
 def test_one_orientation_is_refused(name: str, where: str, frame: str, noise: bool) -> None:
     make = cell if noise else exact_cell
-    error = refusal(make(scenario(name, 'one_orientation', where), method=name))
-    assert error.reason == 'one_orientation'
-    assert 'one orientation' in str(error) and 'tilt' in str(error)
+    assert refusal(make(scenario(name, 'one_orientation', where), method=name)).reason == (
+        'one_orientation')
 
 
 @every_method
@@ -133,12 +132,10 @@ def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> 
     made = cell(scenario(name), method=name)
     few = made.samples[:TARGETS[name].minimum - 1]
     rejects = [Reject(i, reason) for i, reason in enumerate(['no edge', 'dark', 'no edge'])]
-    with pytest.raises(DataError, match='usable samples') as caught:
+    with pytest.raises(DataError, match=f'^{len(few)} .*3 stops .*most often: no edge') as caught:
         pipeline.solve(few, rejects, made.config, 'laser')
-    message = str(caught.value)
-    assert message.startswith(f'{len(few)} usable samples (3 stops gave none')
-    assert 'most often: no edge' in message and str(TARGETS[name].minimum) in message
-    with pytest.raises(DataError, match='usable samples'):
+    assert caught.value.reason == 'few'
+    with pytest.raises(DataError, match='^0 usable'):
         pipeline.solve([], [], made.config, 'laser')
 
 
