@@ -9,7 +9,7 @@ import socket
 import time
 from typing import Any
 
-from command import chromium, complaints, PATIENCE
+from command import chromium, complaints, free_port, PATIENCE
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import report, table
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
@@ -26,12 +26,6 @@ pytestmark = pytest.mark.ros
 
 LINES = "document.querySelectorAll('#samples li').length"
 BAG, CONFIG = ROOT / 'bags' / 'plate', ROOT / 'config' / 'plate.yaml'
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return int(probe.getsockname()[1])
 
 
 def wait(browser: Any, condition: str, what: str) -> None:

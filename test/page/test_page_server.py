@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 import threading
 from typing import Any
 
+from command import free_port
 from handeye_ros.errors import HandeyeError, InputError
 import pytest
 
@@ -49,12 +50,9 @@ def served(address: str = '127.0.0.1') -> Iterator[tuple[PageServer, Cell]]:
     cell = Cell()
     source = PageSource(lambda: {'name': 'plate', 'count': math.nan},
                         {'take': cell.take, 'wait': cell.wait})
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        port = int(probe.getsockname()[1])
     with TemporaryDirectory() as folder:
         try:
-            yield PageServer(source, address, port, Path(folder) / 'token'), cell
+            yield PageServer(source, address, free_port(), Path(folder) / 'token'), cell
         finally:
             cell.go_on.set()
 

@@ -10,6 +10,7 @@ import io
 from pathlib import Path
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from typing import Any
@@ -72,6 +73,12 @@ def assert_refused(run, code, *words):
     assert run.stdout == ''
     for word in words:
         assert word in run.stderr
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return int(probe.getsockname()[1])
 
 
 @contextmanager
