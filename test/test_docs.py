@@ -24,7 +24,6 @@ STANDS_FOR = {'path/to/bag': 'bags/plate'}
 # Other tests run these; the first two do not end.
 ELSEWHERE = ('handeye replay', 'handeye calibrate', 'handeye kinematics near',
              'handeye batch nights', 'handeye batch jobs.csv')
-PRINT = ('compare',)  # write nothing, so once is enough
 THERE = {  # what a page takes as there: what makes it, in the folder "made"
     'calibration.yaml': 'handeye solve bags/plate --config config/plate.yaml --out made',
     'points.csv': 'handeye simulate points made', 'poses.csv': 'handeye simulate hand_eye made'}
@@ -52,29 +51,17 @@ def words(command: str, program: str) -> list[str]:
     return found[found.index(program) + 1:]
 
 
-def of(program: str) -> list[object]:
-    """Return (page, command) of all commands of a program, each once."""
-    return [pytest.param(page, text, id=f'{page.stem}: {text}')
-            for page in PAGES for text in dict.fromkeys(commands(page))
-            if PROGRAM.match(text)[1] == program]  # type: ignore[index]
+def of(program: str) -> dict[Path, list[str]]:
+    """Return the commands of a program on each page that has some, each once."""
+    found = {page: [text for text in dict.fromkeys(commands(page))
+                    if PROGRAM.match(text)[1] == program] for page in PAGES}
+    return {page: own for page, own in found.items() if own}
 
 
-def runs() -> list[object]:
-    """Return (commands of handeye on a page, in their order), each that only prints once."""
-    printed, found = set(), []
-    for page in PAGES:
-        own = []
-        for text in dict.fromkeys(commands(page)):
-            if PROGRAM.match(text)[1] == 'handeye' and (  # type: ignore[index]
-                    not text.startswith(ELSEWHERE)):
-                arguments = tuple(words(text.partition('# exit code ')[0], 'handeye'))
-                if arguments not in printed:
-                    own.append(text)
-                if arguments[0] in PRINT:
-                    printed.add(arguments)
-        if own:
-            found.append(pytest.param(own, id=page.stem))
-    return found
+def each(program: str) -> list[object]:
+    """Return (command) of all commands of a program."""
+    return [pytest.param(text, id=f'{page.stem}: {text}')
+            for page, own in of(program).items() for text in own]
 
 
 def run_well(command: str, folder: Path) -> None:
@@ -84,9 +71,10 @@ def run_well(command: str, folder: Path) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize('own', runs())
-def test_handeye(own: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize('page', of('handeye'), ids=lambda page: page.stem)
+def test_handeye(page: Path, tmp_path: Path) -> None:
     """Run the commands of a page one after another in a folder with what a clone holds."""
+    own = [command for command in of('handeye')[page] if not command.startswith(ELSEWHERE)]
     for name in ('bags', 'config'):
         (tmp_path / name).symlink_to(ROOT / name)
     for file in sorted({word for command in own for word in shlex.split(command)} & THERE.keys()):
@@ -97,16 +85,16 @@ def test_handeye(own: list[str], tmp_path: Path) -> None:
         run_well(command, tmp_path)
 
 
-@pytest.mark.parametrize(('page', 'command'), of('make'))
-def test_make(page: Path, command: str) -> None:
+@pytest.mark.parametrize('command', each('make'))
+def test_make(command: str) -> None:
     arguments = [word for word in words(command, 'make') if word.split('=')[0].isidentifier()]
     run = subprocess.run(['make', '--dry-run', *arguments], cwd=ROOT, text=True,
                          capture_output=True, check=False)
     assert run.returncode == 0, run.stderr
 
 
-@pytest.mark.parametrize(('page', 'command'), of('ros2'))
-def test_ros2(page: Path, command: str) -> None:
+@pytest.mark.parametrize('command', each('ros2'))
+def test_ros2(command: str) -> None:
     verb, *arguments = words(command, 'ros2')
     contract = (ROOT / 'docs' / 'contract.md').read_text(encoding='utf-8')
     if verb == 'run':
