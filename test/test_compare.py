@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 import yaml
 
-CHEN_NINE, CHEN_RIGID = 'Chen 2023, nine parameters', 'Chen 2023, on SE(3)'
-FIXED_LINEAR, FIXED_RIGID = 'fixed point, linear', 'fixed point, least squares'
+CHEN_RIGID = 'Chen 2023, on SE(3)'
 
 
 def compared(made: Cell, **values: object) -> Comparison:

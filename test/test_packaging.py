@@ -27,7 +27,6 @@ pytestmark = pytest.mark.ros
 NAME = 'handeye_ros'
 ROOT = Path(__file__).parents[1]
 DATA = ('launch', 'config', 'rviz', 'foxglove')
-EXECUTABLES = {'calibrate', 'corrected_pose', 'handeye', 'publish', 'replay', 'scan'}
 
 
 def environment() -> dict[str, str]:

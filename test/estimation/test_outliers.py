@@ -32,10 +32,10 @@ def rejected(answer: Calibration) -> set[int]:
     return {report.stamp for report in answer.samples if not report.used}
 
 
-def assert_as_good(answer: Calibration, clean: Calibration, tolerance: float = 1e-6) -> None:
+def assert_as_good(answer: Calibration, clean: Calibration) -> None:
     """Check that an answer is that of the clean samples alone."""
     off = np.abs(se3.difference(answer.T_flange_sensor, clean.T_flange_sensor))
-    assert off.max() < tolerance
+    assert off.max() < 1e-6
     assert answer.quality.samples_used == clean.quality.samples_used
 
 

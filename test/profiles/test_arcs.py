@@ -21,11 +21,10 @@ UNKNOWN = with_values(Config(), {'target.type': 'sphere'}, 'test')
 CENTRE = np.array([0.003, 0.2])
 
 
-def ball(x: Array, radius: float = 0.03, sign: int = -1, centre: Array = CENTRE) -> Array:
+def ball(x: Array, radius: float = 0.03, centre: Array = CENTRE) -> Array:
     """Return a circle's side towards the sensor, nothing beside it."""
-    inside = np.abs(x - centre[0]) < radius
-    return np.where(inside, centre[1] + sign * np.sqrt(
-        np.where(inside, radius ** 2 - (x - centre[0]) ** 2, 0)), np.nan)
+    squares = radius ** 2 - (x - centre[0]) ** 2
+    return np.where(squares > 0, centre[1] - np.sqrt(np.maximum(squares, 0)), np.nan)
 
 
 def wide(height: object, seed: int = 0, noise: float = NOISE) -> Array:

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 T0, STEP = 1_700_000_000_000_000_000, 1_000_000
 
 
-def calibration(covariance=None, **config):
+def calibration(covariance=None):
     X = se3.transform(Rotation.from_euler('xyz', [0.3, -0.2, 1.1]).as_matrix(),
                       np.array([0.05, -0.02, 0.11]))
     quality = Quality(18, 0, 2e-5, 2e-5, 'z', 1e-5)
     return Calibration('plate', 'plate', 'flange', 'laser', X,
                        np.zeros((6, 6)) if covariance is None else covariance, {}, quality, (),
-                       {'config': config})
+                       {'config': {}})
 
 
 def moving(count, rate=5):
@@ -32,7 +32,7 @@ def true_flange(ms):
                          np.array([0.6, 1e-4 * ms, 0.4]))
 
 
-def plane_profiles(count, columns=50, rng=None, intensity=False):
+def plane_profiles(count, columns=50):
     """Return profiles, each a ms, of the plane z = 0.1 of the base by the moving flange."""
     profiles = []
     X = calibration().T_flange_sensor
@@ -40,6 +40,5 @@ def plane_profiles(count, columns=50, rng=None, intensity=False):
         T = true_flange(ms + 0.5) @ X
         x = np.linspace(-0.02, 0.02, columns)
         z = (0.1 - T[2, 3] - T[2, 0] * x) / T[2, 2]
-        profiles.append(Profile(T0 + ms * STEP + STEP // 2, 'laser', np.column_stack([x, z]),
-                                intensity=np.arange(columns) * 1.0 if intensity else None))
+        profiles.append(Profile(T0 + ms * STEP + STEP // 2, 'laser', np.column_stack([x, z])))
     return profiles

@@ -19,18 +19,16 @@ START = 1_700_000_000_000_000_001
 PROFILES_PERIOD, POSES_PERIOD = 33_333_333, 10_000_000
 
 
-def profiles(count=30, columns=200, frame_id='laser'):
-    rng = np.random.default_rng(1)
-    x = np.linspace(-0.02, 0.02, columns)
-    return [Profile(START + i * PROFILES_PERIOD, frame_id,
-                    np.column_stack([x, 0.17 + rng.normal(0, 3e-5, columns)]))
-            for i in range(count)]
+def profiles(count=30):
+    rng, x = np.random.default_rng(1), np.linspace(-0.02, 0.02, 200)
+    return [Profile(START + i * PROFILES_PERIOD, 'laser',
+                    np.column_stack([x, 0.17 + rng.normal(0, 3e-5, 200)])) for i in range(count)]
 
 
-def poses(count=100, frame_id='base'):
+def poses(count=100):
     rng = np.random.default_rng(2)
     quaternion = np.array([0.0, 0.6, 0.0, 0.8])
-    return [TimedPose(START + i * POSES_PERIOD, rng.normal(size=3), quaternion, frame_id)
+    return [TimedPose(START + i * POSES_PERIOD, rng.normal(size=3), quaternion, 'base')
             for i in range(count)]
 
 
@@ -41,7 +39,7 @@ def scan(bag):
     return reader.types, messages
 
 
-def rewrite(bag, path, messages=None, types=None, finish=True, encoding='cdr', **options):
+def rewrite(bag, path, messages=None, types=None, encoding='cdr', **options):
     """
     Write messages (default: those of the bag) into an .mcap file as mcap.writer.Writer can.
 
@@ -60,8 +58,7 @@ def rewrite(bag, path, messages=None, types=None, finish=True, encoding='cdr', *
                 schema = writer.register_schema(types[topic], 'ros2msg', b'')
                 channels[topic] = writer.register_channel(topic, encoding, schema)
             writer.add_message(channels[topic], log_time, data, log_time)
-        if finish:
-            writer.finish()
+        writer.finish()
     return path
 
 
@@ -155,11 +152,10 @@ def rosbags_copy(folder, target, plugin, mode):
     return target
 
 
-def with_messages(folder, tmp_path, change, types=None):
+def with_messages(folder, tmp_path, change):
     """Return a copy of a bag whose messages went through change(raw) -> raw or None."""
     changed = [change(raw) for raw in scan(folder)[1]]
-    return rewrite(folder, tmp_path / 'changed.mcap', [raw for raw in changed if raw],
-                   types=types)
+    return rewrite(folder, tmp_path / 'changed.mcap', [raw for raw in changed if raw])
 
 
 def new(kind, *values):

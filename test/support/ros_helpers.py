@@ -167,19 +167,17 @@ def set_header(msg: Any, stamp: int, frame_id: str) -> None:
     msg.header.frame_id = frame_id
 
 
-def sphere_profile(stamp: int, frame_id: str = 'laser') -> PointCloud2:
+def sphere_profile(stamp: int) -> PointCloud2:
     """Return a profile across the middle of a sphere of 40 mm radius."""
     x = np.linspace(-0.03, 0.03, 300)
-    return cloud_message(cloud({'x': x, 'z': 0.2 - np.sqrt(0.04**2 - x**2)}, XZ, 8), stamp,
-                         frame_id)
+    return cloud_message(cloud({'x': x, 'z': 0.2 - np.sqrt(0.04**2 - x**2)}, XZ, 8), stamp)
 
 
-def stand_still(client: Client, start: int, seconds: float = 1.0, x: float = 0.0,
-                frame_id: str = 'laser') -> None:
+def stand_still(client: Client, start: int, seconds: float = 1.0, x: float = 0.0) -> None:
     """Publish a robot that stands still, and what its sensor sees, 20 times a second."""
     for stamp in range(start, start + round(seconds * 1e9), 50_000_000):
         client.poses.publish(pose_message(stamp, (x, 0.0, 0.0)))
-        client.profiles.publish(sphere_profile(stamp + 1, frame_id))
+        client.profiles.publish(sphere_profile(stamp + 1))
 
 
 def set_parameter(client: Client, name: str, value: Any) -> SetParametersResult:

@@ -30,11 +30,9 @@ def of_lengths(*lengths):
     return Config(noise=bench.NOISE, verify=VerifyConfig(lengths=lengths))
 
 
-def with_features(made, change, k=None):
-    """Return an artefact of which other features are seen, at every stop or at one of them."""
-    bag = tuple(replace(s, features=change(s)) if k in (None, i) else s
-                for i, s in enumerate(made.bags[0]))
-    return replace(made, bags=(bag,))
+def with_features(made, change):
+    """Return an artefact of which other features are seen."""
+    return replace(made, bags=(tuple(replace(s, features=change(s)) for s in made.bags[0]),))
 
 
 def with_poses(made, moves):
