@@ -14,7 +14,7 @@ from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.scanning.curves import spline, through
 from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
-from handeye_ros.simulate.measuring import Preform, preform_cloud
+from handeye_ros.simulate.measuring import Preform, preform_cloud, PreformCloud
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -89,16 +89,7 @@ def corner(angle: float, **more) -> Joint:
     return Joint(((-u, h, 0, 0), (0, 0, u, h)), (0.0, 0.0), **more)
 
 
-@dataclass(frozen=True, eq=False)
-class Scanned:
-    """Points (n, 3) in the base (m); centre (m, 3) and normals (m, 3) of the true seam."""
-
-    points: Array
-    centre: Array
-    normals: Array
-
-
-def scanned(joint: Joint, rng: np.random.Generator) -> Scanned:
+def scanned(joint: Joint, rng: np.random.Generator) -> PreformCloud:
     """Return what a scan of a joint shows."""
     rows, y = [], np.arange(-joint.length / 2 - 10, joint.length / 2 + 10, joint.pitch)
     balls = np.column_stack([rng.uniform(-3, 3, joint.spatter),
@@ -123,8 +114,8 @@ def scanned(joint: Joint, rng: np.random.Generator) -> Scanned:
                                              * along), along, np.full(2001, joint.line[1])])
     a = np.radians(joint.toward)
     normals = np.tile([np.sin(a), 0.0, np.cos(a)], (2001, 1))
-    return Scanned(se3.apply(T, np.concatenate(rows) * 1e-3), se3.apply(T, line * 1e-3),
-                   normals @ T[:3, :3].T)
+    return PreformCloud(se3.apply(T, np.concatenate(rows) * 1e-3), se3.apply(T, line * 1e-3),
+                        normals @ T[:3, :3].T)
 
 
 def _rays(joint: Joint, segments: Array, balls: Array, at: float, rng: np.random.Generator
@@ -191,9 +182,8 @@ def cloud_of(seed=0, **values):
     return preform_cloud(Preform(**{**SMALL, **values}), np.random.default_rng(seed))
 
 
-def joint_of(name, seed=0, **values):
-    joint = replace(JOINTS[name], length=40.0, **values)
-    return scanned(joint, np.random.default_rng(seed))
+def joint_of(name, seed=0):
+    return scanned(replace(JOINTS[name], length=40.0), np.random.default_rng(seed))
 
 
 def off_line(truth, points):
