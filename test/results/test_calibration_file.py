@@ -34,6 +34,10 @@ def test_what_other_readers_take_from_it(path):
     assert content['transform']['rotation']['w'] >= 0
     assert content['rpy'] == pytest.approx(list(se3.rpy(CALIBRATION.T_flange_sensor)), abs=1e-15)
     assert content['covariance'][7] == CALIBRATION.covariance[1, 1]
+    assert content['samples'][::2] == [
+        {'stamp': 1700000000500000001, 'used': True, 'edge': 'p', 'residual': 1.9e-5},
+        {'stamp': 1700000004500000001, 'used': False, 'reason': 'no edge in sight'}]
+    assert content['provenance'].keys() == {'version', 'created', 'inputs', 'config'}
     assert 'p_flange = T @ p_laser' in path.read_text()
 
 
