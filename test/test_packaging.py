@@ -3,7 +3,6 @@
 """A colcon workspace: built, sourced, and the node started from it, as on a ROS machine."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 from importlib.metadata import version
 import os
 from pathlib import Path
@@ -74,10 +73,6 @@ def share(workspace: Path) -> Path:
     return workspace / 'install' / NAME / 'share' / NAME
 
 
-def executable(workspace: Path, name: str) -> Path:
-    return workspace / 'install' / NAME / 'lib' / NAME / name
-
-
 def test_what_is_no_code_is_installed(workspace: Path) -> None:
     (code,) = (workspace / 'install').glob(f'**/site-packages/{NAME}')
     for source, place in (*((ROOT / name, share(workspace) / name) for name in DATA),
@@ -88,23 +83,17 @@ def test_what_is_no_code_is_installed(workspace: Path) -> None:
         assert {file.name: file.read_bytes() for file in place.iterdir()} == expected
 
 
-@pytest.fixture
-def node(workspace: Path, sourced: dict[str, str], tmp_path: Path
-         ) -> Iterator[subprocess.Popen[bytes]]:
-    """Start the node from the workspace; its output goes to log."""
-    config = share(workspace) / 'config' / 'plate.yaml'
-    command = [executable(workspace, 'calibrate'), '--ros-args', '--params-file', config]
+def test_the_installed_node_answers(workspace: Path, sourced: dict[str, str], tmp_path: Path,
+                                    client: Client) -> None:
+    command = [workspace / 'install' / NAME / 'lib' / NAME / 'calibrate', '--ros-args',
+               '--params-file', share(workspace) / 'config' / 'plate.yaml']
     with ((tmp_path / 'log').open('w', encoding='utf-8') as output,
           running(command, signal.SIGINT, cwd=tmp_path, env=sourced, stdout=output,
-                  stderr=subprocess.STDOUT) as process):
-        yield process
-
-
-def test_the_installed_node_answers(node: subprocess.Popen[bytes], client: Client) -> None:
-    response = client.call('compute_calibration')
-    assert not response.success  # nothing moves here, and it says so
-    assert '/flange_pose' in response.message
-    assert node.poll() is None
+                  stderr=subprocess.STDOUT) as node):
+        response = client.call('compute_calibration')
+        assert not response.success  # nothing moves here, and it says so
+        assert '/flange_pose' in response.message
+        assert node.poll() is None
 
 
 def test_the_version_is_the_same_everywhere() -> None:
