@@ -194,6 +194,8 @@ def test_a_wrong_radius_is_named_where_an_arc_is_seen(stated: float) -> None:
     config = with_values(UNKNOWN, {'target.radius': stated})
     with pytest.raises(FeatureError, match=r'target\.radius .* mm: correct it|radius of 30\.0 mm'):
         arc_features(wide(ball), config)
+    with pytest.raises(FeatureError, match='no arc of the sphere'):
+        arc_features(drawn(face), config)
 
 
 @pytest.mark.parametrize('config', [KNOWN, UNKNOWN], ids=['known', 'unknown'])
