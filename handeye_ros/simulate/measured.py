@@ -86,8 +86,8 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
     return SimulatedFiles({'poses.csv': csv_text(header, np.hstack(columns).round(DIGITS))}, X,
                           dict(zip(names, (*robot, *target), strict=True)),
-                    {'target.type': 'hand_eye', 'calibration_type': (
-                        'eye_on_base' if eye_on_base else 'eye_in_hand')})
+                          {'target.type': 'hand_eye', 'calibration_type': (
+                              'eye_on_base' if eye_on_base else 'eye_in_hand')})
 
 
 RADIUS = 0.01905
