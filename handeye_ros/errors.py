@@ -85,10 +85,12 @@ class BadValueError(InputError):
 
 
 def mm(metres: float) -> str:
+    """Return a length in words."""
     return f'{metres * 1e3:.3g} mm' if metres < 1 else 'more than a metre'
 
 
 def degrees(radians: float) -> str:
+    """Return an angle in words."""
     return f'{math.degrees(radians):.3g} degrees' if radians < 1 else 'more than 57 degrees'
 
 

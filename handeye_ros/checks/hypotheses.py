@@ -14,8 +14,9 @@ A stop that an explanation leaves out, or whose edge it leaves out, or that alon
 its unknowns, counts as one that is off by 8 sigma. A difference of 23 is odds of 10^5 (Kass and
 Raftery 1995, J. Am. Stat. Assoc. 90:773).
 
-The sigmas are those of the features, which each explanation reads for itself: a stranger's edge is
-uncertain, and therefore fits. So the same must also hold in metres, in one unit for both.
+The sigmas are those of the features, which each explanation reads for itself: the edge of another
+object is uncertain, and fits for that reason. So the same must also hold in metres, in one unit
+for both.
 """
 from __future__ import annotations
 

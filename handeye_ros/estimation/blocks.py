@@ -53,7 +53,7 @@ class ParameterBlock:
         (m, rad, s or 1)
     twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as in Linear.by_pose;
         None: no change
-    best_fit(linear): (6, k) derivatives of the best-fit transform; None: no change
+    best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: none
     parameter: index of the target's parameter that it is, None for a mere correction of residuals
     pose_values: which values of the pose model it is, likewise
     value: (k,) of these parameters at present

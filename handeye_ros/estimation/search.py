@@ -247,6 +247,7 @@ def different(X: Array) -> list[int]:
 
 @lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
 def white_at(linear: Linear, noise: Noise = LUMPED) -> Whitening:
+    """Return the map that whitens the residuals of a problem."""
     return whitening(linear, noise)
 
 
@@ -258,7 +259,7 @@ def mean_squares(linear: Linear) -> Array:
 
 
 def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
-    """Return the least-squares system of a problem; each station is a block."""
+    """Return the least-squares system of a problem; each station is an item."""
     def rows(at: Linear) -> Rows:
         return Rows(at.residuals, lambda: at.jacobian[:, problem.free_columns],
                     lambda: white_at(at, noise))

@@ -29,7 +29,6 @@ def true_transform(bag: Path) -> Array | None:
     Return the true T_flange_sensor (4, 4) of a bag, None if it is unknown.
 
     bag: a rosbag2 folder, or a file in one. Raises InputError for a damaged truth.yaml.
-
     """
     path = (bag if bag.is_dir() else bag.parent) / NAME
     if not path.is_file():

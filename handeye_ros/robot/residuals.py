@@ -49,7 +49,7 @@ class Residuals:
 @dataclass(frozen=True, eq=False)
 class ArmProfiles:
     """
-    ArmProfiles of a target: a problem, whose poses are replaced by those of the arm.
+    Profiles of a target: a problem, whose poses are replaced by those of the arm.
 
     axes: residuals in one vector, each with a noise of its own.
     """

@@ -189,7 +189,12 @@ def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
-    """Return the piece through poses (n, 7) with the knots that predict them best."""
+    """
+    Return the piece through poses (n, 7) with the knots that predict them best.
+
+    A few poses far from the spline through all are not used; of many, it is the spline that is
+    wrong.
+    """
     t = (stamps - stamps[0]) * 1e-9
     values = values.copy()
     turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation

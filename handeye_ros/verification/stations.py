@@ -67,6 +67,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
 
 def _stations(routine: Routine, recordings: Sequence[Sequence[Sample]], X: Array, config: Config,
               surface: str = '') -> StationSet:
+    """Return the points of recordings on what a routine measures; surface: a remark."""
     samples = [sample for one in recordings for sample in one]
     poses = mounted(samples, config)
     return StationSet(poses, _observed(routine, samples, poses @ X),

@@ -246,6 +246,7 @@ def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str
 
 def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
            limits: VerifyConfig) -> list[str]:
+    """Return what a verdict must be read with, in sentences."""
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
     kept = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
     if kept:
