@@ -178,8 +178,9 @@ class _Steps:
         D, J = white(_by_steps(solution)), solution.derivatives
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, changes))
-        values, axes = np.linalg.eigh(solution.covariance)
-        root = (axes * np.sqrt(np.maximum(values, 0.0))).T
+        scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
+        values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
+        root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T
         return cls(np.array([D[part].T @ D[part] for part in rows]),
                    np.array([root @ (J[part].T @ D[part]) for part in rows]),
                    np.array([solution.whitened[part] @ D[part] for part in rows]))
