@@ -55,12 +55,12 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
                         'RMS, and the orientations of the poses are scattered in all directions, '
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
-    if refusal:
-        if turning(problem.poses)[0][1] < FEW_TURNS:
-            require_certain(solution.reported, problem.config,
-                            missing_motion(solution, problem.config))
-        refuse_better(stated, moved_between(problem))
-    refuse_better(stated, other_scale(solution))
+    scales = other_scale(solution)
+    if refusal and turning(problem.poses)[0][1] < FEW_TURNS:
+        require_certain(solution.reported, problem.config,
+                        missing_motion(solution, problem.config))
+    if refusal or scales:  # a move in the middle may look like a scale
+        refuse_better(stated, [*moved_between(problem), *scales])
     if refusal:
         raise refusal
 
@@ -76,7 +76,7 @@ def with_known_cause(refusal: DataError, session: Session, config: Config) -> Da
     if config.sampling.moving:
         return refusal
     try:
-        if isinstance(refusal, UnexplainedError):
+        if isinstance(refusal, UnexplainedError) or refusal.reason == 'moved':
             require_settings(session, config)
         if isinstance(refusal, UnexplainedError) or refusal.reason == 'moved':
             require_one_surface(session, config)
