@@ -48,7 +48,7 @@ def require_settings(session: Session, config: Config) -> None:
         fit = fit_of([result_of(stop, as_changed) for stop in stops], as_changed)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
             fit = replace(fit, q=np.where(edges, np.inf, fit.q))
-        return fit
+        return _within_noise(fit)
 
     refuse_better(stated, [
         Hypothesis(partial(refit, values), partial(to_set, values, stated), len(values))
@@ -81,8 +81,19 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
               for k in asked]
     flipped = flipped_range(config)
     values = {SIGN: str(flipped.profile.range_sign)}
-    refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped, clocks=clocks),
-                                      partial(to_set, values, stated))])
+    refuse_better(stated, [Hypothesis(
+        lambda: _within_noise(fit_of(others, flipped, clocks=clocks)),
+        partial(to_set, values, stated))])
+
+
+def _within_noise(fit: Explanation) -> Explanation:
+    """
+    Return a fit of stops read anew, of none where they fit worse than the noise makes, in metres.
+
+    Edges of a stranger (the floor beside the target) are uncertain, and fit in sigmas.
+    """
+    good = all(part.residual_rms <= part.expected_rms for part in fit.parts)
+    return fit if good else Explanation.nothing(fit.q.shape[1])
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:
