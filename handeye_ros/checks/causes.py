@@ -55,12 +55,17 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
                         'RMS, and the orientations of the poses are scattered in all directions, '
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
+    if refusal:
+        if turning(problem.poses)[0][1] < FEW_TURNS:
+            require_certain(solution.reported, problem.config,
+                            missing_motion(solution, problem.config))
+        refuse_better(stated, moved_between(problem))
     scales = other_scale(solution)
-    if refusal and turning(problem.poses)[0][1] < FEW_TURNS:
-        require_certain(solution.reported, problem.config,
-                        missing_motion(solution, problem.config))
-    if refusal or scales:  # a move in the middle may look like a scale
+    try:
+        refuse_better(stated, scales)
+    except DataError:  # a move in the middle may look like a scale
         refuse_better(stated, [*moved_between(problem), *scales])
+        raise
     if refusal:
         raise refusal
 
