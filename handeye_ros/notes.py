@@ -67,11 +67,11 @@ def reported_parameters(solution: Solution) -> dict[str, Any]:
 
 def time_offset_of(solution: Solution) -> ClockEstimate | None:
     """Return the time offset (s) to add to received stamps, None without samples in motion."""
-    offset = _clocks(solution, TIME_OFFSET)
+    offset = clock_estimate(solution, TIME_OFFSET)
     return offset and ClockEstimate(solution.problem.config.time_offset + offset.value, offset.std)
 
 
-def _clocks(solution: Solution, name: str) -> ClockEstimate | None:
+def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     """Return value and 1 sigma of a parameter of the clocks, None without it."""
     best = parameters(solution).get(name)
     if best is None:
@@ -88,7 +88,7 @@ def notes_of(solution: Solution, config: Config) -> list[str]:
 
 def offset_notes(solution: Solution) -> list[str]:
     """Return notes on the time offset and the lag of the rotation."""
-    offset, lag = _clocks(solution, TIME_OFFSET), _clocks(solution, ROTATION_LAG)
+    offset, lag = (clock_estimate(solution, name) for name in (TIME_OFFSET, ROTATION_LAG))
     if offset is None:
         return []
     notes = []
@@ -101,7 +101,7 @@ def offset_notes(solution: Solution) -> list[str]:
     if lag and abs(lag.value) > max(CONTRADICTION * lag.std, 3e-4):
         notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
                      'position: a scan with this calibration allows for it')
-    drift = _clocks(solution, CLOCK_DRIFT)
+    drift = clock_estimate(solution, CLOCK_DRIFT)
     if drift and abs(drift.value) > max(CONTRADICTION * drift.std, LARGE_DRIFT):
         notes.append('the clocks of profiles and poses drift apart by '
                      f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '

@@ -16,6 +16,7 @@ from handeye_ros import targets
 from handeye_ros.arm import with_arm_errors
 from handeye_ros.calibration import calibration_of
 from handeye_ros.checks.causes import require_agreement, with_known_cause
+from handeye_ros.checks.clocks import require_steady_clocks
 from handeye_ros.checks.measures import (
     require_one_scale,
     with_free_shape_if_needed,
@@ -177,8 +178,10 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 6. Where they do not agree, name the assumption that is wrong, if it is certain.
         require_agreement(ordered, problem, solution)
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
-        # lengths of the target where they are stated wrongly. Refuse scales that differ.
+        # lengths of the target where they are stated wrongly. Refuse clocks that jumped, and
+        # scales that differ.
         solution = with_free_size_if_needed(with_blocks(solution))
+        require_steady_clocks(solution)
         require_one_scale(solution)
         agree = True
         if config.kinematics:  # a corrected arm, which has errors of its own

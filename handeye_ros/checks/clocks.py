@@ -4,7 +4,8 @@
 Whether the clocks of sensor and robot differ.
 
 They do if, at stop after stop, the profiles come to rest or leave it later than the poses, and
-the samples fit the poses of that other time.
+the samples fit the poses of that other time; in a sweep, if the offset between them changes by
+more than clocks drift apart.
 """
 from __future__ import annotations
 
@@ -15,8 +16,10 @@ from dataclasses import dataclass, replace
 from handeye_ros import se3, targets
 from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, refuse_better
 from handeye_ros.config import Config
-from handeye_ros.data import Array, NS, Profile, Sample
+from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
+from handeye_ros.estimation.solve import Solution
+from handeye_ros.notes import clock_estimate
 from handeye_ros.sampling.features import of_profiles
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
@@ -27,6 +30,7 @@ LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
 MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
 SMALLEST_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
+MOST_DRIFT = 10.0  # times clock_drift_std: more is a step of a clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,16 @@ class _Still:
     pose: Array
     stop: Array
     rest: Array
+
+
+def require_steady_clocks(solution: Solution) -> None:
+    """Raise DataError (clocks_differ) where the clocks of a sweep drift apart as none do."""
+    drift = clock_estimate(solution, CLOCK_DRIFT)
+    if drift and abs(drift.value) > MOST_DRIFT * solution.problem.config.clock_drift_std:
+        raise DataError(
+            f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.0f} ms a '
+            'minute, or one of them jumped meanwhile: give both the same clock, without steps, '
+            'and record again', reason='clocks_differ')
 
 
 def require_same_clock(session: Session, config: Config) -> None:

@@ -199,6 +199,14 @@ def test_a_robot_less_accurate_than_stated_is_no_move(name: str) -> None:
     assert 'warnings' not in pipeline.solve(samples, [], config, 'laser').provenance
 
 
+def barred(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return a plate with a bar 15 mm beside each of two edges: the gaps look like plates."""
+    bars = (box((-0.05, -0.055, -0.015), (0.25, -0.015, 0.01)),
+            box((-0.06, -0.05, -0.015), (-0.02, 0.25, -0.005)))
+    ground = box((-0.3, -0.3, -0.02), (0.5, 0.5, -0.015))
+    return (*scenes.SCENES['plate'].solids(scenario), *bars, ground)
+
+
 def clamped(scenario: Scenario, height: float) -> tuple[Solid, ...]:
     """Return a plate with three clamps on each of two edges, 15 mm wide."""
     clamps = []
@@ -210,35 +218,40 @@ def clamped(scenario: Scenario, height: float) -> tuple[Solid, ...]:
     return (*scenes.SCENES['plate'].solids(scenario), *clamps)
 
 
-@pytest.mark.parametrize(('name', 'seed', 'height', 'answered'), [
-    ('line', 0, 15, False), ('plate', 0, 15, True),
-    ('plate', 1, 3, True)])  # without the question it would look like a move
-def test_the_stops_that_show_a_clamp_are_named_and_left_out(
-        monkeypatch: pytest.MonkeyPatch, name: str, seed: int, height: int, answered: bool
-) -> None:
+@pytest.mark.parametrize(('name', 'seed', 'solids', 'answered'), [
+    ('line', 0, partial(clamped, height=0.015), False),
+    ('plate', 0, partial(clamped, height=0.015), True),
+    ('plate', 1, partial(clamped, height=0.003), True),  # without the question it would look
+    ('plate', 3, barred, True), ('plate', 7, barred, True)])  # like a move, or the other sign
+def test_the_stops_that_show_another_surface_are_named_and_left_out(
+        monkeypatch: pytest.MonkeyPatch, name: str, seed: int, solids: Callable[..., object],
+        answered: bool) -> None:
     monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
-        scenes.SCENES[SCENARIOS[name].scene], solids=partial(clamped, height=height * 1e-3)))
+        scenes.SCENES[SCENARIOS[name].scene], solids=solids))
     scenario = replace(SCENARIOS[name], scene='clamped')
     made = simulate(scenario, np.random.default_rng(seed))
     values = settings(scenario) | {'target.type': name}
     config = with_values(Config(), values, 'the test')
     session = pipeline.gather(made.profiles, made.poses, config)
     T_target_base = se3.inverse(made.truth.T_base_target)
-    on_clamps = []
+    elsewhere, heights = [], []
     for stop in (stop for stop in session.stops if stop.sample):
         face = next(f for f in stop.sample.features if isinstance(f, FaceLine))
         T = T_target_base @ stop.sample.T_base_flange @ made.truth.T_flange_sensor
-        if T[2, [0, 2]] @ face.centre + T[2, 3] > height * 1e-3 / 2:
-            on_clamps.append(stop)
+        height = abs(T[2, [0, 2]] @ face.centre + T[2, 3])
+        if height > 1e-3:
+            elsewhere.append(stop)
+            heights.append(height)
     answer = pipeline.answer_of(session, config)
     if answered:  # the others are enough
         [told] = answer.calibration.provenance['warnings']
         assert {report.stamp for report in answer.calibration.samples
-                if not report.used} >= {stop.sample.stamp for stop in on_clamps}
+                if not report.used} >= {stop.sample.stamp for stop in elsewhere}
         assert squared_error(answer.calibration, made.truth) < 16.8
     else:
         told = str(answer.refusal)
         assert answer.refusal.reason == 'surface'
-    assert f'{height}.0 mm above' in told
+    assert f'{np.median(heights) * 1e3:.1f} mm above' in told
     named = re.search(r'the stops ([\d, ]+) show', told)
-    assert [int(number) for number in named[1].split(', ')] == [stop.number for stop in on_clamps]
+    assert [int(number) for number in named[1].split(', ')] == [
+        stop.number for stop in elsewhere]

@@ -61,6 +61,13 @@ def test_wrong_settings_are_named(name: str, wrong: dict[str, object], words: st
                            set_to(made(name).config, **wrong))
 
 
+def test_a_plate_whose_edges_are_seen_one_after_the_other_is_no_line_that_moved() -> None:
+    seen = recorded('plate_in_order', rate=10.0)
+    config = set_to(seen.config, target__type='line', target__size=())
+    with pytest.raises(DataError, match='set target.type to plate$'):
+        pipeline.calibrate(seen.profiles, seen.poses, config)
+
+
 def beside_another(scenario: Scenario) -> tuple[Solid, ...]:
     """Return a block, and 2 mm beside it another one that is 1 mm lower: a plane fits both."""
     length, width = scenario.target.length, 0.05

@@ -10,6 +10,7 @@ from cells import settings_of, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, TimedPose
+from handeye_ros.errors import DataError
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.stream import interpolate
@@ -124,6 +125,23 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     assert abs(found.target['clock_drift'] + drift) < 4 * found.target['clock_drift_std'] < 1e-4
     assert 'drift apart by -' in found.target['note']
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+
+
+def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
+    scenario = sweep('plane', 0.02)
+    made, config = simulate(scenario, np.random.default_rng(1)), config_of(scenario)
+    middle = (made.poses[0].stamp + made.poses[-1].stamp) // 2
+    late = [replace(p, stamp=p.stamp + (NS // 20 if p.stamp > middle else 0))
+            for p in made.profiles]
+    with pytest.raises(DataError, match='one of them jumped') as caught:
+        pipeline.calibrate(late, made.poses, config)
+    assert caught.value.reason == 'clocks_differ'
+    shift = np.array([0.6e-3, 0.48e-3, 0.64e-3])
+    moved = [replace(p, translation=p.translation + (p.stamp > middle) * shift)
+             for p in made.poses if abs(p.stamp - middle) > 0.4 * NS]
+    with pytest.raises(DataError) as caught:
+        pipeline.calibrate(made.profiles, moved, config)
+    assert caught.value.reason == 'moved'
 
 
 @pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.thorough)])
