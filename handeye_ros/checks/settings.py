@@ -15,6 +15,7 @@ from itertools import permutations
 
 from handeye_ros import targets
 from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, refuse_better
+from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
@@ -48,7 +49,7 @@ def require_settings(session: Session, config: Config) -> None:
         fit = fit_of([result_of(stop, as_changed) for stop in stops], as_changed)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
             fit = replace(fit, q=np.where(edges, np.inf, fit.q))
-        return _within_noise(fit)
+        return fit if _within_noise(fit) else Explanation.nothing(len(stops))
 
     refuse_better(stated, [
         Hypothesis(partial(refit, values), partial(to_set, values, stated), len(values))
@@ -72,6 +73,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
     """
     Raise DataError (settings) where the opposite profile.range_sign explains stations better.
 
+    Where neither sign explains them within the noise, something else may: an UnexplainedError.
     samples: of the stations of the stated fit, in order; compared are those with flipped features.
     clocks: of a sweep, those of the samples are in doubt too.
     """
@@ -81,19 +83,26 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
               for k in asked]
     flipped = flipped_range(config)
     values = {SIGN: str(flipped.profile.range_sign)}
-    refuse_better(stated, [Hypothesis(
-        lambda: _within_noise(fit_of(others, flipped, clocks=clocks)),
-        partial(to_set, values, stated))])
+
+    def refusal(fit: Explanation) -> DataError:
+        if _within_noise(fit):
+            return to_set(values, stated, fit)
+        return UnexplainedError(
+            f'{fit.compared(stated, f"{SIGN} {values[SIGN]}")}, neither as well as the noise '
+            f'allows: check {SIGN}, and that every sample shows the target itself and no clamp '
+            'or second plate', reason='misfit')
+
+    refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped, clocks=clocks), refusal)])
 
 
-def _within_noise(fit: Explanation) -> Explanation:
+def _within_noise(fit: Explanation) -> bool:
     """
-    Return a fit of stops read anew, of none where they fit worse than the noise makes, in metres.
+    Return whether stops that were read anew fit as well as the noise predicts, in metres.
 
-    Edges of a stranger (the floor beside the target) are uncertain, and fit in sigmas.
+    Edges of another object, such as the floor beside the target, are uncertain: they fit in
+    sigmas.
     """
-    good = all(part.residual_rms <= part.expected_rms for part in fit.parts)
-    return fit if good else Explanation.nothing(fit.q.shape[1])
+    return all(part.residual_rms <= part.expected_rms for part in fit.parts)
 
 
 def _changes(config: Config) -> Iterator[dict[str, str]]:
