@@ -74,18 +74,18 @@ def with_known_cause(refusal: DataError, session: Session, config: Config) -> Da
     """
     Return a refusal, or the one of the setting, surface or clocks that explain the stops better.
 
-    A refusal whose cause is certain stays; an uncertain answer may come from clocks that differ,
-    and what looks like a move from stops that show another surface.
+    A refusal whose cause is certain stays. An uncertain answer may come from clocks that differ,
+    and what looks like a move from another target, shown part by part, or from another surface.
     Only stops are asked: a pass has many profiles with their own poses, and estimates its clocks.
     """
     if config.sampling.moving:
         return refusal
+    unexplained = isinstance(refusal, UnexplainedError)
     try:
-        if isinstance(refusal, UnexplainedError) or refusal.reason == 'moved':
+        if unexplained or refusal.reason == 'moved':
             require_settings(session, config)
-        if isinstance(refusal, UnexplainedError) or refusal.reason == 'moved':
             require_one_surface(session, config)
-        if isinstance(refusal, UnexplainedError) or refusal.reason == 'uncertain':
+        if unexplained or refusal.reason == 'uncertain':
             require_same_clock(session, config)
     except DataError as named:
         return named

@@ -3,7 +3,7 @@
 """
 The least squares of the estimators, over items of data, and which items are outliers.
 
-A item has one weight: a station, a row of a table, a pair of poses. Levenberg-Marquardt; items
+An item has one weight: a station, a row of a table, a pair of poses. Levenberg-Marquardt; items
 that do not fit are weighted down by graduated non-convexity, (11) (Yang et al. 2020, RA-L 5:1127),
 then those that the others do not predict are dropped, worst first, by leave-one-out residuals,
 (12). In an inverse, a direction that the data do not show keeps a large, finite variance.
@@ -33,7 +33,7 @@ GROSS = 64.0  # squared residual over the typical one (8 sigma): dropped at once
 FALSE_ALARM = 1e-3  # probability that good data lose one item
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
-ROUNDING = 1e-13  # relative information, or variance, that is rounding
+FREE_DIRECTION = 1e-13  # relative information, or variance, that is rounding
 NOTHING = 1e-280  # smallest information: its inverse is still a number
 
 States: TypeAlias = tuple[NDArray[Any], ...]
@@ -233,7 +233,7 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
     One that the others do not predict is dropped here; what is off by much more was left out of
     `used` before. used: the items to begin with, of `total`; minimum: fewest that remain;
     fitted(the fit before or None, used): the fit of some items; judged(fit): of each item the
-    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): a item that is
+    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): an item that is
     wrong though none of these is too large, None without one.
     """
     fit, dropped = fitted(None, used), dict[int, float]()
@@ -316,11 +316,11 @@ def covariance_of(J: Array) -> Array:
 def inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), NOTHING))
-    scaled = information * scale * scale[:, None] + ROUNDING * np.eye(len(information))
+    scaled = information * scale * scale[:, None] + FREE_DIRECTION * np.eye(len(information))
     root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
     if failed:
         values, vectors = eigen(scaled)
-        full = (vectors / np.maximum(values, ROUNDING)) @ vectors.T
+        full = (vectors / np.maximum(values, FREE_DIRECTION)) @ vectors.T
     else:
         lower, _ = lapack.dpotri(root, lower=1, overwrite_c=1)
         full = lower + np.tril(lower, -1).T

@@ -28,7 +28,12 @@ from handeye_ros.estimation.blocks import (
     pose_corrections,
     slices,
 )
-from handeye_ros.estimation.least_squares import covariance_of, inverse, left_out_of, ROUNDING
+from handeye_ros.estimation.least_squares import (
+    covariance_of,
+    FREE_DIRECTION,
+    inverse,
+    left_out_of,
+)
 from handeye_ros.estimation.noise import (
     covariances,
     estimated_variances,
@@ -435,7 +440,7 @@ def covering(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
-    roots = np.sqrt(np.maximum(values, ROUNDING))
+    roots = np.sqrt(np.maximum(values, FREE_DIRECTION))
     root, inverse_root = std[:, None] * vectors * roots, (vectors / roots).T / std
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
     along = root @ vectors
