@@ -224,10 +224,13 @@ def require_edges(solution: Solution) -> None:
             reason='edges')
     shown = int(solution.whole.shows_essential.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
+        dropped = f'{len(solution.dropped)} contradict the others' if solution.dropped else ''
+        why = '; '.join(filter(None, (dropped, lost_edges(solution))))
         raise UnexplainedError(
-            f'{lost_edges(solution)}; an answer that leaves out so many cannot be trusted: check '
-            'target.size, that the edges are straight and that the laser crosses no other edges, '
-            'or calibrate from the plane alone (target.type plane)', reason='edges')
+            f'only {used} of the {shown} samples that show an edge agree on the target, and such '
+            f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '
+            'and that the laser crosses no other edges, or calibrate from the plane alone '
+            '(target.type plane)', reason='edges')
 
 
 def require_left_out(left_out: float, residual: float, limit: float) -> None:
