@@ -55,18 +55,17 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
                         'RMS, and the orientations of the poses are scattered in all directions, '
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
-    if refusal:
-        if turning(problem.poses)[0][1] < FEW_TURNS:
-            require_certain(solution.reported, problem.config,
-                            missing_motion(solution, problem.config))
-        refuse_better(stated, moved_between(problem))
+    if refusal and turning(problem.poses)[0][1] < FEW_TURNS:
+        require_certain(solution.reported, problem.config,
+                        missing_motion(solution, problem.config))
     scales = other_scale(solution)
     try:
         refuse_better(stated, scales)
-    except DataError:  # a move in the middle may look like a scale
-        refuse_better(stated, [*moved_between(problem), *scales])
+    except DataError:  # a move may look like a scale: it must explain more than that
+        refuse_better(scales[0].refit(), moved_between(problem))
         raise
     if refusal:
+        refuse_better(stated, moved_between(problem))
         raise refusal
 
 

@@ -106,7 +106,7 @@ def require_one_scale(agreed: Solution) -> None:
     scale = parameters(agreed.conservative).get('scale')
     if scale and abs(scale.contradiction) > CONTRADICTION and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, CONTRADICTION * scale.std):
-        with_possible_move(agreed)
+        with_possible_move(agreed)  # raises where something surely moved
         raise _scales_differ(abs(scale.value), scale.std)
 
 

@@ -129,5 +129,5 @@ def changed(config: Config, values: dict[str, str]) -> Config:
 
 def thinned(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
-    stop = stop.needed(config)
+    stop = stop.load(config).needed(config)
     return replace(stop, profiles=tuple(evenly(stop.profiles, PROFILES_READ)))

@@ -39,7 +39,7 @@ class OtherSurfaceError(DataError):
 
     def __init__(self, stops: Sequence[Stop], height: float, seen: int, total: int) -> None:
         """Build the sentence; height (m) over the plane that `seen` of all stops show."""
-        self.stamps = {stop.result.stamp for stop in stops if stop.result}
+        self.stamps = {stop.result.stamp for stop in stops}
         self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above or below the plane '
                     f'that {seen} of {total} stops show, such as a clamp, a second plate or the '
                     'table')

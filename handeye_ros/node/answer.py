@@ -178,7 +178,8 @@ class LiveAnswer:
     def _basis(self) -> tuple[object, ...]:
         """Return what identifies samples and settings; a session by its files."""
         live = self._live
-        samples = [(stop.number, stop.began) for stop in live.session.stops if stop.sample]
+        # a stop that goes on gives another sample of the same number
+        samples = [(stop.number, stop.sample) for stop in live.session.stops if stop.sample]
         return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')),
                 len(live.without_sample), samples)
 

@@ -306,7 +306,7 @@ class LiveSession:
             with suppress(DataError):
                 self.verification.add_stop(stop, over)
             return
-        stop, remark = self._evaluated(stop)  # which refuses nothing, as in a recording
+        stop, remark = self._evaluated(stop)  # the remark refuses nothing, as in a recording
         earlier = self._known(stop.number)
         try:
             stop = self._stored(stop)
@@ -447,7 +447,8 @@ class LiveSession:
         """Forget stops, messages, and what follows; return the number of samples there were."""
         count = sum(stop.sample is not None for stop in self.session.stops)
         with self.lock:
-            for messages in (self._profiles, self._poses, self.to_evaluate, self._stale):
+            for messages in (self._profiles, self._poses, self.joints, self.to_evaluate,
+                             self._stale):
                 messages.clear()
             self.session.clear()
             self.early = None

@@ -29,8 +29,9 @@ MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size
 MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
 SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
 FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
-REACH = 0.5  # largest distance of a face's end from the crossing, over its length: a
-# groove can hide its own bottom from the camera
+# largest distance of a face's end from the crossing, over its length: a groove can hide its own
+# bottom from the camera
+REACH = 0.5
 SMALLEST_REACH = 2e-3  # m: its lower bound, for short faces
 
 

@@ -94,8 +94,8 @@ class ArmFit:
         def rows(state: ArmState) -> Rows:
             r, J = replace(self, state=state).linear
             return Rows(np.append(r, state.errors / stds), lambda: np.vstack([J, by_priors]))
-        unit = np.append(self.stops.station[self.rows], np.full(len(stds), len(self.stops)))
-        return replace(self, state=System(rows, self.stops.moved, unit).least_squares(
+        item = np.append(self.stops.station[self.rows], np.full(len(stds), len(self.stops)))
+        return replace(self, state=System(rows, self.stops.moved, item).least_squares(
             self.state, iterations=20, converged=1e-4))
 
 
@@ -136,10 +136,10 @@ def without_outliers(fit: ArmFit) -> ArmFit:
         return adjusted(replace(before or fit, used=np.isin(every, used)))
 
     def judged(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
-        _, unit = np.unique(found.stops.station[found.rows], return_inverse=True)
-        (r, J), freedom = found.linear, np.bincount(unit)
-        left_out = leave_one_out(r, J, found.covariance, unit)
-        return np.bincount(unit, r * left_out) / freedom, freedom
+        _, item = np.unique(found.stops.station[found.rows], return_inverse=True)
+        (r, J), freedom = found.linear, np.bincount(item)
+        left_out = leave_one_out(r, J, found.covariance, item)
+        return np.bincount(item, r * left_out) / freedom, freedom
     return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 

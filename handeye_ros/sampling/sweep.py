@@ -69,7 +69,7 @@ class ClockedPoses:
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> ClockedPoses:
-        """Return the clocked of samples, at least one of them of a moving robot."""
+        """Return the clocked poses of samples, at least one of them of a moving robot."""
         return cls(np.array([sample.T_base_flange for sample in samples]),
                    np.array([sample.stamp for sample in samples]),
                    np.array([sample.moving for sample in samples]),

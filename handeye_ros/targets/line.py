@@ -37,7 +37,7 @@ NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
 DIRECTIONS = 400
 CANDIDATES = 24
 MINIMUM = 7  # samples
-TYPICAL_SHARE = 0.7
+NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 CONDITIONS = 2  # of one edge point
 # of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
@@ -59,7 +59,7 @@ def _nearness(problem: Problem, estimate: Estimate) -> float:
     away = _away(edge.in_base(problem.poses, estimate.X), estimate.state)
     nearest = np.full(len(problem.poses), np.inf)
     np.minimum.at(nearest, edge.station, away)
-    return float(np.quantile(nearest[np.isfinite(nearest)], TYPICAL_SHARE))
+    return float(np.quantile(nearest[np.isfinite(nearest)], NEAR_SHARE))
 
 
 def _away(p: Array, state: Array) -> Array:

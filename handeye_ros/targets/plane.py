@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 NORMALS = 400
 CANDIDATES = 10
-TYPICAL_SHARE = 0.7  # of the stations
+NEAR_SHARE = 0.7  # of the stations
 AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
 ONE_ANGLE = 3.0  # degrees: angles to the plane that differ by less count as one
 TINY = 1e-30  # m^2
@@ -73,7 +73,7 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     station, n = labelled.station[used], len(problem.poses)
     away = PLANE.conditions(p[used], labelled.kind[used], estimate.state, problem.config).g
     count = np.maximum(np.bincount(station, minlength=n), 1)
-    return float(np.quantile(np.bincount(station, away ** 2, n) / count, TYPICAL_SHARE) ** 0.5)
+    return float(np.quantile(np.bincount(station, away ** 2, n) / count, NEAR_SHARE) ** 0.5)
 
 
 def plane_candidates(problem: Problem, more: int = 1) -> list[Estimate]:

@@ -38,7 +38,7 @@ SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
 SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
-TYPICAL_SHARE = 0.3  # of the edge points are surely on an edge of the plate
+SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 DIRECTIONS = 120  # tried, over a quarter turn
 VOTERS = 24  # points that this search uses
@@ -62,7 +62,7 @@ def _edge_points(observations: Observations, p: Array, state: Array
 
 def _gate(distance: Array) -> float:
     """Return the largest accepted distance of an edge point, from the distances (m,) of all."""
-    typical = np.quantile(distance, TYPICAL_SHARE, method='lower') if len(distance) else 0.0
+    typical = np.quantile(distance, SURE_SHARE, method='lower') if len(distance) else 0.0
     return max(SMALLEST_GATE, GATE * float(typical))
 
 

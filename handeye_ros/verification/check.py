@@ -170,7 +170,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
             f'of the sensor from {_shown(sensor_axes, sensor_shows, mount_frame(config))} on')
     else:
         verdict, sentence = _changed(sorted(causes, key=lambda cause: -cause.likelihood), odds)
-    left_out = [k + 1 for k in left_out]
+    every = sorted([sample.stamp for sample in samples] + [reject.stamp for reject in others])
+    left_out = [every.index(samples[k].stamp) + 1 for k in left_out]
     if left_out:
         sentence += f'. Left out, as they contradict the others: stops {left_out}'
     target, sensor, _ = causes

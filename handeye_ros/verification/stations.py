@@ -227,14 +227,14 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     or edge are left out.
     """
     samples = evenly(passes_expanded(samples), MOST_SAMPLES)
-    pairing = ClockedPoses.of(samples)
+    clocked = ClockedPoses.of(samples)
     stations = _stations(routine, [samples], X, config)
     one = replace(config.verify, lengths=())  # face or ball, of an artefact of several
     obs, shape = stations.observations, routine.shape(stations, X, one)
 
     def distances(x: Array) -> Array:
         """Return the distances from the shape; x: its unknowns and the offset."""
-        return shape.distance(obs.in_base(in_mount(pairing.at(x[-1]).T_base_flange, config), X),
+        return shape.distance(obs.in_base(in_mount(clocked.at(x[-1]).T_base_flange, config), X),
                               x[:-1])
 
     x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)
@@ -255,7 +255,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     _, sentence = compared(ClockEstimate(config.time_offset + float(x[-1]), std), previous)
     if foreign:
         sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
-    at = pairing.at(x[-1]).T_base_flange
+    at = clocked.at(x[-1]).T_base_flange
     return [replace(sample, T_base_flange=at[k], trajectory=None)
             for k, sample in enumerate(samples) if k not in foreign], sentence
 

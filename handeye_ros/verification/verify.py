@@ -58,7 +58,7 @@ class StationResult:
     """
     Result of one stop: the largest distance from the fit, and its 1 sigma (m).
 
-    bag, number: of recording and stop, from 1
+    bag, number: of recording, and of the stop among those that show the artefact, from 1
     stamp: ns
     p: probability that a good stop is as far off, whatever the error of the calibration
     reason: why it is not used

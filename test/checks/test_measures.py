@@ -4,7 +4,7 @@
 from dataclasses import replace
 import re
 
-from cells import settings_of
+from cells import cell, settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration
@@ -142,3 +142,13 @@ def test_lengths_that_differ_are_named(target: str, scale: float) -> None:
     assert refusal.value.reason == 'scale'
     named = float(str(refusal.value).split('differ by ')[1].split(' ')[0])
     assert named == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_scale_is_no_move_of_a_few_samples() -> None:
+    made = cell('line', 2)
+    samples = [replace(sample, T_base_flange=se3.transform(
+        sample.T_base_flange[:3, :3], 1.005 * sample.T_base_flange[:3, 3]))
+        for sample in made.samples]
+    with pytest.raises(DataError) as refusal:
+        pipeline.solve(samples, [], made.config, 'laser')
+    assert refusal.value.reason == 'scale'

@@ -18,7 +18,7 @@ from handeye_ros.bags.messages import cloud_from_cdr
 from handeye_ros.bags.reader import CLOUD, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import deviance, Explanation, refitted
-from handeye_ros.checks.settings import require_settings
+from handeye_ros.checks.settings import require_settings, thinned
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Calibration, EdgePoint, NS
 from handeye_ros.errors import DataError, HandeyeError
@@ -44,6 +44,14 @@ from recordings import scan, with_messages
 @lru_cache
 def made(name: str) -> Recorded:
     return recorded(FAULTS[name], rate=8.0)
+
+
+def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
+    seen = made('sphere')
+    whole = pipeline.gather(seen.profiles, seen.poses, seen.config).stops[0]
+    stored = replace(whole, poses=(), profiles=(), source=lambda config: whole)
+    few, same = (thinned(stop, seen.config) for stop in (stored, whole))
+    assert few.profiles == same.profiles and len(few.profiles) < len(whole.profiles)
 
 
 @pytest.mark.parametrize(('name', 'wrong', 'words'), [

@@ -110,6 +110,29 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
     assert not np.array_equal(live.answer.calibration.T_flange_sensor, without)
 
 
+def test_the_review_follows_a_stop_that_goes_on() -> None:
+    live, shared = new(SPHERE.config), []
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+        if isinstance(item, TimedPose):
+            live.add_poses([item])
+        else:
+            live.add_profile(item)
+        if live.to_evaluate or live.early:
+            update(live)
+            answer, last = live.answer.review.answer, live.session.stops[-1].sample
+            if answer and last:
+                shared.append((last.stamp, last.profiles) in {
+                    (sample.stamp, sample.profiles) for sample in answer.samples})
+    assert all(shared) and len(shared) > 10
+
+
+def test_cleared_samples_leave_no_joint_values() -> None:
+    live = new()
+    live.add_joints(SPHERE.poses[0].stamp, b'')
+    live.ask(live.clear_samples)
+    assert not live.joints
+
+
 def test_settings_that_change_need_no_new_samples() -> None:
     live, config = fed(), SPHERE.config
     computed(live)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from command import handeye
 from handeye_ros import pipeline, se3
 from handeye_ros.bags import bag_write
+from handeye_ros.data import Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
@@ -50,6 +51,16 @@ def test_what_changed_is_named_and_nothing_else(calibrated, change):
     right = [bench.TRUTH[change] in verdict.split(' or ') for _, verdict in found]
     least = {'unchanged': 1.0, 'joint 0.05': 0.8}.get(change, 0.95)  # as the bench measures
     assert sum(right) >= least * len(found), found
+
+
+def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
+    cell, config, solved, X, T = calibrated['plate']
+    samples = list(bench.samples(cell, 14, X, T, np.random.default_rng(3)))
+    wrong = samples[8].T_base_flange.copy()
+    wrong[:3, 3] += [4e-3, 3e-3, 4e-3]
+    samples[8] = replace(samples[8], T_base_flange=wrong)
+    others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
+    assert check(samples[2:], solved, config, others).left_out == [9]
 
 
 def test_a_change_is_measured(calibrated):
