@@ -30,8 +30,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytestmark = pytest.mark.thorough
-
 
 def with_poses(made: Cell, change: Callable[[Array], Array]) -> list[Sample]:
     changed = change(np.array([s.T_base_flange for s in made.samples]))
@@ -80,6 +78,7 @@ def test_convention_errors_are_named(target: str, change: Callable[[Array], Arra
     assert not orientations_scatter(made.problem.poses)
 
 
+@pytest.mark.thorough
 def test_convention_errors_are_named_in_a_sweep_whose_clocks_differ() -> None:
     sweep = SCENARIOS['plane_sweep']
     sweep = replace(sweep, sensor=replace(sweep.sensor, rate=10.0, columns=320, delay=-0.02))
@@ -219,10 +218,11 @@ def clamped(scenario: Scenario, height: float) -> tuple[Solid, ...]:
 
 
 @pytest.mark.parametrize(('name', 'seed', 'solids', 'answered'), [
-    ('line', 0, partial(clamped, height=0.015), False),
-    ('plate', 0, partial(clamped, height=0.015), True),
-    ('plate', 1, partial(clamped, height=0.003), True),  # without the question it would look
-    ('plate', 3, barred, True), ('plate', 7, barred, True)])  # like a move, or the other sign
+    ('plate', 3, barred, True),  # without the question it would look like the other sign, or
+    *(pytest.param(*values, marks=pytest.mark.thorough) for values in (
+        ('plate', 1, partial(clamped, height=0.003), True),  # like a move
+        ('plate', 7, barred, True), ('plate', 0, partial(clamped, height=0.015), True),
+        ('line', 0, partial(clamped, height=0.015), False)))])
 def test_the_stops_that_show_another_surface_are_named_and_left_out(
         monkeypatch: pytest.MonkeyPatch, name: str, seed: int, solids: Callable[..., object],
         answered: bool) -> None:
