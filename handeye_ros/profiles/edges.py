@@ -49,7 +49,6 @@ ROOF_REACH = 8.0  # they meet when their ends are this many columns from the cro
 MIN_STEP_SIGMAS = 8.0
 SHADOW_SLOPE = 2.0  # largest width hidden behind a step, over its height
 LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
-STEEP_ERROR = 1.0  # error of a steep surface, as a share of its additional noise
 MOST_LOST = 4  # largest number of columns between neighbouring points of the plate
 SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
 MOST_FURTHER = 80  # columns behind a face that may still be its bent end or its wall
@@ -223,7 +222,7 @@ def _meet_in_a_corner(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -
     a, b = end.segment, other
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
         return False
-    x = (b.offset - a.offset) / (a.slope - b.slope)
+    x = a.crossing(b)
     x_end, x_start = end.points[end.column, 0], end.points[other.first, 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     bent = len(further) > 0 and other.first - further[-1] <= MOST_LOST
@@ -235,10 +234,10 @@ def _meet_in_a_corner(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -
 def _corner(end: FaceEnd, other: Segment) -> EdgePoint:
     """Return the edge where the lines of two pieces cross."""
     a, b = end.segment, other
-    x = (b.offset - a.offset) / (a.slope - b.slope)
+    x = a.crossing(b)
     # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
     # than the face has an additional error of that size
-    steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5 * STEEP_ERROR
+    steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5
     offset_std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
     origin, along, _ = end.frame
     place, length = float((x - origin[0]) / along[0]), math.hypot(1.0, a.slope)

@@ -124,7 +124,7 @@ def _meet(a: Segment, b: Segment, points: Array) -> bool:
     """Return whether two pieces form an angle and end near the crossing of their lines."""
     if abs(math.atan(a.slope) - math.atan(b.slope)) < SMALLEST_ANGLE:
         return False
-    x = (b.offset - a.offset) / (a.slope - b.slope)
+    x = a.crossing(b)
     for segment in (a, b):
         ends = points[[segment.first, segment.last]]
         near, far = np.sort(np.linalg.norm(ends - [x, a.height(x)], axis=1))

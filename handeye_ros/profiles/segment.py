@@ -55,6 +55,10 @@ class Segment:
         """Return the range of the line at x, a number or an array."""
         return self.offset + self.slope * x
 
+    def crossing(self, other: Segment) -> float:
+        """Return x where the line crosses that of another segment, of another slope."""
+        return (other.offset - self.offset) / (self.slope - other.slope)
+
     def reversed(self, size: int) -> Segment:
         """Return the segment in the reversed profile of so many columns."""
         end = size - 1
