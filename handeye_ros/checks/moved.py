@@ -91,28 +91,18 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     first = _Steps.of(reported, changes).gains()
     if first.max() < -STRONG:  # evidence against a move
         return agreed, ''
-
-    def at_noise_of(moved: Solution) -> _Steps:
-        return _Steps.of(solution_at(agreed.problem, agreed.estimate, moved.noise), changes)
-
-    unmoved, tried = reestimated(reported), dict[tuple[int, int], Solution]()
-    for kind, gains in enumerate(first):
-        while (one := (kind, int(np.argmax(gains)))) not in tried:
-            tried[one] = reestimated(reported, _blocks(reported, kind, int(changes[one[1]])))
-            # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = at_noise_of(tried[one]).gains()[kind]
-    (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
+    kind, k, moved = _likeliest(agreed, changes, first)
+    unmoved = reestimated(reported)
     evidence = unmoved.deviance - moved.deviance
-    step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
-    shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
+    shift, turn, size = _size(moved, kind)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-    # of the points that are seen; a smaller move may be part of the robot's smooth error
-    arms = _arms(moved)[kind]
-    size = rms(np.linalg.norm(step[:3] + np.cross(step[3:], arms), axis=1))
-    least = LARGE * smooth
+    least = LARGE * smooth  # a smaller move may be part of the robot's smooth error
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
         least = max(least, config.noise.robot_smooth)
-    if evidence < STRONG or size < least or (p_value := at_noise_of(moved).p_value) >= RARELY:
+    if evidence < STRONG or size < least:
+        return agreed, ''
+    p_value = _steps_at(agreed, moved, changes).p_value
+    if p_value >= RARELY:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
@@ -126,6 +116,36 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     with_move = moved.covariance[:6, :6] + np.outer(away, away)
     more = covering(agreed.reported[:6, :6], with_move) - agreed.reported[:6, :6]
     return replace(agreed, added_covariances={**agreed.added_covariances, MOVE: more}), sentence
+
+
+def _likeliest(agreed: Solution, changes: NDArray[np.intp], first: Array
+               ) -> tuple[int, int, Solution]:
+    """
+    Return what moved, see _blocks, before which of the changes, and the solution with that move.
+
+    first: (2, k) gains of moves with the noise as it is without one.
+    """
+    reported, tried = agreed.conservative, dict[tuple[int, int], Solution]()
+    for kind, gains in enumerate(first):
+        while (one := (kind, int(np.argmax(gains)))) not in tried:
+            tried[one] = reestimated(reported, _blocks(reported, kind, int(changes[one[1]])))
+            # noise and scales estimated with the move do not absorb it: its time is clearer
+            gains = _steps_at(agreed, tried[one], changes).gains()[kind]
+    (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
+    return kind, k, moved
+
+
+def _steps_at(agreed: Solution, moved: Solution, changes: NDArray[np.intp]) -> _Steps:
+    """Return the sums for moves of a solution, with the noise of that with a move."""
+    return _Steps.of(solution_at(agreed.problem, agreed.estimate, moved.noise), changes)
+
+
+def _size(moved: Solution, kind: int) -> tuple[float, float, float]:
+    """Return shift (m), turn (rad) of the move in a solution, and that of the points seen (m)."""
+    step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
+    seen = step[:3] + np.cross(step[3:], _arms(moved)[kind])
+    return (float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])),
+            rms(np.linalg.norm(seen, axis=1)))
 
 
 def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock, ...]:
