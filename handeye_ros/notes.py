@@ -26,14 +26,14 @@ class BlockEstimate:
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
     contradiction: of the value from the data alone with the stated one, in sigmas of both;
-    evidence: of the value from the data alone, in its sigmas.
+    significance: of the value from the data alone, in its sigmas.
     """
 
     block: ParameterBlock
     value: float
     std: float
     contradiction: float
-    evidence: float
+    significance: float
 
 
 def parameters(solution: Solution) -> dict[str, BlockEstimate]:
@@ -112,7 +112,7 @@ def offset_notes(solution: Solution) -> list[str]:
 def _bend_notes(solution: Solution) -> Iterator[str]:
     """Yield the note on a laser line that is bent out of its plane, if the data show that."""
     bend = parameters(solution.conservative).get(LINE_BEND)
-    if bend and abs(bend.evidence) > CONTRADICTION and abs(bend.value) > SMALLEST_BEND:
+    if bend and abs(bend.significance) > CONTRADICTION and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')

@@ -61,10 +61,10 @@ class Solution:
 
     linear: the used stations with the labels of their observations, linearised
     priors: blocks with their configured sigmas
-    r: (m,) whitened residuals with all parameters of blocks at 0
-    A: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q parameters in
-        configured sigmas
-    N: (u + q, u + q) their information, A' A
+    white_residuals: (m,) whitened residuals with all parameters of blocks at 0
+    white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
+        parameters in configured sigmas
+    white_information: (u + q, u + q) their information
     whole: the problem with all stations and observations
     used: (n,) indices of those used
     dropped: squared residual of the others
@@ -80,9 +80,9 @@ class Solution:
     noise: Noise
     priors: tuple[ParameterBlock, ...]
     whitening: Whitening
-    r: Array
-    A: Array
-    N: Array
+    white_residuals: Array
+    white_jacobian: Array
+    white_information: Array
     whole: Problem
     used: NDArray[np.intp]
     dropped: Mapping[int, float] = field(default_factory=dict)
@@ -144,9 +144,10 @@ class Solution:
     def _solved(self) -> tuple[Array, Array]:
         """Return the step of all parameters (u + q,), and their covariance C, (5)."""
         if self.noise.lumped:  # the search ends where no step is left
-            return np.zeros(self.unknowns), covariance_of(self.A)
+            return np.zeros(self.unknowns), covariance_of(self.white_jacobian)
         covariance = inverse(self.information)
-        return -covariance @ (self.scales * (self.A.T @ self.r)), covariance
+        gradient = self.scales * (self.white_jacobian.T @ self.white_residuals)
+        return -covariance @ gradient, covariance
 
     @property
     def covariance(self) -> Array:
@@ -161,12 +162,13 @@ class Solution:
     @cached_property
     def derivatives(self) -> Array:
         """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
-        return self.A * self.scales
+        return self.white_jacobian * self.scales
 
     @cached_property
     def whitened(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        return np.asarray(self.r + self.A @ (self.scales * self._solved[0]))
+        step = self.scales * self._solved[0]
+        return np.asarray(self.white_residuals + self.white_jacobian @ step)
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -283,7 +285,8 @@ class Solution:
     def information(self) -> Array:
         """Return the (u + q, u + q) information of residuals and priors."""
         prior = np.repeat([0.0, 1.0], [self.unknowns, len(self.scales) - self.unknowns])
-        return np.asarray(self.N * self.scales * self.scales[:, None] + np.diag(prior))
+        scaled = self.white_information * self.scales * self.scales[:, None]
+        return np.asarray(scaled + np.diag(prior))
 
     @cached_property
     def ranks(self) -> NDArray[np.intp]:
@@ -294,7 +297,7 @@ class Solution:
         """
         station = self.problem.observations.station
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
-        J = self.A[:, :self.unknowns]
+        J = self.white_jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         for at in self.problem.groups:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
@@ -315,7 +318,7 @@ class Solution:
     @property
     def degrees_of_freedom(self) -> int:
         """Return the number of conditions less the number of unknowns."""
-        return len(self.r) - self.unknowns
+        return len(self.white_residuals) - self.unknowns
 
     @property
     def target_std(self) -> Array:
