@@ -3,10 +3,10 @@
 """
 What explains samples that do not fit, in the order in which it is asked.
 
-The sign of the range, a known error in the convention of the poses, a sensor or target that
-moved, the scale of the robot; and, where none of these is certain, another setting, stops that
-show another surface, or the clocks. The first that explains the same stops decisively better is
-named (hypotheses).
+The sign of the range, a known error in the convention of the poses, the scale of the robot, unless
+a move explains more than that, a sensor or target that moved; and, where none of these is certain,
+another setting, stops that show another surface, or the clocks. The first that explains the same
+stops decisively better is named (hypotheses).
 """
 from __future__ import annotations
 

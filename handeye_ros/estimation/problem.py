@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-MANY_STATIONS = 200  # stations: more of them change variance factors by less than 1 % of a sigma
+MANY_STATIONS = 200  # of more, a part tells noise and prior scales
 
 
 @dataclass(frozen=True, eq=False)
