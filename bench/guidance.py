@@ -59,7 +59,7 @@ from handeye_ros.sampling.session import duplicate_pose
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
-from handeye_ros.simulate.scenes import edge_frames, edge_lengths, FACING, facing, SCENES
+from handeye_ros.simulate.scenes import edge_frames, edge_lengths, facing, SCENES, SENSOR_FACING
 import numpy as np
 
 KNOWN_WELL = 1e-3  # m: 1 sigma of mapped points, from which on the last answer is the start
@@ -102,7 +102,7 @@ class World:
             return np.diag([1.0, -1.0, -1.0])
         if isinstance(self.scenario.target, WedgeTarget):
             return facing(self.scenario.target)
-        return edge_frames(self.scenario.target)['pq'[edge]][:3, :3] @ FACING
+        return edge_frames(self.scenario.target)['pq'[edge]][:3, :3] @ SENSOR_FACING
 
     def spot(self, edge: int) -> np.ndarray:
         """Return some point (3,) of the target, on an edge if it has any."""

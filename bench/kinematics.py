@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import time
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, arm_of, GEOMETRY, KINDS
+from handeye_ros.arm import Arm, arm_of, ERROR_KINDS, GEOMETRY
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
@@ -101,7 +101,7 @@ def draw(case: Case, stops: int, seed: int) -> Cell:
     rng, n = np.random.default_rng(seed), len(case.joints)
     stated = arm_of(urdf(case.joints))
     errors = stated.priors * np.hstack([
-        rng.normal(size=(n, (KINDS == kind).sum())) for kind in GEOMETRY])
+        rng.normal(size=(n, (ERROR_KINDS == kind).sum())) for kind in GEOMETRY])
     arm = replace(stated, kinds=GEOMETRY, values=errors.ravel())
     near = rng.uniform(-1, 1, (200, n)) * SPREADS[n] + STARTS[n]
     off = arm.forward(near)[:, :3, 3] - stated.forward(near)[:, :3, 3]

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest
-from handeye_ros.estimation.covariance import ARM
+from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.results.calibration_file import (
@@ -37,14 +37,14 @@ from scipy.spatial.transform import Rotation
 REVOLUTE, PRISMATIC = 'revolute', 'prismatic'
 URDF_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC}
 OFFSET, DIRECTION, POSITION = GEOMETRY = ('offset', 'direction', 'position')
-KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
+ERROR_KINDS = np.array([OFFSET, DIRECTION, DIRECTION, POSITION, POSITION])  # the errors of a joint
 # prior 1 sigma of them (rad or m), 0: it has no such error
-PRIORS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
-LENGTH = 0.3  # m that count as much as a radian, between poses
-ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
+PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 5e-4, 0.0, 0.0)}
+LENGTH_OF_RADIAN = 0.3  # m that count as much as a radian, between poses
+MOST_ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
 FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/', 'kinematics.yaml'
 MOST_JOINTS = 8
-FLANGES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
+FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Arm:
 
     end: (4, 4) the flange in the frame of the last joint
     kinds: the kinds of errors that are estimated, of GEOMETRY
-    values: (k,) of them, joint by joint, each in the order of KINDS
+    values: (k,) of them, joint by joint, each in the order of ERROR_KINDS
     covariance: (k, k) of the values
     configurations: (n, joints) at which they were found; None where they are not stated
     """
@@ -112,12 +112,12 @@ class Arm:
     @cached_property
     def priors(self) -> Array:
         """Return the prior sigmas (joints, 5) of all errors."""
-        return np.array([PRIORS[joint.kind] for joint in self.joints])
+        return np.array([PRIOR_STDS[joint.kind] for joint in self.joints])
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """Return which errors (joints, 5) are estimated: values and priors[free] are of them."""
-        return (self.priors > 0) & np.isin(KINDS, self.kinds)
+        return (self.priors > 0) & np.isin(ERROR_KINDS, self.kinds)
 
     @cached_property
     def errors(self) -> Array:
@@ -197,11 +197,11 @@ class Arm:
         Poses beyond reach get those that come near.
         """
         assert self.configurations is not None
-        known, lengths = self.forward(self.configurations), np.repeat([1.0, LENGTH], 3)
+        known, lengths = self.forward(self.configurations), np.repeat([1.0, LENGTH_OF_RADIAN], 3)
         q = self.configurations[[
             np.argmin(np.linalg.norm(se3.difference(known, T) * lengths, axis=1))
             for T in T_base_flange]]
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             missing = se3.difference(T_base_flange, self.forward(q))
             J = self.twists(q)[..., 0]  # a joint moves the flange as its offset does
             step = np.einsum('njx,nx->nj', np.linalg.pinv(J, rcond=1e-3), missing)
@@ -226,7 +226,7 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
     by_arm = whitening(solution.linear, solution.noise)(solution.linear.by_twists(twists))
     G = solution.covariance[:6] @ solution.derivatives.T @ by_arm
     return replace(solution, added_covariances={
-        **solution.added_covariances, ARM: G @ arm.covariance @ G.T})
+        **solution.added_covariances, CORRECTED_ARM: G @ arm.covariance @ G.T})
 
 
 def read_arm(path: Path) -> Arm:
@@ -322,7 +322,7 @@ def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
             raise ValueError(f'it has no link {name}{nearest(name, list(links))}; its links are '
                              f'{", ".join(links)}')
     parents = {frames[frames[k].parentFrame].parentFrame for k in links.values()}
-    last = [flange] if flange else [name for name in FLANGES if name in links][:1] or [
+    last = [flange] if flange else [name for name in FLANGE_FRAMES if name in links][:1] or [
         name for name, k in links.items() if k not in parents]
     if len(last) != 1:
         raise ValueError(f'it ends in several links ({", ".join(last)}): name the flange, as in '

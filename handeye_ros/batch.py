@@ -28,19 +28,21 @@ from handeye_ros.tables import Table
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
 
-COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
-JOB = 'job.json'  # in the folder of a job: what it was computed from, and its row
+LIST_COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
+JOB_FILE = 'job.json'  # in the folder of a job: what it was computed from, and its row
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
            'compare': 'comparison.yaml'}  # below --out, by verb
 # Rows that agree in these are of one cell, and their answers are compared.
-CELL = ('child_frame', 'target', 'routine', 'calibration', 'against')
-WORDS = (*CELL, 'method', 'verdict', 'weakest_direction')  # of a result, beside its numbers
-CRASHED = 70  # exit code of a job that ended in an error of the program (sysexits.h)
+CELL_KEYS = ('child_frame', 'target', 'routine', 'calibration', 'against')
+# of a result, beside its numbers
+WORD_KEYS = (*CELL_KEYS, 'method', 'verdict', 'weakest_direction')
+CRASH_EXIT_CODE = 70  # exit code of a job that ended in an error of the program (sysexits.h)
 # Of the page: a figure, its heading, its factor.
-FIGURES = (('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left out RMS [mm]', 1e3),
-           ('rms', 'RMS [mm]', 1e3), ('points_off', 'points off [mm]', 1e3),
-           ('smallest_error', 'smallest error that shows [mm]', 1e3), ('seconds', 'time [s]', 1.0))
-LOCAL = {  # settings of Dask on this machine
+RESULT_FIGURES = (
+    ('residual_rms', 'residual RMS [mm]', 1e3), ('holdout_rms', 'left out RMS [mm]', 1e3),
+    ('rms', 'RMS [mm]', 1e3), ('points_off', 'points off [mm]', 1e3),
+    ('smallest_error', 'smallest error that shows [mm]', 1e3), ('seconds', 'time [s]', 1.0))
+LOCAL_DASK = {  # settings of Dask on this machine
     # a worker is given one job at a time, so that a job that ends it takes no other along
     'distributed.scheduler.worker-saturation': 1.0,
     'distributed.scheduler.allowed-failures': 1,
@@ -135,7 +137,7 @@ def words_of(args: str, config: Path | str | None, settings: Iterable[str],
 def _listed(path: Path, base: Job) -> Iterator[Job]:
     """Yield the jobs of a list, whose paths are relative to it."""
     table, folder = Table(path), path.absolute().parent
-    if not COLUMNS.issuperset(table.names) or '' in table.text('bag'):
+    if not LIST_COLUMNS.issuperset(table.names) or '' in table.text('bag'):
         raise InputError(f'{path}: it has the columns {", ".join(table.names)}; expected bag, '
                          'with a value in each row, and, if wanted, label, config, settings, args')
     for values in zip(*map(table.text, table.names), strict=True):
@@ -159,7 +161,7 @@ def client_of(scheduler: str) -> Iterator[Any]:
     if scheduler == 'local':
         cluster = {'n_workers': len(os.sched_getaffinity(0)), 'threads_per_worker': 1,
                    'silence_logs': 50, 'dashboard_address': '127.0.0.1:0', 'timeout': 60}
-    with dask.config.set(LOCAL):
+    with dask.config.set(LOCAL_DASK):
         try:
             client = Client(**cluster)
         except (OSError, ValueError) as error:
@@ -194,14 +196,14 @@ def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
         for future, result in as_completed(by_future, with_results=True, raise_errors=False):
             job, error = by_future.pop(future), future.exception()
             yield result if error is None else {
-                'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASHED,
+                'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': CRASH_EXIT_CODE,
                 'cause': f'{type(error).__name__}: {error}', 'computed': True}
 
 
 def unchanged(job: Job, out: Path) -> Row | None:
     """Return the row of a job from its folder below out if it would be computed from the same."""
     try:
-        previous = json.loads((out / job.label / JOB).read_text(encoding='utf-8'))
+        previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
         same = previous['state'] == job.state()
     except (OSError, ValueError, KeyError):
         return None
@@ -220,7 +222,7 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
         with redirect_stdout(printed), redirect_stderr(errors):
             code = verb(job.command(unfinished))
     except Exception as error:  # noqa: BLE001 - costs this job alone
-        code = CRASHED
+        code = CRASH_EXIT_CODE
         errors.write(f'error: {type(error).__name__}: {error}')
     write_whole(unfinished / 'output.txt', printed.getvalue() + errors.getvalue())
     lines = errors.getvalue().splitlines()
@@ -229,14 +231,14 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
            'cause': cause.removeprefix('error: '),
            'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
-    write_whole(unfinished / JOB, json.dumps({'state': state, 'row': row}, indent=1))
+    write_whole(unfinished / JOB_FILE, json.dumps({'state': state, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.replace(folder)
     return {**row, 'computed': True}
 
 
 def _figures_in(folder: Path) -> Row:
-    """Return the numbers and WORDS of the result in a folder, by the names of their columns."""
+    """Return the numbers and WORD_KEYS of the result in a folder, by column."""
     values: Row = {}
     for file in sorted(folder.glob('*.yaml')):
         content = content_of(file)
@@ -250,7 +252,7 @@ def _figures_in(folder: Path) -> Row:
                     for kind in ('estimators', 'quantities') for item in content.get(kind, ()))]
         values |= {f'{prefix}{name}': value for prefix, group in groups
                    for name, value in group.items()
-                   if isinstance(value, (int, float)) or name in WORDS and value}
+                   if isinstance(value, (int, float)) or name in WORD_KEYS and value}
         if 'covariance' in content:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
                        for k, axis in enumerate(trend.AXES)}
@@ -280,7 +282,7 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
     write_whole(out / 'report.html', page(
         'batch.html', rows=worst_first, cells=cells_of(rows, out), result=outcome_of,
-        figures=[figure for figure in FIGURES
+        figures=[figure for figure in RESULT_FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(outcome_of, rows)).most_common(),
@@ -298,7 +300,8 @@ def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
     cells: dict[tuple[str, ...], list[Row]] = {}
     for row in sorted(rows, key=lambda row: (row.get('stamp', 0), row['label'])):
         if row['exit_code'] in (0, 1):
-            key = (row['label'].rpartition('/')[0], *(str(row.get(name, '')) for name in CELL))
+            key = (row['label'].rpartition('/')[0],
+                   *(str(row.get(name, '')) for name in CELL_KEYS))
             cells.setdefault(key, []).append(row)
     found = []
     for key, cell in sorted(cells.items()):

@@ -28,7 +28,7 @@ from handeye_ros.frames import sensor_axes
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.table import figures_table
-from handeye_ros.results.truth_file import errors_against, FIELD, field_points
+from handeye_ros.results.truth_file import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.values import Input, solve, Values
@@ -38,10 +38,10 @@ from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-FOLDS = 10
+FOLD_COUNT = 10
 FORMAT = 'handeye_ros/comparison/1'
-FAILURES = (DataError, np.linalg.LinAlgError)  # of an estimator
-FIGURES = {  # of a row: the head of its column, in which unit, with how many digits
+ESTIMATOR_FAILURES = (DataError, np.linalg.LinAlgError)  # of an estimator
+ROW_FIGURES = {  # of a row: the head of its column, in which unit, with how many digits
     'residual_rms': ('residual\nmm', 1e3, 4),
     'holdout_rms': ('left out\nmm', 1e3, 4),
     'error_translation': ('error\nmm', 1e3, 4),
@@ -69,7 +69,7 @@ class Stations:
     estimate: Estimate
     noise: Noise
 
-    over = FIELD
+    over = FIELD_TEXT
 
     def __len__(self) -> int:
         """Return the number of stations."""
@@ -272,7 +272,7 @@ class Comparison:
 
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-            T_true: Array | None = None, folds: int = FOLDS,
+            T_true: Array | None = None, folds: int = FOLD_COUNT,
             progress: Progress = lambda doing: None, session: Session | None = None
             ) -> Comparison:
     """
@@ -299,7 +299,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
                      progress)
 
 
-def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLDS,
+def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLD_COUNT,
                   progress: Progress = lambda doing: None) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
     values, refusal = given.values, None
@@ -337,7 +337,7 @@ def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float,
         start = time.perf_counter()
         try:
             X = estimator.fit(given)
-        except FAILURES as error:
+        except ESTIMATOR_FAILURES as error:
             rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
         else:
             rows.append(row_of(estimator, X, time.perf_counter() - start))
@@ -352,7 +352,7 @@ def _left_out(given: Given, estimator: Estimator, folds: int, progress: Progress
         out = every % folds == part
         try:
             X = estimator.fit(given.subset(every[~out]))
-        except FAILURES:
+        except ESTIMATOR_FAILURES:
             return None
         residuals.append(given.residuals(X, every[~out], every[out]))
     return rms(np.concatenate(residuals))
@@ -362,7 +362,7 @@ def tables(comparison: Comparison) -> RenderableType:
     """Return the transforms of all rows, and below them their figures."""
     rows = comparison.rows
     with_errors = any(row.error_mapped_points for row in rows)
-    shown = {name: column for name, column in FIGURES.items()
+    shown = {name: column for name, column in ROW_FIGURES.items()
              if with_errors or not name.startswith('error')}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)')
     figures = figures_table('estimator', *(head for head, _, _ in shown.values()),
@@ -395,7 +395,7 @@ def plain_values(comparison: Comparison) -> dict[str, Any]:
         if row.T_flange_sensor is None:
             rows.append({'name': row.name, 'failure': row.failure})
             continue
-        figures = {name: getattr(row, name) for name in FIGURES}
+        figures = {name: getattr(row, name) for name in ROW_FIGURES}
         rows.append({'name': row.name, 'transform': transform_values(row.T_flange_sensor),
                      **{name: value for name, value in figures.items()
                         if value is not None or not name.startswith('error')}})

@@ -33,12 +33,12 @@ SAVE_FORMATS = ('yaml', 'urdf', 'launch', 'easy_handeye2', 'matrix', 'json', 'ku
                 'fanuc', 'abb', 'ur', 'staubli', 'yaskawa')
 # The usual names of record.* in a form for acceptance; others are allowed.
 RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temperature', 'note')
-RECORD = 'record.'
+RECORD_PREFIX = 'record.'
 BASE_FRAME = 'base'
 UNNAMED_FRAME = 'sensor'  # name for the frame of profiles without a frame_id
 LONGEST_TEXT = 1000  # characters of a record.*
-DEEPEST = 100  # nesting of brackets in a YAML file
-NODE = 'handeye'  # the name of the node, and of its section in parameter files
+DEEPEST_NESTING = 100  # nesting of brackets in a YAML file
+NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter files
 # Parameters of every ROS node, also in a dump of ours.
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
@@ -461,7 +461,7 @@ def flatten(config: Config) -> dict[str, Any]:
     """Return the values of a configuration by dotted key, but those not set; tuples as lists."""
     values = {p.key: attrgetter(p.key)(config) for p in parameters()}
     values = {key: value for key, value in values.items() if value == value}  # not NOT_SET
-    values |= {f'{RECORD}{name}': text for name, text in config.record}
+    values |= {f'{RECORD_PREFIX}{name}': text for name, text in config.record}
     return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
 
 
@@ -476,7 +476,7 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
     if robot in ROBOT_CLASSES:
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
     for key, value in values.items():
-        if key.startswith(RECORD):
+        if key.startswith(RECORD_PREFIX):
             config = _with_record(config, key, value)
             continue
         if key not in known:
@@ -489,7 +489,7 @@ def from_provenance(values: Any) -> Config:
     """Return the configuration of a calibration file; unknown keys are ignored."""
     known, usable = {p.key for p in parameters()}, {}
     for key, value in values.items() if isinstance(values, Mapping) else ():
-        if key in known or str(key).startswith(RECORD):
+        if key in known or str(key).startswith(RECORD_PREFIX):
             with suppress(BadValueError):  # of a newer version
                 with_values(Config(), {key: value})
                 usable[key] = value
@@ -517,7 +517,7 @@ def flipped_range(config: Config) -> Config:
 
 def _with_record(config: Config, key: str, value: Any) -> Config:
     """Return a configuration with a free text of the record; an empty one removes it."""
-    name, text = key.removeprefix(RECORD), '' if value is None else str(value)
+    name, text = key.removeprefix(RECORD_PREFIX), '' if value is None else str(value)
     if not re.fullmatch(r'[A-Za-z]\w*', name):
         raise BadValueError(key, value, 'a name of letters, digits and _ after record.')
     if len(text) > LONGEST_TEXT or not text.isprintable():
@@ -536,7 +536,7 @@ def yaml_content(text: str) -> Any:
     """Return the content of a YAML text with plain values only; raises yaml.YAMLError."""
     # deep nesting would take the parser seconds
     depths = accumulate(1 if c in '[{' else -1 for c in re.findall(r'[\[{}\]]', text))
-    if max(depths, default=0) > DEEPEST:
+    if max(depths, default=0) > DEEPEST_NESTING:
         raise yaml.YAMLError('it is nested too deeply')
     try:
         return yaml.safe_load(text)
@@ -570,7 +570,7 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
     sections, known = dict(_sections(content, '')), {p.key for p in parameters()}
     general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
-    own = [name for name in sections if name.split('/')[-1] == NODE] or [
+    own = [name for name in sections if name.split('/')[-1] == NODE_NAME] or [
         name for name, found in sections.items() if 2 * len(known & found.keys()) > len(known)]
     if not sections:
         raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
@@ -578,8 +578,9 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     if len(own) > 1 or not own and not general:
         names = ', '.join(own or sections)
         raise InputError(f'{path} holds the parameters of {names}' + (
-            f': keep those of one "{NODE}"' if own else f', and none of them is "{NODE}": give '
-            'the calibration a section of that name, or "/**"'))
+            f': keep those of one "{NODE_NAME}"' if own else
+            f', and none of them is "{NODE_NAME}": give the calibration a section of that name, '
+            'or "/**"'))
     values: dict[str, Any] = {}
     for name in dict.fromkeys([*general, *own]):
         values |= sections[name]

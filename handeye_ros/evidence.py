@@ -243,7 +243,7 @@ def _kinds_at(problem: Problem, kind: int) -> list[int]:
     return [kind, *(int(k) for k in seen if k not in (kind, UNUSED))]
 
 
-NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
+FEATURE_NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
 
 
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:
@@ -271,7 +271,7 @@ def sample_summary(sample: Sample | Reject) -> str:
     """Return what a sample shows, or why there is none, in words."""
     if isinstance(sample, Reject):
         return sample.reason
-    counts = Counter(NAMES[type(feature)] for feature in sample.features)
+    counts = Counter(FEATURE_NAMES[type(feature)] for feature in sample.features)
     seen = ', '.join(count_of(count, name) for name, count in counts.items())
     return f'{seen} from {count_of(sample.profiles, "profile")}'
 

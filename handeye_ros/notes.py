@@ -14,8 +14,8 @@ from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
 from handeye_ros.estimation.solve import Solution
 import numpy as np
 
-CONTRADICTION, NOTED_CONTRADICTION = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
-LENGTHS = 'size_p', 'size_q'  # of a plate
+CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
+PLATE_LENGTHS = 'size_p', 'size_q'  # of a plate
 SMALLEST_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 
@@ -98,11 +98,11 @@ def offset_notes(solution: Solution) -> list[str]:
     elif offset.std > 5e-4:  # s
         notes.append(f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
                      f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
-    if lag and abs(lag.value) > max(CONTRADICTION * lag.std, 3e-4):
+    if lag and abs(lag.value) > max(CONTRADICTION_SIGMAS * lag.std, 3e-4):
         notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
                      'position: a scan with this calibration allows for it')
     drift = clock_estimate(solution, CLOCK_DRIFT)
-    if drift and abs(drift.value) > max(CONTRADICTION * drift.std, LARGE_DRIFT):
+    if drift and abs(drift.value) > max(CONTRADICTION_SIGMAS * drift.std, LARGE_DRIFT):
         notes.append('the clocks of profiles and poses drift apart by '
                      f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '
                      'offset is that of the middle of this recording: synchronise the clocks')
@@ -112,7 +112,7 @@ def offset_notes(solution: Solution) -> list[str]:
 def _bend_notes(solution: Solution) -> Iterator[str]:
     """Yield the note on a laser line that is bent out of its plane, if the data show that."""
     bend = parameters(solution.conservative).get(LINE_BEND)
-    if bend and abs(bend.significance) > CONTRADICTION and abs(bend.value) > SMALLEST_BEND:
+    if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')
@@ -126,14 +126,14 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     values = dict(zip(target.labels, state[-len(target.labels):].tolist(), strict=True))
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
-        abs(size - values[name]) for name, size in zip(LENGTHS, sizes, strict=False)))
+        abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))
     for name, one in parameters(solution.conservative).items():
         if one.block.parameter is None or one.block.count > 1:
             continue
         first = values[name] - best[name].value
-        noted = abs(one.contradiction) > NOTED_CONTRADICTION
+        noted = abs(one.contradiction) > NOTED_SIGMAS
         if used[name][1] > stated[name][1]:  # both lengths were freed, though one may be right
-            first = lengths[LENGTHS.index(name)]
+            first = lengths[PLATE_LENGTHS.index(name)]
             noted = abs(values[name] - first) > one.std
         if noted:
             yield _measure_note(name, first, values[name], one.std)
@@ -142,7 +142,7 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
             continue  # others were given up, to make the stations agree
         k = target.labels.index(label) - len(target.labels)
         estimated, std = float(state[k]), float(solution.target_std[k])
-        if abs(estimated - first) > NOTED_CONTRADICTION * math.hypot(std, tolerance):
+        if abs(estimated - first) > NOTED_SIGMAS * math.hypot(std, tolerance):
             yield _measure_note(label, first, estimated, std)
 
 

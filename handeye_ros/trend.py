@@ -17,7 +17,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-CHANGED, WARNING = 0.01, 0.05  # p-values of a difference: act, watch
+CHANGED_P, WATCH_P = 0.01, 0.05  # p-values of a difference: act, watch
 AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 
@@ -100,15 +100,15 @@ def table(entries: Sequence[Entry]) -> Table:
         result.add_row(
             e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
             f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
-            f'{e.p_before:.3g}', 'CHANGED' if e.p_before < CHANGED else
-            'watch' if min(e.p_before, e.p_first) < WARNING else '')
+            f'{e.p_before:.3g}', 'CHANGED' if e.p_before < CHANGED_P else
+            'watch' if min(e.p_before, e.p_first) < WATCH_P else '')
     return result
 
 
 def since_when(entries: Sequence[Entry]) -> str:
     """Return a sentence on the first change between consecutive calibrations."""
     for e in entries:
-        if e.p_before < CHANGED:
+        if e.p_before < CHANGED_P:
             return f'the calibration changed between {e.recorded or e.path} and the previous one'
     return 'no calibration differs from the previous one by more than their uncertainties explain'
 
@@ -120,7 +120,7 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
     The bars are the joint 95 % region of all six differences. Raises UnwritableError.
     """
     drawing, plots = output.figure(2, 1)
-    index, reach = np.arange(len(entries)), float(np.sqrt(chi2_isf(WARNING, 6)))
+    index, reach = np.arange(len(entries)), float(np.sqrt(chi2_isf(WATCH_P, 6)))
     for k, axis in enumerate(AXES):
         scale, unit = (1e3, 'mm') if k < 3 else (180 / np.pi, 'degrees')
         plots[k // 3].errorbar(
@@ -129,7 +129,7 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
         plots[k // 3].set_ylabel(f'difference [{unit}], joint 95 %')
     for plot in plots:
         plot.legend()
-        for change in np.flatnonzero([e.p_before < CHANGED for e in entries]) - 0.5:
+        for change in np.flatnonzero([e.p_before < CHANGED_P for e in entries]) - 0.5:
             plot.axvline(change, color='tab:red', linestyle='--')
         plot.set_xticks(index, [e.recorded[:16] or e.path.parent.name for e in entries],
                         rotation=20, ha='right', fontsize=8)

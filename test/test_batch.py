@@ -14,7 +14,7 @@ import time
 
 from calibrations import CALIBRATION
 from command import assert_refused, handeye, PATIENCE, ROOT
-from handeye_ros.batch import CRASHED, Job, jobs_of, rows_of, run, unchanged, write_table
+from handeye_ros.batch import CRASH_EXIT_CODE, Job, jobs_of, rows_of, run, unchanged, write_table
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import write_calibration
 import numpy as np
@@ -52,7 +52,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert [job.label for job in jobs] == sorted(texts)
     rows = {row['label']: row for row in rows_of(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
-        'killing': CRASHED, 'crashing': CRASHED, 'refused': 3}
+        'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
     assert 'worker' in rows['killing']['cause'].lower()
     assert rows['good5']['x'] == 5e-3 and rows['good5']['qw'] == 1.0

@@ -59,7 +59,7 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     Console(width=None if terminal else 160).print(table.table(calibration))
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
-    report_file = out / exports.REPORT
+    report_file = out / exports.REPORT_FILE
     write_whole(report_file, report.html(calibration, evidence(calibration, bag)))
     print(f'{written}\nwrote {report_file}: open it in a browser')
 

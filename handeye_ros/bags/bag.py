@@ -26,7 +26,15 @@ from handeye_ros.bags.messages import (
     split,
     transforms_from_cdr,
 )
-from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, Reader, TF
+from handeye_ros.bags.reader import (
+    CLOUD_TYPE,
+    full_name,
+    JOINTS_TYPE,
+    POSE_TYPE,
+    Raw,
+    Reader,
+    TF_TYPE,
+)
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, require_type, TimedPose
@@ -34,11 +42,11 @@ from handeye_ros.errors import DataError, InputError, UnusableMessageError
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import (
     by_stamp,
-    FEW,
     FEW_SHARE,
+    FEW_STRAYS,
     fitting,
     in_order,
-    LAST,
+    LAST_STAMP,
     two_frames,
 )
 import numpy as np
@@ -110,7 +118,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     """
     require_type('config', config, Config)
     converter = ProfileReader(config.profile)
-    clouds = _Topic('profile_topic', config.profile_topic, CLOUD,
+    clouds = _Topic('profile_topic', config.profile_topic, CLOUD_TYPE,
                     lambda raw: converter.take(raw.data, raw.fetch))
     topics, poses_of = _pose_source(config, arm)
     reader = _read_topics(Path(path), (clouds, *topics), progress)
@@ -182,7 +190,7 @@ class _Topic:
         except UnusableMessageError as error:
             self._malformed.append(str(error))
         else:
-            self._log_times.append(min(raw.log_time, LAST))
+            self._log_times.append(min(raw.log_time, LAST_STAMP))
 
     def require(self, reader: Reader) -> None:
         """Raise InputError for a missing topic, and if most of its messages are invalid."""
@@ -204,7 +212,7 @@ class _Topic:
             advice = '; record /tf, or set pose_source to topic'
         elif kind in types.values():
             advice = f': set {self._key}, as in --set {self._key}={ordered[0][0]}'
-        elif self._key == 'pose_topic' and types.get('/tf') == TF:
+        elif self._key == 'pose_topic' and types.get('/tf') == TF_TYPE:
             advice = ': take the poses from /tf, as in --set pose_source=tf'
         else:
             advice = f'; none of them is a {kind}: publish and record one'
@@ -279,15 +287,15 @@ def _pose_source(config: Config, arm: Arm | None
     if config.kinematics and not arm:
         arm = read_arm(Path(config.kinematics))
     if arm:
-        joints = _Topic('joint_topic', config.joint_topic, JOINTS,
+        joints = _Topic('joint_topic', config.joint_topic, JOINTS_TYPE,
                         lambda raw: _joints(arm, raw.data))
         return (joints,), partial(_of_arm, arm, joints)
     if config.pose_source == 'tf':
-        moving, static = (_Topic('pose_source', name, TF,
+        moving, static = (_Topic('pose_source', name, TF_TYPE,
                                  lambda raw: transforms_from_cdr(raw.data))
                           for name in ('/tf', '/tf_static'))
         return (moving, static), partial(_of_tree, config, moving, static)
-    poses = _Topic('pose_topic', config.pose_topic, POSE, lambda raw: pose_from_cdr(raw.data))
+    poses = _Topic('pose_topic', config.pose_topic, POSE_TYPE, lambda raw: pose_from_cdr(raw.data))
     return (poses,), partial(_of_topic, poses)
 
 
@@ -296,7 +304,7 @@ def _of_topic(topic: _Topic, reader: Reader) -> Poses:
     (frame, most), *others = Counter(pose.parent_frame for pose in poses).most_common()
     strays = len(poses) - most
     if strays:
-        if strays > max(FEW, FEW_SHARE * len(poses)) or 2 * strays >= len(poses):
+        if strays > max(FEW_STRAYS, FEW_SHARE * len(poses)) or 2 * strays >= len(poses):
             raise two_frames('pose', frame, others[0][0])
         names = ', '.join(f'"{other}"' for other, _ in others[:3])
         reader.warnings.append(f'{strays} of {len(poses)} messages on {topic.name} were left out: '

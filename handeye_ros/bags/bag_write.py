@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 from handeye_ros import se3
 from handeye_ros.bags.messages import DATATYPES, UNITS
-from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, STRING
+from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYPE, Raw, STRING_TYPE
 from handeye_ros.config import Config
 from handeye_ros.data import Array, NS, Profile, TimedPose
 from handeye_ros.errors import InputError
@@ -31,17 +31,18 @@ from mcap.writer import CompressionType, Writer
 import numpy as np
 
 METADATA = 'metadata.yaml'
-OURS = (METADATA, truth_file.NAME)  # a folder with one of these may be replaced
-CHUNK = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
-PATH, POSE_ARRAY = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
+OWN_FILES = (METADATA, truth_file.NAME)  # a folder with one of these may be replaced
+CHUNK_BYTES = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
+PATH_TYPE, POSE_ARRAY_TYPE = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
 # of the points of a cloud
-SINGLE, DOUBLE = (np.dtype([(axis, code) for axis in 'xyz']) for code in ('<f4', '<f8'))
+SINGLE_POINT, DOUBLE_POINT = (np.dtype([(axis, code) for axis in 'xyz'])
+                              for code in ('<f4', '<f8'))
 
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          tables: Mapping[str, str] | None = None, layout: np.dtype[Any] = SINGLE,
+          tables: Mapping[str, str] | None = None, layout: np.dtype[Any] = SINGLE_POINT,
           force: bool = False, joints: Sequence[tuple[int, Array]] = ()) -> None:
     """
     Write a rosbag2 folder, including truth.yaml if the truth is given.
@@ -66,7 +67,8 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
         for stamp, values in joints:
             yield Raw(joint_topic, stamp, joints_cdr(stamp, values))
 
-    types = {profile_topic: CLOUD, pose_topic: POSE, **({joint_topic: JOINTS} if joints else {})}
+    types = {profile_topic: CLOUD_TYPE, pose_topic: POSE_TYPE,
+             **({joint_topic: JOINTS_TYPE} if joints else {})}
     write_folder(path, texts, lambda folder: _write_bag(folder, types, messages()), force)
 
 
@@ -81,7 +83,7 @@ def _write_bag(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) ->
 
 def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
     """Write messages as an .mcap file; types: by topic. Raises OSError."""
-    writer = Writer(stream, CHUNK, CompressionType.ZSTD)
+    writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
     channels = {}
     for topic, kind in types.items():
@@ -194,15 +196,15 @@ def to_cdr(message: Any) -> bytes:
 def pose_cdr(pose: TimedPose) -> bytes:
     """Return a pose as a serialised geometry_msgs/PoseStamped."""
     header = _header(pose.stamp, pose.parent_frame)
-    return to_cdr(_new(POSE, header, _pose(pose.translation, pose.quaternion)))
+    return to_cdr(_new(POSE_TYPE, header, _pose(pose.translation, pose.quaternion)))
 
 
 def string_cdr(text: str) -> bytes:
     """Return a text as a serialised std_msgs/String."""
-    return to_cdr(_new(STRING, text))
+    return to_cdr(_new(STRING_TYPE, text))
 
 
-def cloud_cdr(profile: Profile, unit: str = 'm', layout: np.dtype[Any] = SINGLE) -> bytes:
+def cloud_cdr(profile: Profile, unit: str = 'm', layout: np.dtype[Any] = SINGLE_POINT) -> bytes:
     """Return a profile as a serialised sensor_msgs/PointCloud2; unit: of its coordinates."""
     signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
     points = np.zeros(len(profile.points), layout)
@@ -212,7 +214,7 @@ def cloud_cdr(profile: Profile, unit: str = 'm', layout: np.dtype[Any] = SINGLE)
     fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
               for name, (kind, offset, *_) in (layout.fields or {}).items()]
     return to_cdr(_new(
-        CLOUD, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
+        CLOUD_TYPE, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
         layout['x'].byteorder == '>', layout.itemsize, layout.itemsize * len(points),
         points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all())))
 
@@ -230,7 +232,7 @@ def _header(stamp: int, frame_id: str) -> Any:
 def joints_cdr(stamp: int, values: Array) -> bytes:
     """Return a serialised JointState of joint_1, joint_2, ..."""
     names, empty = [f'joint_{k}' for k in range(1, len(values) + 1)], np.zeros(0)
-    return to_cdr(_new(JOINTS, _header(stamp, ''), names, values, empty, empty))
+    return to_cdr(_new(JOINTS_TYPE, _header(stamp, ''), names, values, empty, empty))
 
 
 def _pose(translation: Array, quaternion: Array) -> Any:
@@ -247,9 +249,9 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int) -> None:
     """
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
-    stamped = [_new(POSE, header, pose) for pose in poses]
-    by_topic = {'/seam/path': _new(PATH, header, stamped),
-                '/seam/poses': _new(POSE_ARRAY, header, poses)}
+    stamped = [_new(POSE_TYPE, header, pose) for pose in poses]
+    by_topic = {'/seam/path': _new(PATH_TYPE, header, stamped),
+                '/seam/poses': _new(POSE_ARRAY_TYPE, header, poses)}
     write_folder(path, {}, lambda folder: _write_bag(
         folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
         [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force=True)
@@ -285,6 +287,6 @@ def _check_free(path: Path, force: bool) -> None:
                          '--force')
     if path == Path.cwd():  # a shell in it would lose its folder
         raise InputError(f'{path}: is the current folder, which is not replaced: name one in it')
-    if not (free or any((path / name).is_file() for name in OURS)):
+    if not (free or any((path / name).is_file() for name in OWN_FILES)):
         raise InputError(f'{path}: is there already and is no bag, so it is not replaced: choose '
                          'another place')

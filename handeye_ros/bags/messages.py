@@ -34,21 +34,22 @@ LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 
 # No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
 # with mm all are smaller than ALL_TOO_NEAR, the unit is wrong.
-FARTHEST = 10.0
+LARGEST_COORDINATE = 10.0
 ALL_TOO_NEAR = 1e-3
-THICK = 2e-3  # m: largest distance of the points of a profile from its plane
-TILTED, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
-THIN = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
+LARGEST_THICKNESS = 2e-3  # m: largest distance of the points of a profile from its plane
+SMALLEST_TILT, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
+THIN_SHARE = 0.01  # of the spread across the plane: an axis with less is orthogonal to it
 FEWEST_RETURNS = 10  # smallest number of returns for a decision on their order
 # fraction of backward steps between returns: at most along the line, at least along the range
 LINE_BACK, RANGE_BACK = 0.05, 0.1
 
-SHARED = 0.5  # smallest common fraction of the line in rows that are profiles
+LEAST_OVERLAP = 0.5  # smallest common fraction of the line in rows that are profiles
 FEWEST_COLUMNS = 10  # of rows that are compared
-BEFORE = {'first': 0.0, 'middle': 0.5, 'last': 1.0}  # share of a message's time before its stamp
+# share of a message's time before its stamp
+SHARE_BEFORE_STAMP = {'first': 0.0, 'middle': 0.5, 'last': 1.0}
 
-PROBE = NS  # between two profiles whose points are checked
-OVERHEAD = 600  # bytes of memory for a message, without its data
+CHECK_PERIOD = NS  # between two profiles whose points are checked
+MESSAGE_OVERHEAD = 600  # bytes of memory for a message, without its data
 
 T = TypeVar('T')
 
@@ -301,7 +302,7 @@ def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool
     points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
-        good = (np.abs(x) <= FARTHEST) & (np.abs(z) <= FARTHEST) & ((x != 0) | (z != 0))
+        good = (np.maximum(np.abs(x), np.abs(z)) <= LARGEST_COORDINATE) & ((x != 0) | (z != 0))
     _require_unit(points[:, :2], config.unit)
     _require_one_plane(points[good], _axes(config))
     return points, good
@@ -311,7 +312,7 @@ def _require_unit(points: Array, unit: str) -> None:
     """Raise for coordinates (n, 2), in metres after unit, beyond any sensor."""
     reach = np.maximum(np.abs(points[:, 0]), np.abs(points[:, 1]))
     finite = np.isfinite(reach)
-    too_far = finite & (reach > FARTHEST)
+    too_far = finite & (reach > LARGEST_COORDINATE)
     if too_far.sum() > finite.sum() / 2:
         raise _unusable(f'coordinates reach {reach[too_far].max():.3g} m' + (
             ': set profile.unit to mm' if unit == 'm' else ', but profile.unit is m or mm'))
@@ -323,21 +324,22 @@ def _require_unit(points: Array, unit: str) -> None:
 
 def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     """Raise for returns (n, 3) outside the plane of the first two axes."""
-    if len(points) < 2 or not np.ptp(points[:, 2]) > TILTED:  # nor where it is not finite
+    if len(points) < 2 or not np.ptp(points[:, 2]) > SMALLEST_TILT:  # nor where it is not finite
         return
     spread = np.ptp(points, axis=0)
     slope, off = _slope_across(points)
-    if abs(slope) > LEAST_SLOPE and off < THIN * spread[2] and min(spread[:2]) > THIN * spread[2]:
+    thin = THIN_SHARE * spread[2]
+    if abs(slope) > LEAST_SLOPE and off < thin < min(spread[:2]):
         raise _unusable(f'the points lie in a plane that is tilted by '
                         f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
                         f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
                         f'a frame of the light plane, where {axes[2]} is 0; a static transform '
                         'can hold the tilt')
-    if not spread[2] > THICK:
+    if not spread[2] > LARGEST_THICKNESS:
         return
     text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
             f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
-    if min(spread[:2]) < THIN * spread[2]:
+    if min(spread[:2]) < THIN_SHARE * spread[2]:
         flat = int(np.argmin(spread[:2]))
         along, range_axis = sorted(((2, 1), (0, 2))[flat],
                                    key=lambda k: _back(np.diff(points[:, k])))
@@ -381,7 +383,7 @@ def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> A
 def _sorted(points: Array, good: NDArray[np.bool_]) -> Array:
     """Return points (n, 2) sorted by the first column; points with equal values are averaged."""
     with np.errstate(invalid='ignore'):
-        placed = np.abs(points[:, 0]) <= FARTHEST
+        placed = np.abs(points[:, 0]) <= LARGEST_COORDINATE
     x, group = np.unique(points[placed, 0], return_inverse=True)
     good = good[placed]
     count = np.bincount(group[good], minlength=len(x))
@@ -407,7 +409,7 @@ class ProfileReader:
     def __init__(self, config: ProfileConfig) -> None:
         """Start with none; config: describes the clouds."""
         self.config = config
-        self._probed = -PROBE
+        self._probed = -CHECK_PERIOD
         self._trusted = False
 
     def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
@@ -422,12 +424,13 @@ class ProfileReader:
             for axis in self.config.axes:
                 cloud.view(axis[-1])
         rows = rows_of(cloud, self.config)
-        if not self._trusted or abs(cloud.stamp - self._probed) >= PROBE:
+        if not self._trusted or abs(cloud.stamp - self._probed) >= CHECK_PERIOD:
             self._trusted = False
             points = profile_from_cloud(cloud if rows == 1 else cloud.row(0), self.config).points
             self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), cloud.stamp
         return RawProfile(cloud.stamp, cloud.frame, fetch or partial(bytes, data),
-                          profile_from_cdr, self.config, 0 if fetch else len(data) + OVERHEAD,
+                          profile_from_cdr, self.config,
+                          0 if fetch else len(data) + MESSAGE_OVERHEAD,
                           rows)
 
 
@@ -448,7 +451,7 @@ def rows_of(cloud: Cloud, config: ProfileConfig) -> int:
     if not (len(ends[0]) and len(ends[1])):
         return 1
     shared = min(end.max() for end in ends) - max(end.min() for end in ends)
-    return cloud.height if shared > SHARED * max(map(np.ptp, ends)) else 1
+    return cloud.height if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
 
 
 def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) -> list[RawProfile]:
@@ -462,7 +465,7 @@ def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) ->
     """
     if raw.rows == 1:
         return [raw]
-    fraction, reach, step = BEFORE[config.stamp], (0, 0), config.period * NS
+    fraction, reach, step = SHARE_BEFORE_STAMP[config.stamp], (0, 0), config.period * NS
     if not step:
         if previous_stamp is None or previous_stamp >= raw.stamp:
             return []

@@ -32,24 +32,24 @@ from mcap.records import Channel, Chunk, Schema
 import yaml
 import zstandard
 
-CLOUD = 'sensor_msgs/msg/PointCloud2'
-POSE = 'geometry_msgs/msg/PoseStamped'
-JOINTS = 'sensor_msgs/msg/JointState'
-TF = 'tf2_msgs/msg/TFMessage'
-STRING = 'std_msgs/msg/String'
+CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
+POSE_TYPE = 'geometry_msgs/msg/PoseStamped'
+JOINTS_TYPE = 'sensor_msgs/msg/JointState'
+TF_TYPE = 'tf2_msgs/msg/TFMessage'
+STRING_TYPE = 'std_msgs/msg/String'
 
-MCAP = b'\x89MCAP0\r\n'
-SQLITE = b'SQLite format 3\0'
-ROS1 = b'#ROSBAG V'
-ZSTD = b'\x28\xb5\x2f\xfd'
+MCAP_MAGIC = b'\x89MCAP0\r\n'
+SQLITE_MAGIC = b'SQLite format 3\0'
+ROS1_MAGIC = b'#ROSBAG V'
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
-RECORD = struct.Struct('<BQ')  # opcode and length of an mcap record
-MESSAGE = struct.Struct('<HIQQ')  # channel, number, time of receipt and of publishing
+RECORD_HEAD = struct.Struct('<BQ')  # opcode and length of an mcap record
+MESSAGE_HEAD = struct.Struct('<HIQQ')  # channel, number, time of receipt and of publishing
 DEFINITIONS: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema,
                                                   Opcode.CHANNEL: Channel}
 LARGEST_RECORD = 1 << 28  # bytes of a record or message, compressed or not: none is larger
-CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
+CACHED_CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
 
 class Raw(NamedTuple):
@@ -156,21 +156,21 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
     """Return a storage file, decompressed; raises InputError for other files."""
     magic, file, folder = _magic(path), path, None
-    if magic[:len(ZSTD)] == ZSTD:
+    if magic[:len(ZSTD_MAGIC)] == ZSTD_MAGIC:
         folder = tempfile.mkdtemp(prefix='handeye-')
         file = Path(folder) / path.with_suffix('').name
         with path.open('rb') as packed, file.open('wb') as target, suppress(zstandard.ZstdError):
             zstandard.ZstdDecompressor().copy_stream(packed, target)  # up to a damage
-        magic = _magic(file) or ZSTD
+        magic = _magic(file) or ZSTD_MAGIC
     storage: _Mcap | _Sqlite
-    if magic == MCAP:
+    if magic == MCAP_MAGIC:
         storage = _Mcap(file, path.name, reader)
-    elif magic == SQLITE[:len(MCAP)]:
+    elif magic == SQLITE_MAGIC[:len(MCAP_MAGIC)]:
         storage = _Sqlite(file, path.name, reader)
     else:
         reason = ('the file is empty: record again' if not magic else
                   'is a ROS 1 bag: convert it with rosbags-convert'
-                  if magic == ROS1[:len(magic)] else
+                  if magic == ROS1_MAGIC[:len(magic)] else
                   'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
         raise InputError(f'{path}: {reason}')
     if folder:  # messages may be read again from it as long as the storage exists
@@ -180,12 +180,12 @@ def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
 
 def _magic(path: Path) -> bytes:
     with path.open('rb') as stream:
-        return stream.read(len(MCAP))
+        return stream.read(len(MCAP_MAGIC))
 
 
 def _message(data: bytes) -> bytes:
     """Return a message, decompressed if the recorder compressed each one; CDR starts with 0."""
-    if data[:4] != ZSTD:
+    if data[:4] != ZSTD_MAGIC:
         return data
     try:
         return _unpacked(data)
@@ -212,7 +212,7 @@ class _Mcap:
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}  # '': not requested
         # a reference to this file, and to its temporary folder, is kept by each message
-        self._records_at = lru_cache(CHUNKS)(self._read_again)
+        self._records_at = lru_cache(CACHED_CHUNKS)(self._read_again)
 
     def messages(self) -> Iterator[Raw]:
         """Yield the messages of the topics that the reader wants."""
@@ -223,7 +223,7 @@ class _Mcap:
                 if summary:
                     for definition in (*summary.schemas.values(), *summary.channels.values()):
                         self._define(definition)
-            stream.seek(len(MCAP))
+            stream.seek(len(MCAP_MAGIC))
             for start, opcode, content, whole in _records(stream):
                 self._reader.advanced(start)
                 if opcode == Opcode.DATA_END:
@@ -235,11 +235,11 @@ class _Mcap:
                     damaged += 1
                     continue
                 for index, (kind, record) in enumerate(records):
-                    if kind == Opcode.MESSAGE and len(record) >= MESSAGE.size:
+                    if kind == Opcode.MESSAGE and len(record) >= MESSAGE_HEAD.size:
                         count += 1
-                        channel, _, log_time, _ = MESSAGE.unpack_from(record)
+                        channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(record)
                         if topic := self._channels.get(channel):
-                            yield Raw(topic, log_time, _message(bytes(record[MESSAGE.size:])),
+                            yield Raw(topic, log_time, _message(bytes(record[MESSAGE_HEAD.size:])),
                                       partial(self._fetch, start, index))
                     elif kind in DEFINITIONS:
                         with suppress(Exception):  # damaged: its messages are unknown
@@ -263,7 +263,7 @@ class _Mcap:
 
     def _fetch(self, start: int, index: int) -> bytes:
         try:
-            return _message(bytes(self._records_at(start)[index][1][MESSAGE.size:]))
+            return _message(bytes(self._records_at(start)[index][1][MESSAGE_HEAD.size:]))
         except Exception:  # noqa: BLE001 - the file has changed
             return b''
 
@@ -278,10 +278,10 @@ def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes, bool]]:
     """Yield position, opcode, content of each mcap record, and whether it is not cut off."""
     while True:
         start = stream.tell()
-        head = stream.read(RECORD.size)
-        if len(head) < RECORD.size:
+        head = stream.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
             return
-        opcode, length = RECORD.unpack(head)
+        opcode, length = RECORD_HEAD.unpack(head)
         content = stream.read(min(length, LARGEST_RECORD))
         yield start, opcode, content, len(content) == length
 
@@ -299,13 +299,13 @@ def _expanded(opcode: int, content: bytes, whole: bool) -> list[tuple[int, memor
     if whole and (len(data) != chunk.uncompressed_size or chunk.uncompressed_crc
                   and chunk.uncompressed_crc != zlib.crc32(data)):
         raise ValueError('the chunk is damaged')
-    view, records, begin = memoryview(data), [], RECORD.size
+    view, records, begin = memoryview(data), [], RECORD_HEAD.size
     while begin <= len(view):
-        kind, length = RECORD.unpack_from(view, begin - RECORD.size)
+        kind, length = RECORD_HEAD.unpack_from(view, begin - RECORD_HEAD.size)
         record = view[begin:begin + length]
         if len(record) == length:
             records.append((kind, record))
-        begin += length + RECORD.size
+        begin += length + RECORD_HEAD.size
     return records
 
 

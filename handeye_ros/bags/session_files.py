@@ -30,7 +30,7 @@ from typing import Any
 from handeye_ros.bags.bag_write import (
     cloud_cdr,
     contents_of,
-    DOUBLE,
+    DOUBLE_POINT,
     METADATA,
     pose_cdr,
     string_cdr,
@@ -39,7 +39,15 @@ from handeye_ros.bags.bag_write import (
     write_metadata,
 )
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
-from handeye_ros.bags.reader import CLOUD, full_name, JOINTS, POSE, Raw, Reader, STRING
+from handeye_ros.bags.reader import (
+    CLOUD_TYPE,
+    full_name,
+    JOINTS_TYPE,
+    POSE_TYPE,
+    Raw,
+    Reader,
+    STRING_TYPE,
+)
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
@@ -49,14 +57,14 @@ from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, NOT_EVALUATED, Stop
 
-LAST = 'last'
+LAST_SESSION = 'last'
 FORMAT = 'handeye_ros/session/'
-CONFIGURATION = '/handeye_ros/session/configuration'
-OUTCOME = '/handeye_ros/session/outcome'
+CONFIGURATION_TOPIC = '/handeye_ros/session/configuration'
+OUTCOME_TOPIC = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 
-SUFFIX, LOCK = '.mcap', '.lock'
-STAMP = '%Y-%m-%dT%H%M%SZ'  # names of folders
+SUFFIX, LOCK_FILE = '.mcap', '.lock'
+FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%SZ'  # names of folders
 PARAMETERS = "the node's parameters"
 
 
@@ -218,7 +226,7 @@ class SessionFiles:
 
     def _begun(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
-        parent, stamp = self._parent(config), datetime.now(UTC).strftime(STAMP)
+        parent, stamp = self._parent(config), datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
         missing = [above for above in (parent, *parent.parents) if not above.exists()]
         parent.mkdir(parents=True, exist_ok=True)
         for made in missing:
@@ -234,7 +242,7 @@ class SessionFiles:
 
 def _claimed(folder: Path, taken: str) -> int:
     """Lock a folder until the process ends; taken: the refusal if another has. OSError."""
-    lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CREAT, 0o644)
+    lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -249,15 +257,17 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
     profile_topic = full_name(config.profile_topic)
     pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
     joint_topic = full_name(config.joint_topic)
-    types = {profile_topic: CLOUD, pose_topic: POSE, CONFIGURATION: STRING, OUTCOME: STRING}
+    types = {profile_topic: CLOUD_TYPE, pose_topic: POSE_TYPE, CONFIGURATION_TOPIC: STRING_TYPE,
+             OUTCOME_TOPIC: STRING_TYPE}
     if joints:
-        types[joint_topic] = JOINTS
+        types[joint_topic] = JOINTS_TYPE
     offset = round(config.time_offset * 1e9)  # a driver may publish no stamp: log_time holds it
     messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
     messages += [
         Raw(profile_topic, profile.stamp - offset,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
-            else cloud_cdr(profile, config.profile.unit, DOUBLE)) for profile in stop.profiles]
+            else cloud_cdr(profile, config.profile.unit, DOUBLE_POINT))
+                 for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     reason = stop.result.reason if kind == STOP and isinstance(stop.result, Reject) else ''
     values = {'event': kind, 'number': stop.number, 'began': stop.began,
@@ -266,8 +276,8 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
         values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
                    'T_base_flange': sample.T_base_flange.tolist()}
     end = stop.end if stop.poses else time.time_ns()
-    for topic, content in ((CONFIGURATION, {'config': flatten(replace(config, session=''))}),
-                           (OUTCOME, values)):
+    for topic, content in ((CONFIGURATION_TOPIC, {'config': flatten(replace(config, session=''))}),
+                           (OUTCOME_TOPIC, values)):
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
         messages.append(Raw(topic, end, string_cdr(text)))
     return types, messages
@@ -288,7 +298,7 @@ def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
     try:
         files = files_of(path) if path.is_dir() else []
-        return bool(files) and OUTCOME in contents_of(files[0]).topics
+        return bool(files) and OUTCOME_TOPIC in contents_of(files[0]).topics
     except (OSError, InputError):
         return False
 
@@ -327,9 +337,9 @@ def load(file: Path, began: int, config: Config) -> Stop:
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
     for kind, message in _read_file(file):
-        if kind == POSE:
+        if kind == POSE_TYPE:
             poses.append(pose_from_cdr(message.data))
-        elif kind == CLOUD:
+        elif kind == CLOUD_TYPE:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
@@ -348,11 +358,11 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[tuple[
 def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
     """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
     texts = {raw.topic: text_from_cdr(raw.data)
-             for _, raw in _read_file(file, (CONFIGURATION, OUTCOME))}
-    if not {CONFIGURATION, OUTCOME} <= set(texts):
+             for _, raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
+    if not {CONFIGURATION_TOPIC, OUTCOME_TOPIC} <= set(texts):
         raise InputError(f'{file} does not say what happened')
     try:
-        values, content = json.loads(texts[OUTCOME]), json.loads(texts[CONFIGURATION])
+        values, content = json.loads(texts[OUTCOME_TOPIC]), json.loads(texts[CONFIGURATION_TOPIC])
         for form in (values['format'], content['format']):
             require_format(file, form, FORMAT)
         known = flatten(Config())
@@ -375,7 +385,7 @@ def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Confi
     config = with_values(Config(), overrides, PARAMETERS)
     if not config.session:
         return config, None
-    if config.session != LAST:
+    if config.session != LAST_SESSION:
         path: Path | None = Path(config.session).expanduser().absolute()
     else:
         parent = folders.parent(config)

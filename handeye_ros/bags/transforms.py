@@ -20,7 +20,7 @@ from handeye_ros.sampling.stream import interpolate, Stream
 import numpy as np
 
 MOST_FRAMES = 1000  # with stored transforms
-KEPT = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
+KEPT_TRANSFORMS = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
 class _Link:
@@ -29,7 +29,7 @@ class _Link:
     def __init__(self, parent: str, static: bool) -> None:
         self.parent = parent
         self.static = static
-        self.poses: deque[TimedPose] = deque(maxlen=1 if static else KEPT)
+        self.poses: deque[TimedPose] = deque(maxlen=1 if static else KEPT_TRANSFORMS)
         self.stream: Stream[TimedPose] = Stream('transform')
 
     def at(self, stamp: int) -> Array | None:

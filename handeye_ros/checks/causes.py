@@ -35,7 +35,7 @@ from handeye_ros.sampling.session import Session
 
 SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
 FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
-MISFITTING = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
+MISFIT_FACTOR = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
 
 
 def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Solution) -> None:
@@ -48,7 +48,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     stated, refusal = Explanation.of(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
         require_sign(samples, problem.config, stated, clocks=refusal is not None)
-    if refusal or solution.variance_factor >= MISFITTING:
+    if refusal or solution.variance_factor >= MISFIT_FACTOR:
         require_convention(samples, problem, stated)
     if refusal and orientations_scatter(problem.poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '

@@ -26,9 +26,9 @@ from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
 import numpy as np
 
-LAG = NS // 20  # ns between two profiles that are compared
+COMPARED_LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
-MOVING, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
+LARGEST_REST_RATIO, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
 SMALLEST_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
 MOST_DRIFT = 10.0  # times clock_drift_std: more is a step of a clock
 
@@ -69,7 +69,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     if len(seen) < targets.target_for(config).minimum:
         return
     changes = np.concatenate([_differences(profiles) for profiles, *_ in seen])
-    limit = max(MOVING * float(np.quantile(changes, STILL_SHARE)), SMALLEST_CHANGE)
+    limit = max(LARGEST_REST_RATIO * float(np.quantile(changes, STILL_SHARE)), SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
     # compared are the stops in which the profiles come to rest, whatever they show as it is set
     stated = fit_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
@@ -82,7 +82,7 @@ def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] 
     """Return some profiles of a stop, its pose (4, 4), start and end (2,) in s; None: too few."""
     seen, found = stop.load(config), list[Profile]()
     for profile in seen.profiles:
-        if not found or profile.stamp - found[-1].stamp >= LAG:
+        if not found or profile.stamp - found[-1].stamp >= COMPARED_LAG:
             with suppress(UnusableMessageError):
                 found.append(profile.read(config.profile))
     if len(found) < 2:

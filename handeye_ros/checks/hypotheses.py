@@ -29,16 +29,18 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import CONVINCING, quick_solution, robust_solution
+from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.sweep import problem_at_poses, synchronised
 from handeye_ros.targets import target_for
 import numpy as np
 
-RARE = 1e-5  # probability of naming a wrong cause
-DECISIVE = -2 * math.log(RARE)  # twice the log of a Bayes factor of these odds
-UNEXPLAINED, FLOOR = 64.0, 0.01  # variance factors: of a stop that is not explained, the least
+FALSE_CAUSE_PROBABILITY = 1e-5  # probability of naming a wrong cause
+# twice the log of a Bayes factor of these odds
+DECISIVE_EVIDENCE = -2 * math.log(FALSE_CAUSE_PROBABILITY)
+# variance factors: of a stop that is not explained, the least
+UNEXPLAINED_FACTOR, SMALLEST_FACTOR = 64.0, 0.01
 FEWEST_CONDITIONS = 6  # smallest redundancy of a fit that is believed
 
 
@@ -78,7 +80,7 @@ class Explanation:
     @property
     def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
-        return bool(self.redundancy > 0 and self.variance_factor < CONVINCING
+        return bool(self.redundancy > 0 and self.variance_factor < CONVINCING_SQUARE
                     and self.fitting > (1 - LARGEST_DROPPED_SHARE) * self.q.shape[1])
 
     @property
@@ -161,8 +163,10 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
 def deviance(q: Array, conditions: int) -> float:
     """Return the deviance of an explanation, (13); q: (n,) of its stops, inf: not explained."""
     good = np.isfinite(q)
-    v = float(np.clip(q[good].mean() if good.any() else UNEXPLAINED, FLOOR, UNEXPLAINED))
-    return float(conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED) + 1).sum())
+    v = float(np.clip(q[good].mean() if good.any() else UNEXPLAINED_FACTOR,
+                      SMALLEST_FACTOR, UNEXPLAINED_FACTOR))
+    return float(
+        conditions * np.minimum(math.log(v) + q / v, math.log(UNEXPLAINED_FACTOR) + 1).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,12 +189,13 @@ def refuse_better(stated: Explanation, hypotheses: Sequence[Hypothesis]) -> None
     Raise where another assumption explains the same stops better than the stated ones.
 
     stated: the fit of the stops as it is set. Raises the refusal of the best hypothesis; each
-    change of an assumption needs odds of 1 to RARE, shared by all that are tried.
+    change of an assumption needs odds of 1 to FALSE_CAUSE_PROBABILITY, shared by all that are
+    tried.
     """
     most, best = 0.0, None
     for one in hypotheses:
         fit = one.refit()
-        level = one.changes * (DECISIVE + 2 * math.log(len(hypotheses)))
+        level = one.changes * (DECISIVE_EVIDENCE + 2 * math.log(len(hypotheses)))
         if fit.believable and (gain := fit.evidence_against(stated) - level) > most:
             most, best = gain, one.refusal(fit)
     if best:

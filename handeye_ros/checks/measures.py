@@ -11,10 +11,10 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import covariance_of
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import CONVINCING, robust_solution, with_blocks
+from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount
-from handeye_ros.notes import CONTRADICTION, LENGTHS, parameters
+from handeye_ros.notes import CONTRADICTION_SIGMAS, parameters, PLATE_LENGTHS
 import numpy as np
 
 VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
@@ -29,7 +29,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
     poor = (agreed.dropped or len(agreed.without_edges)
-            or agreed.variance_factor > CONVINCING)
+            or agreed.variance_factor > CONVINCING_SQUARE)
     if config == stated_config or not poor:
         return agreed
     other = robust_solution(replace(problem, config=config), rng)
@@ -57,7 +57,7 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
         agreed.linear, problem=replace(problem, config=free))))
     found, before = (parameters(one.conservative) for one in (other, agreed))
-    lengths = [found[name] for name in LENGTHS if name in found]
+    lengths = [found[name] for name in PLATE_LENGTHS if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
     scales = [each['scale'] for each in (before, found) if 'scale' in each]
     seen = [abs(one.value) > FREED_FROM * one.std for one in scales]
@@ -104,8 +104,8 @@ def require_one_scale(agreed: Solution) -> None:
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
     scale = parameters(agreed.conservative).get('scale')
-    if scale and abs(scale.contradiction) > CONTRADICTION and abs(scale.value) > max(
-            SMALLEST_SCALE_ERROR, CONTRADICTION * scale.std):
+    if scale and abs(scale.contradiction) > CONTRADICTION_SIGMAS and abs(scale.value) > max(
+            SMALLEST_SCALE_ERROR, CONTRADICTION_SIGMAS * scale.std):
         with_possible_move(agreed)  # raises where something surely moved
         raise _scales_differ(abs(scale.value), scale.std)
 

@@ -15,7 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
-from handeye_ros.checks.hypotheses import DECISIVE, Explanation, Hypothesis, RARE
+from handeye_ros.checks.hypotheses import (
+    DECISIVE_EVIDENCE,
+    Explanation,
+    FALSE_CAUSE_PROBABILITY,
+    Hypothesis,
+)
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
@@ -28,13 +33,14 @@ from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
-MOVE = 'possible move'  # its name in a budget of the covariance
+POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOST_CHANGES = 40  # possible moments of a small move
 STEP_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
-SIZES = (1.0, 0.25)  # factors on it, of equal prior probability
-STRONG = 5.0  # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
-LARGE = 3.0  # smallest move over the robot's smooth error
-RARELY, HARDLY_EVER = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
+SIZE_FACTORS = (1.0, 0.25)  # factors on it, of equal prior probability
+# twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
+STRONG_EVIDENCE = 5.0
+LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
+WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
 def moved_between(problem: Problem) -> list[Hypothesis]:
@@ -63,7 +69,7 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
         agree = (f'the first {k} samples agree among themselves, and so do the other {n - k}, but '
                  'not with each other: in between, ')
         switched = 'became another frame (tool or base of the robot switched)'
-        if delta @ np.linalg.solve(covariance, delta) < chi2_isf(RARE, 6):
+        if delta @ np.linalg.solve(covariance, delta) < chi2_isf(FALSE_CAUSE_PROBABILITY, 6):
             frame = target_frame(problem.config)
             return DataError(f'{agree}the target moved in {frame}, or {frame} {switched}; fix the '
                              'target, and take all samples with the same', reason='moved')
@@ -89,20 +95,20 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     few = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
     first = _Steps.of(reported, changes).gains()
-    if first.max() < -STRONG:  # evidence against a move
+    if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
     kind, k, moved = _likeliest(agreed, changes, first)
     unmoved = reestimated(reported)
     evidence = unmoved.deviance - moved.deviance
     shift, turn, size = _size(moved, kind)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-    least = LARGE * smooth  # a smaller move may be part of the robot's smooth error
+    least = LEAST_MOVE_SIGMAS * smooth  # a smaller move may be part of the robot's smooth error
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
         least = max(least, config.noise.robot_smooth)
-    if evidence < STRONG or size < least:
+    if evidence < STRONG_EVIDENCE or size < least:
         return agreed, ''
     p_value = _steps_at(agreed, moved, changes).p_value
-    if p_value >= RARELY:
+    if p_value >= WARNING_P:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
@@ -110,12 +116,13 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or the '
         'tool or base of the robot was switched: check that it is fixed firmly, and take all '
         'samples again')
-    if evidence > DECISIVE and p_value < HARDLY_EVER:
+    if evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
         raise DataError(sentence, reason='moved')
     away = se3.difference(moved.estimate.X, unmoved.estimate.X)
     with_move = moved.covariance[:6, :6] + np.outer(away, away)
     more = covering(agreed.reported[:6, :6], with_move) - agreed.reported[:6, :6]
-    return replace(agreed, added_covariances={**agreed.added_covariances, MOVE: more}), sentence
+    added = {**agreed.added_covariances, POSSIBLE_MOVE: more}
+    return replace(agreed, added_covariances=added), sentence
 
 
 def _likeliest(agreed: Solution, changes: NDArray[np.intp], first: Array
@@ -218,11 +225,11 @@ class _Steps:
         inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
         slopes = np.stack([slope[:, :6], slope[:, 6:]])
         found = []
-        for size in SIZES:
+        for size in SIZE_FACTORS:
             information = np.eye(6) + size ** 2 * inside
             step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
             found.append((slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1])
-        return np.asarray(np.max(found, axis=0) - 2 * np.log(len(SIZES)))
+        return np.asarray(np.max(found, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
 
     @property
     def p_value(self) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, degrees, mm
-from handeye_ros.estimation.covariance import ARM
+from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.problem import Target
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
@@ -25,8 +25,9 @@ from scipy.spatial.transform import Rotation
 
 LARGEST_DROPPED_SHARE = 0.34  # largest share of the stations that an answer may leave out
 FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each dropped station
-CONTAMINATED = 0.1  # largest probability that one of few samples is wrong
-SURELY = 0.99  # the same where several stations were dropped and similar surfaces may be confused
+LARGEST_P_WRONG = 0.1  # largest probability that one of few samples is wrong
+# the same where several stations were dropped and similar surfaces may be confused
+SURELY_WRONG_P = 0.99
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -142,8 +143,8 @@ def require_tested(solution: Solution) -> None:
     each = int(solution.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
     not_all_found = (
-        solution.probability_wrong > SURELY and dropped > 1 and solution.whole.ambiguous)
-    if not_all_found or (solution.probability_wrong > CONTAMINATED and missing > 0):
+        solution.probability_wrong > SURELY_WRONG_P and dropped > 1 and solution.whole.ambiguous)
+    if not_all_found or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '
             'noise.robot_smooth states, or at least one sample is wrong (a pose wrong by about a '
@@ -192,7 +193,7 @@ def require_certain_points(solution: Solution, config: Config) -> None:
 
 def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
-    reported, arm = solution.reported[:6, :6], solution.added_covariances.get(ARM)
+    reported, arm = solution.reported[:6, :6], solution.added_covariances.get(CORRECTED_ARM)
     whole = worst_translation(reported)[0]
     if arm is not None and worst_translation(reported - arm)[0] < whole / 2:
         return ('most of that comes from the corrected arm: correct it again with more samples '

@@ -26,7 +26,7 @@ from handeye_ros.sampling.stops import evenly, Stop
 import numpy as np
 
 STOPS_READ, PROFILES_READ = 40, 4  # stops read again, profiles of each
-SIGN = 'profile.range_sign'
+RANGE_SIGN = 'profile.range_sign'
 
 
 def require_settings(session: Session, config: Config) -> None:
@@ -82,15 +82,15 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
     others = [replace(samples[k], features=seen) if (seen := samples[k].flipped) else None
               for k in asked]
     flipped = flipped_range(config)
-    values = {SIGN: str(flipped.profile.range_sign)}
+    values = {RANGE_SIGN: str(flipped.profile.range_sign)}
 
     def refusal(fit: Explanation) -> DataError:
         if _within_noise(fit):
             return to_set(values, stated, fit)
         return UnexplainedError(
-            f'{fit.compared(stated, f"{SIGN} {values[SIGN]}")}, neither as well as the noise '
-            f'allows: check {SIGN}, and that every sample shows the target itself and no clamp '
-            'or second plate', reason='misfit')
+            f'{fit.compared(stated, f"{RANGE_SIGN} {values[RANGE_SIGN]}")}, neither as well as '
+            f'the noise allows: check {RANGE_SIGN}, and that every sample shows the target itself '
+            'and no clamp or second plate', reason='misfit')
 
     refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped, clocks=clocks), refusal)])
 
@@ -108,7 +108,7 @@ def _within_noise(fit: Explanation) -> bool:
 def _changes(config: Config) -> Iterator[dict[str, str]]:
     """Yield the likely corrections of settings, the most likely first."""
     profile = config.profile
-    sign = {SIGN: str(-profile.range_sign)}
+    sign = {RANGE_SIGN: str(-profile.range_sign)}
     kinds = [{'target.type': name} for name in targets.TARGETS if name != config.target.type]
     unit = {'m': 'mm', 'mm': 'm'}[profile.unit]
     kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]

@@ -25,8 +25,8 @@ from handeye_ros.se3 import inverse
 from handeye_ros.targets import target_for
 import numpy as np
 
-BESIDE = 1e-3  # m: a face that is farther from the plane is another surface
-PARALLEL = 0.05  # rad: what is more inclined is no surface of a clamp or plate
+SMALLEST_DISTANCE = 1e-3  # m: a face that is farther from the plane is another surface
+LARGEST_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
 FEWEST_STOPS = 2  # stops on another surface
 
 
@@ -65,7 +65,7 @@ def require_one_surface(session: Session, config: Config) -> None:
     heights = np.array([
         _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)
                 @ estimate.X) for stop in taken if stop.sample])
-    beside = np.abs(heights) > BESIDE
+    beside = np.abs(heights) > SMALLEST_DISTANCE
     if (beside & seen).sum() < FEWEST_STOPS:
         return
     others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
@@ -84,4 +84,4 @@ def _height(sample: Sample, T_plane_sensor: Array) -> float:
     by_x, _, by_z, offset = T_plane_sensor[2]
     slope = by_x * face.direction[0] + by_z * face.direction[1]
     height = by_x * face.centre[0] + by_z * face.centre[1] + offset
-    return float(height) if abs(slope) < PARALLEL else np.nan
+    return float(height) if abs(slope) < LARGEST_INCLINATION else np.nan

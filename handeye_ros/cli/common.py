@@ -52,7 +52,7 @@ CalibrationFile = Annotated[Path, File(
 MeasureConfig = Annotated[NoPath, typer.Option(
     help='A ROS parameter file; without it, the settings that the calibration was made with.')]
 OutFile = Annotated[NoPath, File(help='Write the result as YAML too.')]
-INTERRUPTED = 130
+INTERRUPTED_EXIT_CODE = 130
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +213,7 @@ class Verbs(TyperGroup):
             typer.echo(f'error: {" ".join(str(error).split())}', err=True)
             raise typer.Exit(error.exit_code) from None
         except KeyboardInterrupt:
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
 
 
 def one_of(*names: str) -> Callable[[str], str]:

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from handeye_ros.scanning.cloud import Points
 
 LARGEST_PLAIN = 10.0  # m: a larger plain number is taken for mm, and refused
-THINNED = 2e-4  # m: edge of the cubes, each with one point
-LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
+THINNING_SIZE = 2e-4  # m: edge of the cubes, each with one point
+PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 
 
 @app.command()
@@ -97,7 +97,7 @@ def seam(
     ] = (0.0, 0.0, -1.0),
     travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
     work: Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')] = 0.0,
-    line: Annotated[str, typer.Option(callback=one_of(*LINES), help=(
+    line: Annotated[str, typer.Option(callback=one_of(*PATH_LINES), help=(
         'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
         'centre, root, first or second edge.'))] = 'auto',
     start: Annotated[tuple[str, str, str], typer.Option(
@@ -133,16 +133,16 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
            ) -> tuple['Array', str]:
     """Return the points (n, 3) of a cloud or a bag, and their frame."""
     from handeye_ros.errors import InputError
-    from handeye_ros.scanning.cloud import FORMATS, read_cloud
+    from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, read_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     import numpy as np
-    if path.suffix.lower() in FORMATS:
+    if path.suffix.lower() in CLOUD_SUFFIXES:
         return read_cloud(path), 'base'
     if calibration is None:
         raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
                          'calibration of its sensor: --calibration FILE')
     answer, settings = calibrated(calibration, config, assignments)
-    scanner = Scanner(answer, settings, ScanOptions(voxel=THINNED))
+    scanner = Scanner(answer, settings, ScanOptions(voxel=THINNING_SIZE))
     with flowing(path, settings, 'scanning', answer) as (source, track, _):
         rows = np.concatenate(list(scanner.scan(source.returns(), track)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

@@ -27,7 +27,7 @@ from handeye_ros.simulate import (
 import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 
-PREFORM = 'preform.ply'
+PREFORM_FILE = 'preform.ply'
 
 
 def write(name: str, seed: int, path: Path, force: bool = False) -> str:
@@ -46,9 +46,9 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     if name == measuring.MEASURING_CELL:
         recordings, X = measuring.measuring_cell(rng)
         _write_cell(path, recordings, truth(X, artefacts={
-            'ball_radius': measuring.BALL.radius, 'bar': measuring.BAR,
+            'ball_radius': measuring.GAUGE_BALL.radius, 'bar': measuring.BALL_BAR_LENGTH,
             'gauge': asdict(measuring.Gauge())}), seed, force)
-        return f'{", ".join(recordings)}, {PREFORM}'
+        return f'{", ".join(recordings)}, {PREFORM_FILE}'
     joints: Sequence[tuple[int, Array]] = ()
     made: Simulated | SimulatedFiles
     if scenario := SCENARIOS.get(name) or FAULTS.get(name):
@@ -84,6 +84,6 @@ def _write_cell(path: Path, recordings: Mapping[str, measuring.Messages],
             bag_write.write(folder / name, recording.profiles, recording.poses, truth=truth)
         points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)).points
         rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
-        write_cloud(folder / PREFORM, [rows], 'frame base, metres')
+        write_cloud(folder / PREFORM_FILE, [rows], 'frame base, metres')
 
     bag_write.write_folder(path, {truth_file.NAME: truth_file.text(truth)}, fill, force)

@@ -153,7 +153,7 @@ def report(
         text = verification_file.protocol(verification_file.read(path))
     else:
         file = file_of(path)
-        page, calibration = file.parent / exports.REPORT, read_calibration(file)
+        page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
         verified = [*map(verification_file.read, verification)]
         with doing('finding the stops'):
             shown = evidence(calibration, bag, file.parent)

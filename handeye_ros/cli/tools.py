@@ -17,7 +17,7 @@ from handeye_ros.cli.common import (
     File,
     Folder,
     gathered,
-    INTERRUPTED,
+    INTERRUPTED_EXIT_CODE,
     is_table,
     one_of,
     read_bag,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from handeye_ros.batch import Row
     from handeye_ros.robot.sources import Source
 
-VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
+BATCH_VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
 
 
 @app.command()
@@ -114,7 +114,7 @@ def batch(
         'config, settings, args).')],
     out: Annotated[Path, typer.Option(metavar='FOLDER', help='Where the results are put.')],
     verb: Annotated[str, typer.Option(
-        callback=one_of(*VERBS), help=f'{", ".join(VERBS)}.')] = 'solve',
+        callback=one_of(*BATCH_VERBS), help=f'{", ".join(BATCH_VERBS)}.')] = 'solve',
     args: Annotated[str, typer.Option(
         help='Words of the verb before the bag, such as "sphere --calibration FILE".')] = '',
     config: ConfigFile = None,
@@ -143,7 +143,7 @@ def batch(
     except KeyboardInterrupt:
         done = sum(batches.unchanged(job, out) is not None for job in jobs)
         typer.echo(f'{done} of {len(jobs)} done; run again to continue', err=True)
-        raise typer.Exit(INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     counts = Counter(map(batches.outcome_of, rows)).items()
     computed = sum(row['computed'] for row in rows)
     typer.echo(f'{len(rows)} recordings: {", ".join(f"{count} {name}" for name, count in counts)};'

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
-FARTHER = 0.2  # by how much more a line is bent at the largest range than in the middle
+BEND_PER_RANGE = 0.2  # by how much more a line is bent at the largest range than in the middle
 
 
 def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> Array:
@@ -99,7 +99,7 @@ def bent_line(points: Array) -> Array:
     middle, half = (0.0, max(-low, high)) if low < 0 < high else ((low + high) / 2,
                                                                   (high - low) / 2)
     bent = ((points[:, 0] - middle) / max(half, 1e-9)) ** 2 - 1 / 3
-    return np.column_stack([bent, FARTHER * bent * _normalised(points[:, 1])])
+    return np.column_stack([bent, BEND_PER_RANGE * bent * _normalised(points[:, 1])])
 
 
 def box(points: Array, across: Sequence[float] | Array) -> Array:

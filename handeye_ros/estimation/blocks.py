@@ -6,9 +6,10 @@ Blocks of nuisance parameters: systematic errors beside the noise (docs/estimato
 With residuals r + J xi + sum of K_b n_b = e, a block gives the columns K_b of its parameters, each
 with a normal prior about 0. The scale of that prior is estimated (see noise).
 
-A new block is one more source: a function that yields blocks for a linearised problem. SOURCES
-holds the sources of all targets, Target.blocks those of one. Parameters that the poses depend
-on (a time offset, the joints of the robot) belong to the problem instead, as a PoseModel:
+A new block is one more source: a function that yields blocks for a linearised problem.
+BLOCK_SOURCES holds the sources of all targets, Target.blocks those of one. Parameters that the
+poses depend on (a time offset, the joints of the robot) belong to the problem instead, as a
+PoseModel:
 
     def poses_and_twists(values):  # (k,), so far 0
         return interpolated(stamps + values[0]), velocities(stamps + values[0])[:, :, None]
@@ -40,8 +41,8 @@ import numpy as np
 
 LINE_BEND = 'line_bend'
 # RMS of the polynomials of each degree over noise.distortion.
-DISTORTION = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
-DEGREES = list(DISTORTION)
+DISTORTION_SHARES = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
+DEGREES = list(DISTORTION_SHARES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
     model = linear.problem.pose_model
     sources: list[BlockSource] = [linear.problem.target.blocks]
     sources += [model.blocks] if model and model.blocks else []
-    return tuple(block for source in (*sources, *SOURCES) for block in source(linear)
+    return tuple(block for source in (*sources, *BLOCK_SOURCES) for block in source(linear)
                  if block.std > 0 and block.columns.any())
 
 
@@ -162,7 +163,7 @@ def sensor_distortion(linear: Linear) -> Blocks:
     std = linear.problem.config.noise.distortion
     fields = bending(points_on_target(linear), DEGREES) if std else []
     for i, field in enumerate(fields):
-        size = std * DISTORTION[DEGREES[i]]
+        size = std * DISTORTION_SHARES[DEGREES[i]]
         by_x, by_z = (linear.by_point * size).T[:, :, None]
         yield ParameterBlock(
             f'distortion_{DEGREES[i]}', by_x * field[:, 0] + by_z * field[:, 1], size,
@@ -239,5 +240,6 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     return errors
 
 
-SOURCES: tuple[BlockSource, ...] = (stated_measures, robot_scale, sensor_scale, sensor_distortion,
-                                    line_bend, pose_model, robot_smooth)
+BLOCK_SOURCES: tuple[BlockSource, ...] = (
+    stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_model,
+    robot_smooth)

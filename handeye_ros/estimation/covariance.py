@@ -23,10 +23,10 @@ from handeye_ros.estimation.solve import Solution, solution_at
 import numpy as np
 
 POSE_ERROR = np.repeat([1e-3, 3e-3], 3)  # 1 sigma of a wrong station's pose error (m, rad)
-ONE_WRONG, ARM = 'one station wrong', 'corrected arm'  # names of added parts in a budget
-WRONG = 0.05  # prior odds of a station being wrong against all being right
+ONE_WRONG, CORRECTED_ARM = 'one station wrong', 'corrected arm'  # names of added parts in a budget
+PRIOR_ODDS_WRONG = 0.05  # prior odds of a station being wrong against all being right
 SURE_ODDS = 100.0  # posterior odds of one station being wrong, from which it is dropped
-EXPLAINED = 0.2  # p-value of the other squares below which more than one is wrong
+SMALLEST_P = 0.2  # p-value of the other squares below which more than one is wrong
 
 
 def contaminated(solution: Solution, dropped: int) -> Solution:
@@ -58,14 +58,14 @@ def contaminated(solution: Solution, dropped: int) -> Solution:
         shift = to_transform @ size
         squares[i] = shift @ np.swapaxes(shift, 1, 2) + to_transform @ np.linalg.solve(
             inside, np.swapaxes(to_transform, 1, 2))
-    log_odds += np.log(WRONG + dropped / (n + dropped))
+    log_odds += np.log(PRIOR_ODDS_WRONG + dropped / (n + dropped))
     most = max(0.0, float(log_odds.max()))
     odds = np.exp(log_odds - most)  # each is the only wrong one
     probability = weight * odds / (np.exp(-most) + odds.sum())
     worst = int(np.argmax(probability))
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     rest = chi2_sf(max(configured.squares - explained[worst], 0.0), freedom)
-    sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and rest > EXPLAINED
+    sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and rest > SMALLEST_P
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, squares, 1)},
                    probability_wrong=float(probability.sum()),
                    surely_wrong=worst if sure else None)

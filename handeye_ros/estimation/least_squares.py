@@ -26,15 +26,16 @@ S = TypeVar('S')
 T = TypeVar('T')
 P = ParamSpec('P')
 
-ROUNDING = 1e-9  # of the sum of squares; residuals are differences of large numbers
+ROUNDING_SHARE = 1e-9  # of the sum of squares; residuals are differences of large numbers
 TYPICAL_SHARE = 0.65  # of the items that a good answer must explain
-MORE = 30.0  # factor of the damping after a refused step; its square divides it after a good one
-GROSS = 64.0  # squared residual over the typical one (8 sigma): dropped at once
+# factor of the damping after a refused step; its square divides it after a good one
+DAMPING_FACTOR = 30.0
+GROSS_SQUARE = 64.0  # squared residual over the typical one (8 sigma): dropped at once
 FALSE_ALARM = 1e-3  # probability that good data lose one item
 
 LARGEST_STD = 1e3  # of a direction without information (m or rad)
 FREE_DIRECTION = 1e-13  # relative information, or variance, that is rounding
-NOTHING = 1e-280  # smallest information: its inverse is still a number
+SMALLEST_INFORMATION = 1e-280  # smallest information: its inverse is still a number
 
 States: TypeAlias = tuple[NDArray[Any], ...]
 White: TypeAlias = Callable[[Array], Array]
@@ -92,14 +93,14 @@ class System(Generic[S]):
             moved = self.retract(state, step)
             rows, before = self.rows(moved), r @ r
             after = float(((white(rows.residuals) * root) ** 2).sum())
-            if not after <= before * (1 + ROUNDING):
-                damping *= MORE
+            if not after <= before * (1 + ROUNDING_SHARE):
+                damping *= DAMPING_FACTOR
                 continue
             state = moved
             if (np.linalg.norm(J @ step) < converged * (1 + np.sqrt(before))
                     or after >= before * (1 - 1e-14)):  # the rounding of the derivatives is left
                 break
-            damping = max(damping / MORE ** 2, 1e-14)
+            damping = max(damping / DAMPING_FACTOR ** 2, 1e-14)
             white, r, J = linear(rows)
         return state
 
@@ -123,8 +124,9 @@ def many_least_squares(linear: Callable[[States], tuple[Array, Array]],
         *states, r, J = current
         moved = retract(tuple(states), _damped_steps(J, r, damping))
         trial = [*moved, *linear(moved)]
-        better = (trial[-2] ** 2).sum(axis=1) <= (r ** 2).sum(axis=1) * (1 + ROUNDING)
-        damping = np.where(better, np.maximum(damping / MORE ** 2, 1e-14), damping * MORE)
+        better = (trial[-2] ** 2).sum(axis=1) <= (r ** 2).sum(axis=1) * (1 + ROUNDING_SHARE)
+        damping = np.where(better, np.maximum(damping / DAMPING_FACTOR ** 2, 1e-14),
+                           damping * DAMPING_FACTOR)
         current = [np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
                    for new, old in zip(trial, current, strict=True)]
     return tuple(current[:-2]), (current[-2] ** 2).sum(axis=1)
@@ -198,7 +200,7 @@ def left_out_of(predicted_covariance: Array, white: Array) -> Array:
     predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
     """
     # avoids division by zero for what an item determines alone
-    regular = (1 + ROUNDING) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
+    regular = (1 + ROUNDING_SHARE) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
     return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
 
 
@@ -300,7 +302,7 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
 
     near = graduated(start, squares, system.reweighted)
     current = squares(near)
-    good = np.flatnonzero(current <= GROSS * max(1.0, typical(current)))
+    good = np.flatnonzero(current <= GROSS_SQUARE * max(1.0, typical(current)))
     return agreeing(good, n, minimum, fitted, judged)[0]
 
 
@@ -315,7 +317,7 @@ def covariance_of(J: Array) -> Array:
 
 def inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), NOTHING))
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), SMALLEST_INFORMATION))
     scaled = information * scale * scale[:, None] + FREE_DIRECTION * np.eye(len(information))
     root, failed = lapack.dpotrf(scaled.T, lower=1)  # and zeros above it
     if failed:

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 TURN_LENGTH = 0.3  # m: a joint error that turns the flange by 1 rad shifts it by this
 PRIOR_FREEDOM = 4.0  # degrees of freedom of the prior of variance factors, about 1
 
-SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
-VARIANCES = np.square(SCALES)
+TRIED_SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed over these
+TRIED_VARIANCES = np.square(TRIED_SCALES)
 
 
 def _prior(freedom: float, scale: float) -> Array:
-    """Return the logarithm of the half-t prior of SCALES, by equal steps of their logarithm."""
-    return np.asarray(np.log(SCALES) - (freedom + 1) / 2 * np.log1p(
-        VARIANCES / (freedom * scale ** 2)))
+    """Return the log of the half-t prior of TRIED_SCALES, equally spaced in their log."""
+    return np.asarray(np.log(TRIED_SCALES) - (freedom + 1) / 2 * np.log1p(
+        TRIED_VARIANCES / (freedom * scale ** 2)))
 
 
 # For the report: as configured in the mean square, and with some chance several times as much.
@@ -147,7 +147,7 @@ def estimated_variances(covariance: Array, value: Array, first: NDArray[np.intp]
     present = np.repeat(before, counts)
     # what the data alone say, all other unknowns free: information and its gradient
     information, gradient = (1 / ratios - 1) / present, along / (ratios * np.sqrt(present))
-    v = VARIANCES[:, None]
+    v = TRIED_VARIANCES[:, None]
     f = 1 + v * information
     posterior = v / f
     fitted = posterior * gradient ** 2
@@ -166,5 +166,5 @@ def _matched(posterior: Array, moment: Array) -> Array:
     """Return the variances (d,) where moment (s, d) equals its posterior mean over the scales."""
     weights = np.exp(posterior - posterior.max(axis=0))
     means = (weights * moment).sum(axis=0) / weights.sum(axis=0)
-    return np.exp([np.interp(mean, of_block, np.log(VARIANCES))
+    return np.exp([np.interp(mean, of_block, np.log(TRIED_VARIANCES))
                    for mean, of_block in zip(means, moment.T, strict=True)])

@@ -23,7 +23,7 @@ from handeye_ros.estimation.covariance import contaminated
 from handeye_ros.estimation.least_squares import (
     agreeing,
     graduated,
-    GROSS,
+    GROSS_SQUARE,
     many_least_squares,
     Rows,
     shared_variance_factor,
@@ -44,12 +44,12 @@ from handeye_ros.estimation.solve import map_solution, Solution, solution_at
 import numpy as np
 from numpy.typing import NDArray
 
-SUBSETS = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
+SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
 # Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one
 # that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
 # SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
 # fifth of a sigma are distinguished from fits to a half.
-CONVINCING, UNRIVALLED, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
+CONVINCING_SQUARE, UNRIVALLED_SQUARE, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
 
 
 def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = False,
@@ -63,7 +63,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     if start is not None:
         return without_outliers(refined(problem, start))
     starts = chain(problem.target.guess(problem, rng),
-                   subset_starts(problem, SUBSETS * subsets, rng))
+                   subset_starts(problem, SUBSET_COUNT * subsets, rng))
     best = refined(problem, next(starts))
     while not accepted(best) and (other := next(starts, None)):
         best = min(best, refined(problem, other), key=loss)
@@ -85,7 +85,7 @@ def quick_solution(problem: Problem) -> Solution | None:
 def without_outliers(solution: Solution) -> Solution:
     """Return the solution after dropping stations that do not fit, one by one."""
     # least squares could move to a fit between the target and another surface
-    limit = LARGEST_SQUARE if solution.whole.ambiguous else GROSS
+    limit = LARGEST_SQUARE if solution.whole.ambiguous else GROSS_SQUARE
     squares = station_squares(solution)
     good = squares <= limit * max(1.0, typical(squares))
     good[np.argsort(squares, kind='stable')[:solution.whole.target.minimum]] = True
@@ -182,7 +182,7 @@ def accepted(solution: Solution) -> bool:
     squares = station_squares(solution)
     far = squares > LARGEST_SQUARE * max(1.0, typical(squares))
     unused = solution.whole.shows_essential & ~solution.problem.shows_essential
-    enough = UNRIVALLED if solution.whole.ambiguous else CONVINCING
+    enough = UNRIVALLED_SQUARE if solution.whole.ambiguous else CONVINCING_SQUARE
     return misfit(solution) <= enough and bool((far | unused).mean() <= 0.1)
 
 

@@ -48,7 +48,8 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY_STA
 import numpy as np
 from numpy.typing import NDArray
 
-CONVERGED = 0.1  # sigmas: the last step of the unknowns; one more follows with the final scales
+# sigmas: the last step of the unknowns; one more follows with the final scales
+CONVERGED_SIGMAS = 0.1
 ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -483,7 +484,7 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
         steady = np.abs(np.log(factors / before)).max() < 0.1
         noise = replace(found.noise, variance_factors=factors)
         found = Solution.at(found.stepped(), noise).rescaled(1)
-        if size < CONVERGED and steady:
+        if size < CONVERGED_SIGMAS and steady:
             break
     return found, False
 

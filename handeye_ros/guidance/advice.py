@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from handeye_ros import se3, targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
-from handeye_ros.estimation.covariance import ARM, budget
+from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted, name_direction
@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
 GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
-LITTLE = 0.02  # of the mapped points' sigma: less is no reason for another sample
+SMALLEST_GAIN = 0.02  # of the mapped points' sigma: less is no reason for another sample
 SMALLEST_CAUSE = 0.5  # of the sigma: a smaller cause is not named
 WANTED_TILT, WANTED_TURN = 0.6, 0.52  # of the largest tilt, to either side; rad, to either side
 WANTED_PLACES = 0.5  # of the view
@@ -53,7 +53,7 @@ class Cause:
 SETBACK = Cause('target.setback_std', 'how far faces end before their edges', 'target')
 SCALE = Cause('noise.robot_scale', "the scale of the robot's lengths as configured",
               'robot, or a better statement of its scale,')
-CAUSES = {  # by the name of a block, without the number of its degree
+CAUSES_BY_BLOCK = {  # by the name of a block, without the number of its degree
     'robot_smooth': Cause('noise.robot_smooth', "the robot's accuracy as configured",
                           'robot, or a better statement of its accuracy,'),
     'scale': SCALE, 'sensor_scale': SCALE,
@@ -63,7 +63,8 @@ CAUSES = {  # by the name of a block, without the number of its degree
     'flatness': Cause('noise.flatness', "the flatness of the target's faces as configured",
                       'target'),
     'setback': SETBACK, 'incidence': SETBACK, 'shape': SETBACK,
-    ARM: Cause('kinematics', 'the uncertainty of the corrected arm', 'correction of the arm'),
+    CORRECTED_ARM: Cause('kinematics', 'the uncertainty of the corrected arm',
+                         'correction of the arm'),
 }
 
 
@@ -176,7 +177,7 @@ def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
     found = budget(solution)
     squares = dict[Cause, float]()
     for term in found.terms:
-        for name, cause in CAUSES.items():
+        for name, cause in CAUSES_BY_BLOCK.items():
             if term.name == name or term.name.startswith(f'{name}_'):
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
@@ -205,7 +206,8 @@ def judged(sigmas: Sequence[Sigma], expected: float | None,
         cause, share = largest
         content += f', of which {1e3 * share * std:.3f} mm is {cause.text} ({cause.key})'
         remedy = f'a better {cause.remedy} would'
-    if std > accuracy and count >= GOOD_COUNT and expected and expected > (1 - LITTLE) * std:
+    if std > accuracy and count >= GOOD_COUNT and expected and (
+            expected > (1 - SMALLEST_GAIN) * std):
         return True, f'enough: {content}; more samples bring little, {remedy}'
     if expected:
         content += f'; one more sample would bring {1e3 * expected:.3f} mm'

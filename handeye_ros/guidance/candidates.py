@@ -6,7 +6,8 @@ The next pose: candidates around the stops so far, and what one more sample at e
 A station of the solution is a template: the sensor is turned, and shifted so that the same part of
 the target appears elsewhere in its view. The template's points take least steps in the sensor
 plane until the conditions of the target hold, so that nothing else of it needs to be known. Rules
-on what the sensor must see there have margins: a stop that is off by ERROR gives a sample too.
+on what the sensor must see there have margins: a stop that is off by STOP_POSE_ERROR gives a
+sample too.
 """
 from __future__ import annotations
 
@@ -20,15 +21,15 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
 from handeye_ros.estimation.solve import Solution, solution_at
 from handeye_ros.frames import in_mount
-from handeye_ros.guidance.view import MappedPoints, NORMALS, View
+from handeye_ros.guidance.view import BORDER_NORMALS, MappedPoints, View
 import numpy as np
 from numpy.typing import NDArray
 
-TEMPLATES, DRAWN = 6, 500  # stations; candidates around each
-STEPS = 3  # towards the target
-SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
-ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
-REFUSED = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
+TEMPLATE_COUNT, CANDIDATES_EACH = 6, 500  # stations; candidates around each
+STEPS_TO_TARGET = 3  # towards the target
+LARGEST_SHIFT = 0.2  # largest shift across the laser line of what is seen, in widths of the view
+STOP_POSE_ERROR = (5e-3, 0.053)  # m and rad (3 degrees) by which a stop may be off
+REFUSED_DISTANCE = (1.5e-2, 0.12)  # m and rad around a pose at which a stop gave no sample
 ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
@@ -87,7 +88,7 @@ def templates(problem: Problem) -> list[int]:
     obs, groups = problem.observations, dict[bytes, list[int]]()
     for i in range(len(problem.poses)):
         groups.setdefault(np.unique(obs.kind[obs.station == i]).tobytes(), []).append(i)
-    share = max(1, TEMPLATES // len(groups))
+    share = max(1, TEMPLATE_COUNT // len(groups))
     return [group[i] for group in groups.values()
             for i in np.unique(np.linspace(0, len(group) - 1, share).astype(int))]
 
@@ -112,13 +113,14 @@ def _drawn(T: Array, first: Array, anchor: Array, view: View, config: Config,
     where it is seen in the template. Tilt and turn are within guidance.*; half of the tilts are
     the largest.
     """
-    keys, zero = config.guidance, np.zeros(DRAWN)
-    turn, way = keys.turn * rng.uniform(-1, 1, DRAWN), rng.uniform(0, 2 * np.pi, DRAWN)
-    tilt = keys.tilt * np.minimum(np.sqrt(rng.uniform(0, 2, DRAWN)), 0.99)
+    keys, zero = config.guidance, np.zeros(CANDIDATES_EACH)
+    turn = keys.turn * rng.uniform(-1, 1, CANDIDATES_EACH)
+    way = rng.uniform(0, 2 * np.pi, CANDIDATES_EACH)
+    tilt = keys.tilt * np.minimum(np.sqrt(rng.uniform(0, 2, CANDIDATES_EACH)), 0.99)
     R = (first[:3, :3] @ se3.exp_rotation(np.column_stack([zero, zero, turn]))
          @ se3.exp_rotation(np.column_stack([tilt * np.cos(way), tilt * np.sin(way), zero])))
-    places = view.middle + rng.uniform(-1, 1, (DRAWN, 2)) * view.size / 2
-    across = SHIFT * view.size[0] * rng.uniform(-1, 1, (DRAWN, 1)) * T[:3, 1]
+    places = view.middle + rng.uniform(-1, 1, (CANDIDATES_EACH, 2)) * view.size / 2
+    across = LARGEST_SHIFT * view.size[0] * rng.uniform(-1, 1, (CANDIDATES_EACH, 1)) * T[:3, 1]
     spot = T[:3, [0, 2]] @ anchor + T[:3, 3] + across
     return se3.transform(R, spot - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
 
@@ -129,10 +131,11 @@ def _allowed(flange: Array, taken: Array, refused: Sequence[Array], config: Conf
     sampling = config.sampling
     allowed = np.asarray(np.linalg.norm(
         flange[:, :3, 3] - taken[0, :3, 3], axis=1) <= config.guidance.reach)
-    visited = [(T, REFUSED) for T in refused]
+    visited = [(T, REFUSED_DISTANCE) for T in refused]
     if sampling.new_translation and sampling.new_rotation:  # if either is 0, every stop is used
-        visited += [(T, (sampling.new_translation + ERROR[0], sampling.new_rotation + ERROR[1]))
-                    for T in taken]
+        near = (sampling.new_translation + STOP_POSE_ERROR[0],
+                sampling.new_rotation + STOP_POSE_ERROR[1])
+        visited += [(T, near) for T in taken]
     for T, (shift, angle) in visited:
         turned = np.einsum('nij,ij->n', flange[:, :3, :3], T[:3, :3])  # trace of the difference
         allowed &= ((np.linalg.norm(flange[:, :3, 3] - T[:3, 3], axis=1) >= shift)
@@ -155,8 +158,9 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]
     points = _on_target(template, solution, poses, points, together)
     anchors = points[:, anchored].mean(axis=1, keepdims=True)
-    outward = np.maximum((points - anchors) @ NORMALS.T, 1e-9)
-    share = np.clip(((view.offsets - anchors @ NORMALS.T) / outward).min(axis=(1, 2)), 0.0, 1.0)
+    outward = np.maximum((points - anchors) @ BORDER_NORMALS.T, 1e-9)
+    room = view.offsets - anchors @ BORDER_NORMALS.T
+    share = np.clip((room / outward).min(axis=(1, 2)), 0.0, 1.0)
     points = anchors + share[:, None, None] * (points - anchors)
     large = share > SMALLEST_SHARE
     poses, points, share = poses[large], points[large], share[large]
@@ -179,7 +183,7 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     """
     problem, obs, target = linear.problem, before.problem.observations, linear.problem.target
     sampling = problem.config.sampling
-    strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + ERROR[1])
+    strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + STOP_POSE_ERROR[1])
     A = linear.by_point.reshape(points.shape)
     good = view.room(points).min(axis=1) > -1e-4
     good &= np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
@@ -216,7 +220,7 @@ def _on_target(template: Problem, solution: Solution, poses: Array, points: Arra
                together: Array) -> Array:
     """Return points (n, c, 2) moved onto the target by least steps, together: (c, c) same one."""
     shape = points.shape[:2]
-    for _ in range(STEPS):
+    for _ in range(STEPS_TO_TARGET):
         linear = _linear(template, solution, poses, points, np.ones(len(poses)))
         g, A = linear.residuals.reshape(*shape, 1), linear.by_point.reshape(*shape, 2)
         normal = np.einsum('cd,ndi,ndj->ncij', together, A, A) + 1e-6 * np.eye(2)

@@ -23,7 +23,7 @@ import numpy as np
 # the normal of the light plane, in shares of the largest; place along the line and in range, -1
 # to 1; and for a sphere how far its middle is off the light plane, in radii. The first sample
 # looks squarely.
-SPHERE = np.array([
+SPHERE_MOVES = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-1.0, 0.81, 0.5, 0.55, 0.68, -0.6],
     [-1.0, -0.85, -0.43, -0.26, -0.7, -0.6],
@@ -83,7 +83,7 @@ def noun(target: Target) -> str:
 def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
     is_round, two_edges = not target.faces, len(target.essential) > 1
-    steps = SPHERE if is_round else TWO_EDGES if two_edges else ONE_EDGE
+    steps = SPHERE_MOVES if is_round else TWO_EDGES if two_edges else ONE_EDGE
     turn, *shares, beside = steps[taken % len(steps)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)
     inner = view.inner()

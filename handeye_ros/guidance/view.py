@@ -12,15 +12,15 @@ from handeye_ros.results.scene import drawn
 from handeye_ros.results.truth_file import field_points
 import numpy as np
 
-ROOM = 0.88  # share of the view for features: the rest is a margin for the operator
+USED_VIEW_SHARE = 0.88  # share of the view for features: the rest is a margin for the operator
 
 _ANGLES = np.arange(32) * 2 * np.pi / 32
-NORMALS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # outwards from the borders
+BORDER_NORMALS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # outwards from the borders
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A convex part of the sensor plane: points p with NORMALS @ p <= offsets (32,), metres."""
+    """A convex part of the sensor plane: points p (m) with BORDER_NORMALS @ p <= offsets (32,)."""
 
     offsets: Array
 
@@ -46,19 +46,19 @@ class View:
 
     def inner(self, border: float = 0.0) -> View:
         """Return the view with a margin for the operator, and without a border (m)."""
-        from_middle = self.offsets - NORMALS @ self.middle
+        from_middle = self.offsets - BORDER_NORMALS @ self.middle
         border = min(border, float(self.size.min()) / 4)
-        return View(self.offsets - (1 - ROOM) * from_middle - border)
+        return View(self.offsets - (1 - USED_VIEW_SHARE) * from_middle - border)
 
     def room(self, points: Array) -> Array:
         """Return the distances of points (..., 2) from the border, negative outside."""
-        return np.asarray((self.offsets - points @ NORMALS.T).min(axis=-1))
+        return np.asarray((self.offsets - points @ BORDER_NORMALS.T).min(axis=-1))
 
 
 def extremes(points: Array) -> Array:
     """Return the extreme ones of points (n, 2), which determine a view; NaN rows are ignored."""
     finite = points[np.isfinite(points).all(axis=1)]
-    return finite[np.unique((finite @ NORMALS.T).argmax(axis=0))] if len(finite) else finite
+    return finite[np.unique((finite @ BORDER_NORMALS.T).argmax(axis=0))] if len(finite) else finite
 
 
 def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
@@ -69,7 +69,7 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
     """
     lines, spots = drawn(feature for sample in samples for feature in sample.features)
     points = [*lines, *spots, *([] if seen is None else [seen])]
-    return View((extremes(np.concatenate(points)) @ NORMALS.T).max(axis=0))
+    return View((extremes(np.concatenate(points)) @ BORDER_NORMALS.T).max(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

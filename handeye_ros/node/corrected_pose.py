@@ -22,7 +22,7 @@ from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped
-from handeye_ros.node.streams import STREAM, TFMessage, THROTTLE
+from handeye_ros.node.streams import BEST_EFFORT_QOS, TFMessage, WARNING_PERIOD
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -38,7 +38,7 @@ class CorrectedPose(Node):
         self._poses = self.create_publisher(PoseStamped, options.pose_topic, QoSProfile(depth=100))
         self._tree = (self.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
                       if TFMessage else None)
-        self.create_subscription(JointState, options.joint_topic, self._on_joints, STREAM,
+        self.create_subscription(JointState, options.joint_topic, self._on_joints, BEST_EFFORT_QOS,
                                  raw=True)
         self.get_logger().info(f'{options.joint_topic} becomes {options.pose_topic}: '
                                f'{arm.flange} in {arm.base}')
@@ -47,7 +47,7 @@ class CorrectedPose(Node):
         try:
             pose = pose_from_joints(self._arm, data)
         except UnusableMessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+            self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
             return
         stamp, base = time_message(pose.stamp), pose.parent_frame
         self._poses.publish(pose_stamped(pose.translation, pose.quaternion, base, stamp))

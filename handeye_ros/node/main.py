@@ -18,10 +18,10 @@ from typing import Any
 
 from handeye_ros.errors import HandeyeError, InputError
 
-THREADS = 6  # of the executor: three groups of services, two timers, the parameters
+EXECUTOR_THREADS = 6  # of the executor: three groups of services, two timers, the parameters
 LONGEST_END = 1.0  # s until what runs is left alone
 LONGEST_WAIT = 0.2  # s until a signal is seen
-SWITCH = 1e-3  # s until Python switches threads: one service call takes a dozen switches
+SWITCH_INTERVAL = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
 USAGE = 'calibrate [-h] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]'
 DESCRIPTION = """\
@@ -48,9 +48,9 @@ def main() -> int:
     argparse.ArgumentParser(
         'calibrate', USAGE, DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
-    sys.setswitchinterval(SWITCH)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
-    code = exit_code(lambda: spin(HandeyeNode, THREADS, HandeyeNode.stop))
+    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS, HandeyeNode.stop))
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk

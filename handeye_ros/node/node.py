@@ -20,7 +20,7 @@ from handeye_ros.bags.session_files import (
     SessionFiles,
     Stored,
 )
-from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD, RECORD_NAMES
+from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
 from handeye_ros.errors import HandeyeError, InputError, UnknownKeyError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
@@ -43,11 +43,12 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
-CURRENT = 0.2  # s between two messages on ~/current
-REQUESTS = QoSProfile(history=HistoryPolicy.KEEP_ALL)  # they may wait for a solve; ROS keeps ten
-SLOW = ('compute_calibration', 'verify_result')  # no other service waits for these
+CURRENT_PERIOD = 0.2  # s between two messages on ~/current
+# they may wait for a solve; ROS keeps ten
+REQUEST_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+SLOW_SERVICES = ('compute_calibration', 'verify_result')  # no other service waits for these
 # Keys that cannot change while the node runs.
-FIXED = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
+FIXED_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
 # Keys of targets that are solved from files alone.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
@@ -91,15 +92,15 @@ class HandeyeNode(Node):
     def _serve(self) -> None:
         quick = MutuallyExclusiveCallbackGroup()
         for name in self._requests:
-            group = MutuallyExclusiveCallbackGroup() if name in SLOW else quick
+            group = MutuallyExclusiveCallbackGroup() if name in SLOW_SERVICES else quick
             self.create_service(Trigger, f'~/{name}', partial(self._answer, name),
-                                callback_group=group, qos_profile=REQUESTS)
+                                callback_group=group, qos_profile=REQUEST_QOS)
         self.create_service(SetBool, '~/auto_sample', self._auto_sample, callback_group=quick,
-                            qos_profile=REQUESTS)
+                            qos_profile=REQUEST_QOS)
         self.create_subscription(Empty, '~/take', lambda _: self.call_service('take_sample'), 10,
                                  callback_group=quick)
         # steady time: the state is published even while a simulated clock is paused
-        for period, work in ((1.0, self._diagnose), (CURRENT, self._outputs.show_current)):
+        for period, work in ((1.0, self._diagnose), (CURRENT_PERIOD, self._outputs.show_current)):
             self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -225,7 +226,8 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
                                ignore_override=True)
     free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
     for name in dict.fromkeys((*RECORD_NAMES, *record)):
-        node.declare_parameter(f'{RECORD}{name}', record.get(name, ''), free, ignore_override=True)
+        node.declare_parameter(f'{RECORD_PREFIX}{name}', record.get(name, ''), free,
+                               ignore_override=True)
     return config, stored
 
 
@@ -240,7 +242,7 @@ def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
     for p in ros_parameters:
         if p.name.startswith(EVERY_NODES):
             continue
-        if p.name not in keys and not p.name.startswith(RECORD):
+        if p.name not in keys and not p.name.startswith(RECORD_PREFIX):
             raise UnknownKeyError(p.name, keys, PARAMETERS)
         # ROS gives an empty list no type, and other lists as arrays
         value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
@@ -256,7 +258,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     if parameter.choices:
         texts.append('one of ' + ', '.join(map(str, parameter.choices)))
     result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
-                                 read_only=parameter.key in FIXED,
+                                 read_only=parameter.key in FIXED_KEYS,
                                  additional_constraints='; '.join(texts))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:  # rqt_reconfigure makes sliders of them

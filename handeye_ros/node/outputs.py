@@ -33,12 +33,12 @@ from handeye_ros.node.state import (
 )
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.scene import (
-    FLANGE,
+    FLANGE_COLOUR,
     in_plane,
     in_sensor,
-    LASER,
+    LASER_COLOUR,
     scene,
-    SEEN,
+    SEEN_COLOUR,
     StopSnapshot,
 )
 from handeye_ros.sampling.stops import Stop
@@ -51,12 +51,12 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An executor that waits for the events of a publisher ends when this is destroyed.
-UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
+NO_CALLBACKS = PublisherEventCallbacks(use_default_callbacks=False)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-DRAWN = 1e-3  # m for each unit of width of the scene
-LETTER = 0.012  # m
+METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene
+LETTER_HEIGHT = 0.012  # m
 
 
 class _Latched:
@@ -65,8 +65,8 @@ class _Latched:
     def __init__(self, node: Node, kind: Any, name: str, message: Callable[[Any], Any]) -> None:
         """Advertise the topic; message: makes one of a content."""
         self._node, self._message, self._content = node, message, None
-        self._advertise = partial(node.create_publisher, kind, name, LATCHED,
-                                  event_callbacks=UNWATCHED)
+        self._advertise = partial(node.create_publisher, kind, name, LATCHED_QOS,
+                                  event_callbacks=NO_CALLBACKS)
         self._publisher = self._advertise()
 
     def show(self, content: Any) -> bool:
@@ -107,7 +107,7 @@ class Outputs:
         if not TFMessage:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
+        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED_QOS)
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -255,10 +255,10 @@ def session_markers(evaluated: Iterable[Stop], calibration: Calibration | None, 
                           np.empty((0, 2)), sample.features)
              for stop in evaluated if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
-        {'name': 'numbers', 'color': FLANGE, 'text': str(stop.number),
+        {'name': 'numbers', 'color': FLANGE_COLOUR, 'text': str(stop.number),
          'points': [stop.T_mount[:3, 3]]} for stop in stops]
     if stops:
-        parts.append({'name': 'flanges', 'color': FLANGE, 'width': 6.0,
+        parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
                       'points': [stop.T_mount[:3, 3] for stop in stops]})
     if calibration:
         parts += scene(calibration, stops, config)['parts']
@@ -275,8 +275,8 @@ def current_markers(current: StopSnapshot | None, calibration: Calibration | Non
     return _markers([{'name': name, 'color': color, 'width': width,
                       'points': se3.apply(T, in_sensor(plane, config))}
                      for name, color, width, plane in (
-                         ('profile', LASER, 1.5, points),
-                         ('feature', SEEN, 6.0, in_plane(current.features))) if len(plane)],
+                         ('profile', LASER_COLOUR, 1.5, points),
+                         ('feature', SEEN_COLOUR, 6.0, in_plane(current.features))) if len(plane)],
                     config)
 
 
@@ -288,13 +288,13 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
         marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0))
         marker.pose.orientation.w = 1.0
         if 'text' in part:
-            marker.type, marker.text, size = Marker.TEXT_VIEW_FACING, part['text'], LETTER
+            marker.type, marker.text, size = Marker.TEXT_VIEW_FACING, part['text'], LETTER_HEIGHT
             _set(marker.pose.position, part['points'][0])
         else:
             marker.type, name = ((Marker.LINE_STRIP, 'line') if 'line' in part else
                                  (Marker.POINTS, 'points'))
             marker.points = [_set(Point(), point) for point in part[name]]
-            size = DRAWN * part['width']
+            size = METRES_PER_WIDTH * part['width']
         _set(marker.scale, (size, size, size))
         markers.append(marker)
     for number, marker in enumerate(markers):

@@ -28,9 +28,9 @@ from typing import Any, TypeVar
 
 from handeye_ros.errors import HandeyeError
 
-PROCESSES = 2  # a stop is evaluated while the calibration is computed
-NICER = 5  # nice value of the processes: the streams come first
-TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
+PROCESS_COUNT = 2  # a stop is evaluated while the calibration is computed
+NICE_VALUE = 5  # nice value of the processes: the streams come first
+MALLOC_TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc alone
 
 Result = TypeVar('Result')
 
@@ -91,11 +91,11 @@ class Pool:
         self._executor = self._new()
 
     def _new(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(PROCESSES, multiprocessing.get_context('spawn'), _begin)
+        return ProcessPoolExecutor(PROCESS_COUNT, multiprocessing.get_context('spawn'), _begin)
 
     def start(self) -> None:
         """Let the processes finish their imports before they are needed."""
-        for _ in range(PROCESSES):
+        for _ in range(PROCESS_COUNT):
             self.submit(trim_memory)
 
     def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
@@ -120,7 +120,7 @@ class Pool:
 def _begin() -> None:
     """Prepare the process: it ends with the node, even if that is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the node
-    os.nice(NICER)
+    os.nice(NICE_VALUE)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -145,5 +145,5 @@ def trim_memory() -> None:
     A stop has thousands of messages, a few of which are kept. Without this the freed memory
     between them would stay with the process and grow from stop to stop.
     """
-    if TRIM is not None:
-        TRIM(0)
+    if MALLOC_TRIM is not None:
+        MALLOC_TRIM(0)

@@ -12,7 +12,7 @@ import sys
 from handeye_ros.data import Calibration
 from handeye_ros.errors import HandeyeError, InputError, NoRosError
 from handeye_ros.node.main import exit_code, own_arguments, spin
-from handeye_ros.node.outputs import LATCHED, transform_of
+from handeye_ros.node.outputs import LATCHED_QOS, transform_of
 from handeye_ros.node.streams import TFMessage
 from handeye_ros.results.calibration_file import file_of, read_calibration
 from rclpy.node import Node
@@ -48,7 +48,7 @@ def publish(paths: Sequence[Path]) -> None:
 
 def _publisher(calibrations: Sequence[Calibration]) -> Node:
     node = Node('handeye_publish')
-    publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+    publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS)
     stamp = node.get_clock().now().to_msg()
     # in one message: a latched topic keeps only the last
     publisher.publish(TFMessage(transforms=[transform_of(one, stamp) for one in calibrations]))

@@ -21,10 +21,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
-TICK = 0.02  # s between two messages on /clock
+CLOCK_PERIOD = 0.02  # s between two messages on /clock
 # s before the first message and after the last one: a publisher discovers a subscriber slightly
 # before the subscriber discovers it, and best-effort subscribers acknowledge nothing.
-DISCOVERY = 0.5
+DISCOVERY_TIME = 0.5
 LONGEST_END = Duration(seconds=10)
 
 
@@ -55,12 +55,12 @@ def replay(bag: Path, rate: float = 1.0, timeout: float = 5.0) -> None:
             if time.monotonic() > end:
                 print(f'no subscriber on {", ".join(missing)}; starting anyway', file=sys.stderr)
                 break
-            time.sleep(TICK)
-        time.sleep(DISCOVERY)
+            time.sleep(CLOCK_PERIOD)
+        time.sleep(DISCOVERY_TIME)
         _publish_all(messages, publishers, clock, rate)
         for publisher in publishers.values():
             publisher.wait_for_all_acked(LONGEST_END)
-        time.sleep(DISCOVERY)
+        time.sleep(DISCOVERY_TIME)
 
 
 def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
@@ -91,7 +91,7 @@ def _publish_all(messages: Sequence[Raw], publishers: Mapping[str, Publisher],
     for message in messages:
         while (ahead := (message.log_time - bag_time()) * 1e-9 / rate) > 0:
             clock.publish(Clock(clock=time_message(bag_time())))
-            time.sleep(min(ahead, TICK))
+            time.sleep(min(ahead, CLOCK_PERIOD))
         publishers[message.topic].publish(message.data)
     clock.publish(Clock(clock=time_message(messages[-1].log_time)))
 

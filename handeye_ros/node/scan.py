@@ -29,7 +29,7 @@ from handeye_ros.frames import other_sensor
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
-from handeye_ros.node.streams import Streams, THROTTLE
+from handeye_ros.node.streams import Streams, WARNING_PERIOD
 from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
@@ -37,9 +37,9 @@ from handeye_ros.units import assigned
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-PERIOD = 0.05  # s between two clouds
+CLOUD_PERIOD = 0.05  # s between two clouds
 KEPT_POSES = 2000  # profiles may still need them: 20 s of 100 Hz
-AROUND = 1_000_000_000  # ns of poses before a profile, for the interpolation
+POSES_AROUND = 1_000_000_000  # ns of poses before a profile, for the interpolation
 KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
 
 
@@ -59,14 +59,14 @@ class ScanNode(Node):
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_POSES)
         self._dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
-        self.create_timer(PERIOD, self._publish_ready)
+        self.create_timer(CLOUD_PERIOD, self._publish_ready)
         Streams(self, self).start()
 
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
         seen = returns_of(profile)
         if doubt := other_sensor(profile.frame_id, self._sensor):
-            self.get_logger().warning(doubt, throttle_duration_sec=THROTTLE)
+            self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
         with self._lock:
             self._profiles.append(seen)
 
@@ -90,12 +90,12 @@ class ScanNode(Node):
                 return
             for profile in ready:
                 self._profiles.remove(profile)
-            span = latest - ready[0].stamp - self._offset + AROUND
+            span = latest - ready[0].stamp - self._offset + POSES_AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
         try:
             track = trajectory_of(poses, self.config.sampling.max_pose_gap)
         except DataError as error:  # the clock was set back
-            self.get_logger().warning(str(error), throttle_duration_sec=THROTTLE)
+            self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
             self._poses.clear()
             return
         points = self._scanner.points(ready, track)
@@ -103,7 +103,7 @@ class ScanNode(Node):
         if lost > self._dropped:
             self._dropped = lost
             self.get_logger().warning(f'{lost} profiles without a pose before and after them were '
-                                      'dropped so far', throttle_duration_sec=THROTTLE)
+                                      'dropped so far', throttle_duration_sec=WARNING_PERIOD)
         if len(points):
             self._points.publish(cloud(points, self._scanner.frame, ready[-1].stamp))
 

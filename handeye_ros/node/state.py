@@ -29,10 +29,10 @@ State = dict[str, Any]
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
-SILENCE = 2.0  # s without a message until it is reported
+SILENCE_TIME = 2.0  # s without a message until it is reported
 BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
 BAD_SHARE = 0.01  # or such a share of all, or of the messages lost in transit
-FRESH = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
+FRESH_TIME = 1.0  # s: the clocks are compared if the last messages of both kinds are not older
 LARGEST_APART = 5.0  # s: difference of the clocks that a slow network or a queue explains
 
 
@@ -89,7 +89,7 @@ class MessageCount:
 
 def _clocks(profiles: MessageCount, poses: MessageCount) -> str:
     """Return a sentence if the clocks of profiles and poses differ, '' otherwise."""
-    if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH:
+    if not profiles.stamp or not poses.stamp or max(profiles.silence, poses.silence) > FRESH_TIME:
         return ''
     ahead = (profiles.stamp - poses.stamp) * 1e-9 + profiles.silence - poses.silence
     if abs(ahead) < LARGEST_APART:
@@ -192,7 +192,7 @@ def _stream(messages: MessageCount, topic: str, obstacle: str) -> State:
     why no usable messages arrive and what to do, or ''.
     """
     kind, count, trouble = messages.kind, messages.count, messages.trouble
-    if not trouble and messages.silence >= SILENCE:
+    if not trouble and messages.silence >= SILENCE_TIME:
         cause = f' ({obstacle})' if obstacle else ''
         trouble = (f'{"no more" if count else "no"} {kind}s on {topic} for '
                    f'{messages.silence:.0f} s{cause}')

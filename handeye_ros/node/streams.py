@@ -18,7 +18,7 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import read_arm
 from handeye_ros.bags.bag import pose_from_joints
 from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, split, transforms_from_cdr
-from handeye_ros.bags.reader import CLOUD, JOINTS, POSE
+from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import NS, RawProfile, TimedPose
@@ -37,17 +37,17 @@ except ImportError:  # the wheels of rclpy come without it
     TFMessage = None
 
 # The queue holds 20 s of poses at 100 Hz, for times when other work takes the processor.
-STREAM = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+BEST_EFFORT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TYPES = {PointCloud2: CLOUD, PoseStamped: POSE, JointState: JOINTS}
-SILENT = SubscriptionEventCallbacks(use_default_callbacks=False)
+MESSAGE_TYPES = {PointCloud2: CLOUD_TYPE, PoseStamped: POSE_TYPE, JointState: JOINTS_TYPE}
+NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
-PAUSE = 2e-3  # s between two reads of all topics
+READ_PERIOD = 2e-3  # s between two reads of all topics
 MOST_AT_ONCE = 200  # messages of one topic before the next topic
-LOOK = 0.1  # s between two looks at what the publishers offer
-THROTTLE = 5.0  # s between two warnings of a kind
-LISTED = 5  # largest number of topics or nodes in a sentence
+LOOK_PERIOD = 0.1  # s between two looks at what the publishers offer
+WARNING_PERIOD = 5.0  # s between two warnings of a kind
+MOST_LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
 ReadPoses = Callable[[bytes], list[TimedPose]]
@@ -142,12 +142,12 @@ class Streams:
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         receiver.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic,
-                               self._on_profile, RELIABLE, 'profile_topic')]
+                               self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if add_joints and not config.kinematics:
             self._topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
-                                       partial(_on_joints, add_joints), STREAM))
+                                       partial(_on_joints, add_joints), BEST_EFFORT_QOS))
         for message, name, key, read in pose_topics(config, self._tracker):
-            qos = {'/tf': STREAM, '/tf_static': LATCHED_TREE}.get(name, RELIABLE)
+            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(name, RELIABLE_QOS)
             self._topics.append(_Topic(counts['pose'], message, name,
                                        partial(self._on_poses, read), qos, key))
         for topic in self._topics:
@@ -170,7 +170,7 @@ class Streams:
         self._full_name(topic.name)  # raises InputError
         topic.subscription = self._node.create_subscription(
             topic.message, topic.name, topic.receive, topic.qos, callback_group=self._group,
-            raw=True, event_callbacks=SILENT)
+            raw=True, event_callbacks=NO_CALLBACKS)
 
     def changes(self, config: Config) -> bool:
         """Return whether settings name other topics than these; raises InputError."""
@@ -202,20 +202,21 @@ class Streams:
         with suppress(InvalidHandle, RCLError):
             while self._node.context.ok() and not self._ended.is_set():
                 most = max(map(self._drain, self._topics))
-                if time.monotonic() - looked > LOOK:
+                if time.monotonic() - looked > LOOK_PERIOD:
                     looked = time.monotonic()
                     self._match()
                 if most < MOST_AT_ONCE:
-                    time.sleep(PAUSE)
+                    time.sleep(READ_PERIOD)
 
     def _match(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
         for topic in [topic for topic in self._topics if topic.key]:
             publishers = self._publishers(topic.name)
             topic.publishers = len(publishers)
-            if topic.qos is RELIABLE and any(
-                    info.qos_profile.reliability == STREAM.reliability for info in publishers):
-                old, topic.qos, topic.number = topic.subscription, STREAM, 0
+            if topic.qos is RELIABLE_QOS and any(
+                    info.qos_profile.reliability == BEST_EFFORT_QOS.reliability
+                    for info in publishers):
+                old, topic.qos, topic.number = topic.subscription, BEST_EFFORT_QOS, 0
                 self._subscribe(topic)
                 self._node.destroy_subscription(old)
 
@@ -238,7 +239,7 @@ class Streams:
                     if not isinstance(error, UnusableMessageError):
                         log.error(traceback.format_exc())
                     topic.messages.add_malformed(str(error))
-                    log.warning(str(error), throttle_duration_sec=THROTTLE)
+                    log.warning(str(error), throttle_duration_sec=WARNING_PERIOD)
         return MOST_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:
@@ -260,7 +261,7 @@ class Streams:
             return item
         self._node.get_logger().warning(
             'messages come without a stamp: the time of receipt is used',
-            throttle_duration_sec=THROTTLE)
+            throttle_duration_sec=WARNING_PERIOD)
         return replace(item, stamp=self._node.get_clock().now().nanoseconds)
 
     # what disturbs them
@@ -277,13 +278,13 @@ class Streams:
 
     def _why_silent(self, topic: _Topic) -> str:
         """Return why no messages of a topic arrive, '' if there is a publisher."""
-        name, message_type = self._full_name(topic.name), TYPES[topic.message]
+        name, message_type = self._full_name(topic.name), MESSAGE_TYPES[topic.message]
         types = {info.topic_type for info in self._publishers(name)}
         if message_type in types:
             return ''
         reason = f'{name} has no publisher' if not types else (
             f'it carries {", ".join(sorted(types))}, expected {message_type}')
-        others = ', '.join(self.topics_of(message_type)[:LISTED])
+        others = ', '.join(self.topics_of(message_type)[:MOST_LISTED])
         return f'{reason}; {message_type} is on {others}: set {topic.key}' if others else reason
 
     def topics_of(self, message_type: str) -> list[str]:
@@ -303,7 +304,7 @@ class Streams:
             if len(names) > 1:
                 sentences.append(
                     f'{len(names)} publishers send {topic.messages.kind}s on {name} '
-                    f'({", ".join(sorted(names)[:LISTED])}): let only one publish')
+                    f'({", ".join(sorted(names)[:MOST_LISTED])}): let only one publish')
         own_name = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(own_name) > 1:
             sentences.append(

@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.bags.reader import CLOUD, POSE
+from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE
 from handeye_ros.bags.session_files import read_session, sessions_in
 from handeye_ros.calibration import edges_used
 from handeye_ros.config import Config
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
 
 # buttons that call the service of their name
-SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
-            'verify_start', 'verify_result')
+PAGE_SERVICES = ('take_sample', 'clear_samples', 'compute_calibration', 'save_calibration',
+                 'verify_start', 'verify_result')
 # parameters that the page can set
-SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
-            'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode',
-            'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
-            'verify.tolerance')
+PAGE_SETTINGS = ('profile_topic', 'pose_source', 'pose_topic', 'profile.unit', 'noise.robot_class',
+                 'target.radius', 'target.size', 'guidance.accuracy', 'sampling.mode',
+                 'verify.routine', 'verify.radius', 'verify.lengths', 'verify.reference',
+                 'verify.tolerance')
 
 State = Mapping[str, Any]  # of handeye_ros.node.state
 Act = Callable[[Mapping[str, Any]], tuple[bool, str]]
@@ -69,7 +69,7 @@ def source(node: HandeyeNode) -> PageSource:
         return lambda values: node.call_service(name)
 
     acts: dict[str, Act] = {
-        **{name: service(name) for name in SERVICES},
+        **{name: service(name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values['session'])))}
@@ -103,7 +103,7 @@ def _set(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Set parameters given as YAML: all or none."""
     config = node.live.config
     for key, text in values.items():
-        if key not in SETTINGS:
+        if key not in PAGE_SETTINGS:
             return False, f'{key[:40]} is not set by the page'
         config = configuration.with_assignments(config, [f'{key}={text}'])
     after = configuration.flatten(config)
@@ -120,8 +120,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     live = node.live
     parameters = {p.key: p for p in configuration.parameters()}
     values = configuration.flatten(live.config)
-    choices = {'profile_topic': node.topics_of(CLOUD), 'pose_topic': node.topics_of(POSE),
-               'verify.routine': list(ROUTINES)}
+    choices = {'profile_topic': node.topics_of(CLOUD_TYPE),
+               'pose_topic': node.topics_of(POSE_TYPE), 'verify.routine': list(ROUTINES)}
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
@@ -131,13 +131,14 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,
-                'choices': choices.get(key, list(parameters[key].choices))} for key in SETTINGS]}
+                'choices': choices.get(key, list(parameters[key].choices))}
+                for key in PAGE_SETTINGS]}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
     calibration = calibration_file.dated(live.answer.required())
-    if name == exports.REPORT:
+    if name == exports.REPORT_FILE:
         return name, live.pool.run(_report, calibration, live.path)
     form = exports.format_of(name)
     return form.file_name(calibration), form.text(calibration)

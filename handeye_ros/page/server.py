@@ -37,15 +37,15 @@ from handeye_ros.page.contents import PageSource, plain, source
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
 
-RATE = 5.0  # events a second, at most
-WORKERS = 8  # requests that wait for the node at the same time
+EVENT_RATE = 5.0  # events a second, at most
+WORKER_COUNT = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
-PATIENCE = 10.0  # s until a client must accept an event, and the server must start
+CLIENT_TIMEOUT = 10.0  # s until a client must accept an event, and the server must start
 LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
-KINDS = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
-FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
+CONTENT_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
+ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
                                "frame-ancestors 'none'; base-uri 'none'",
@@ -86,12 +86,12 @@ class PageServer:
             ) from error
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
-        self._pool = ThreadPoolExecutor(WORKERS, 'page')
+        self._pool = ThreadPoolExecutor(WORKER_COUNT, 'page')
         self._clients, self._event = 0, ''
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, name='page', daemon=True).start()
         try:
-            asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(PATIENCE)
+            asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(CLIENT_TIMEOUT)
         except OSError as error:
             self._loop.call_soon_threadsafe(self._loop.stop)
             raise InputError(f'there is no page: {address}:{port} cannot be served '
@@ -127,7 +127,7 @@ class PageServer:
                 self._event = await self._loop.run_in_executor(None, self._text)
                 async with self._changed:
                     self._changed.notify_all()
-            await asyncio.sleep(1 / RATE)
+            await asyncio.sleep(1 / EVENT_RATE)
 
     def _text(self) -> str:
         try:
@@ -184,7 +184,7 @@ class PageServer:
                     async with self._changed:
                         await self._changed.wait()
                     await asyncio.wait_for(response.write(f'data: {self._event}\n\n'.encode()),
-                                           PATIENCE)
+                                           CLIENT_TIMEOUT)
             finally:
                 self._clients -= 1
         return response
@@ -199,7 +199,7 @@ class PageServer:
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info['name']
-        return _static(name) if name in FILES else _sentence(404, 'there is no such page')
+        return _static(name) if name in ASSET_FILES else _sentence(404, 'there is no such page')
 
     async def _read(self, request: web.Request) -> web.StreamResponse:
         read = self._source.reads.get(request.match_info['name'])
@@ -242,7 +242,8 @@ def _sentence(status: int, text: str) -> web.Response:
 def _static(name: str, status: int = 200) -> web.Response:
     room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
     text = resources.files(room).joinpath('assets', name).read_text(encoding='utf-8')
-    return web.Response(text=text, status=status, content_type=KINDS[name.rpartition('.')[2]],
+    return web.Response(text=text, status=status,
+                        content_type=CONTENT_TYPES[name.rpartition('.')[2]],
                         charset='utf-8', headers=HEADERS)
 
 

@@ -26,25 +26,26 @@ SMALLEST_RADIUS, LARGEST_RADIUS = 1e-4, 0.5  # of the arc of a sphere of unknown
 SMALLEST_SHARE = 0.29  # smallest radius of an arc over that of the sphere: less is too steep
 LARGEST_SHARE = 1.05  # the largest, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
-WIDTHS, REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)  # of successive fits, in tolerances
+FIT_WIDTHS, REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)  # of successive fits, in tolerances
 FEWEST_FITTED = 5  # fewest points for another fit of a circle
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
-NOISIER, RESCALED = 2.0, 4  # noise over assumed noise that starts a new search; searches at most
-STEEP = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
+# noise over assumed noise that starts a new search; searches at most
+NOISE_RATIO, MOST_SEARCHES = 2.0, 4
+RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 NORMAL_POINTS = 12
-BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
+FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
 MOST_SCATTER = 2.5  # largest RMS distance of an arc's points from their circle, in sigmas
 EXPECTED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
-SLOWEST = 0.5  # largest share of the normal points in the scatter
+LARGEST_SLOW_SHARE = 0.5  # largest share of the normal points in the scatter
 SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
 SMALLEST_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
-ROUNDER = 2.0  # smallest ratio of the squares of two lines to those of the circle
+LEAST_ROUNDNESS = 2.0  # smallest ratio of the squares of two lines to those of the circle
 LINE_POINTS = 4  # fewest points of each line
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
-CONVERGED = 1e-6  # step of a converged fit, as a share of the radius
+CONVERGED_STEP = 1e-6  # step of a converged fit, as a share of the radius
 TINY = 1e-30
 
 
@@ -97,7 +98,7 @@ def fit_circle(points: Array, steps: int = 4) -> Array:
         J[:2] /= np.maximum(distance, TINY)  # a point may equal the centre
         step = _solved(J @ J.T, J @ (distance - r))
         x_c, z_c, r = x_c + step[0], z_c + step[1], r + step[2]
-        if max(map(abs, step)) < CONVERGED * r:
+        if max(map(abs, step)) < CONVERGED_STEP * r:
             break
     return np.array([x_c + middle[0], z_c + middle[1], r])
 
@@ -125,15 +126,15 @@ def _on_arc(points: Array, circle: Array, noise: float, config: Config
     Then only the part of an arc that happens to lie near the circle would be found. So the noise
     is that of all points between its ends.
     """
-    columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, WIDTHS)
-    for _ in range(RESCALED):
+    columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, FIT_WIDTHS)
+    for _ in range(MOST_SEARCHES):
         if len(columns) < FEWEST_FITTED:
             break
         circle = fit_circle(points.take(columns, axis=0), steps=1)
         off = np.abs(off_circle(points[columns[0]:columns[-1] + 1], circle))
         middle = len(off) // 2
         scale = SIGMA_OF_MEDIAN * float(np.partition(off, middle)[middle])
-        if not NOISIER * noise < scale < MOST_NOISE * config.noise.sensor:
+        if not NOISE_RATIO * noise < scale < MOST_NOISE * config.noise.sensor:
             break
         noise = scale
         columns = _refitted(points, circle, TOLERANCE_SIGMAS * noise, REFIT_WIDTHS)
@@ -166,8 +167,8 @@ def _refitted(points: Array, circle: Array, tolerance: float, widths: Sequence[f
     ends, turn = np.sort(turn[on]), turn[columns]
     stray = len(ends) // 200
     first, last = ends[stray], ends[-1 - stray]
-    rim = (turn < first + RIM_WIDTH) & (first < -STEEP)
-    return np.asarray(columns[~(rim | ((turn > last - RIM_WIDTH) & (last > STEEP)))])
+    rim = (turn < first + RIM_WIDTH) & (first < -RIM_INCIDENCE)
+    return np.asarray(columns[~(rim | ((turn > last - RIM_WIDTH) & (last > RIM_INCIDENCE)))])
 
 
 def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config) -> Arc:
@@ -207,7 +208,7 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
                 MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
     expected = math.hypot(white, EXPECTED_SCATTER * config.noise.distortion)
     return scatter > expected ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
-                                        or slow > SLOWEST * scatter)
+                                        or slow > LARGEST_SLOW_SHARE * scatter)
 
 
 def _is_corner(arc: Arc) -> bool:
@@ -226,7 +227,7 @@ def _is_corner(arc: Arc) -> bool:
     sums = np.array([np.ones(len(u)), u, v, u * u, u * v, v * v]).cumsum(axis=1)
     first = sums[:, LINE_POINTS - 1:-LINE_POINTS]
     squares = _squares_of_lines(first) + _squares_of_lines(sums[:, -1:] - first)
-    return bool(squares.min() < ROUNDER * (off @ off))
+    return bool(squares.min() < LEAST_ROUNDNESS * (off @ off))
 
 
 def _squares_of_lines(sums: Array) -> Array:
@@ -263,7 +264,7 @@ def normal_points(raw: Array) -> Arc:
 def _variance(residual: Array, of_bins: Array, size: float) -> float:
     """Return the variance of a normal point, the mean of a bin of the residuals (n,)."""
     white = float(residual @ residual) / max(len(residual) - 3, 1) / size
-    finer = bin_means(residual, BINS * len(of_bins))[0] if size > 2 * BINS else of_bins
+    finer = bin_means(residual, FINER_BINS * len(of_bins))[0] if size > 2 * FINER_BINS else of_bins
     fine = variance_of_bins(finer, white * len(finer) / len(of_bins))
     # what is alike over a whole bin scatters between them
     coarse = float(of_bins @ of_bins) / max(len(of_bins) - 3, 1)

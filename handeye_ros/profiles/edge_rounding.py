@@ -15,12 +15,13 @@ from handeye_ros.data import Array
 import numpy as np
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 5e-5, 4e-3  # radius of a rounding (m)
-RADII = np.geomspace(SMALLEST_RADIUS, LARGEST_RADIUS, 40)[:, None]  # of roundings that are tried
-SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
-STEEPEST = 0.97  # largest sine of the slope of a fitted arc: no light returns beyond
+# of roundings that are tried
+TRIED_RADII = np.geomspace(SMALLEST_RADIUS, LARGEST_RADIUS, 40)[:, None]
+TRIED_SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
+STEEPEST_SINE = 0.97  # largest sine of the slope of a fitted arc: no light returns beyond
 ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in columns
-STRAY = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
-LOW = 2.0  # sigmas below the face line from which points indicate a bend
+STRAY_SIGMAS = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
+BEND_SIGMAS = 2.0  # sigmas below the face line from which points indicate a bend
 BEND_STEPS = 6  # iterations of the start of a bend
 LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
@@ -38,7 +39,8 @@ class EndRounding:
     The rounding at the end of a face in one profile.
 
     depth: of its end (m)
-    shapes: (k + 1,) log likelihoods of roundings with the k RADII, and of a bevel, 0 for the best
+    shapes: (k + 1,) log likelihoods of roundings with the k TRIED_RADII, and of a bevel, 0 for
+        the best
     middle: (out, below) of the part of the rounding that is located best (m)
     middle_std: 1 sigma of its outward position for a given radius. The steepest points have most
         weight, so the middle hardly depends on the best radius.
@@ -58,14 +60,14 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     along it; noise: 1 sigma of v (m). Roundings and bevels are weighted by their likelihoods.
     """
     begin, slope, weights, misfit = _fitted(u, v, pitch, noise)
-    k, out = len(RADII), np.maximum(end - begin, 0.0)
-    depths = np.concatenate([RADII - np.sqrt(np.maximum(RADII ** 2 - out[:k] ** 2, 0.0)),
-                             SLOPES * out[k:]])[:, 0]
+    k, out = len(TRIED_RADII), np.maximum(end - begin, 0.0)
+    round_depth = TRIED_RADII - np.sqrt(np.maximum(TRIED_RADII ** 2 - out[:k] ** 2, 0.0))
+    depths = np.concatenate([round_depth, TRIED_SLOPES * out[k:]])[:, 0]
     likely = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
     shapes = np.append(likely[:k], np.log(np.exp(likely[k:]).mean()))
-    share = np.exp(likely) * np.repeat([1 / k, 1 / len(SLOPES)], [k, len(SLOPES)])
+    share = np.exp(likely) * np.repeat([1 / k, 1 / len(TRIED_SLOPES)], [k, len(TRIED_SLOPES)])
     best = int(likely[:k].argmax())
-    radius, slope = float(RADII[best, 0]), slope[best]
+    radius, slope = float(TRIED_RADII[best, 0]), slope[best]
     steep = weights[best] * slope ** 2
     information = max(float(steep.sum()), TINY)
     sine = float(steep @ (slope / np.sqrt(1 + slope ** 2))) / information
@@ -76,39 +78,40 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
 
 def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Array, Array, Array]:
     """
-    Return roundings of RADII, then bevels of SLOPES, fitted to an end of a face.
+    Return roundings of TRIED_RADII, then bevels of TRIED_SLOPES, fitted to an end of a face.
 
     By reweighted least squares with Cauchy's weights: where hardly any light comes back, ranges
     are wrong by many sigmas. Returned: where each leaves the face line (k, 1), its slope at the
     points (k, n), their weights (k, n), and -2 log likelihood of each (k,).
     """
     # at first each shape passes through the centre of the low points
-    low = v >= min(LOW * noise, v.max())
+    low = v >= min(BEND_SIGMAS * noise, v.max())
     depth = max(float(v[low].mean()), 0.0)
-    within = np.minimum(depth, STEEPEST * RADII)
-    begin = u[low].mean() - np.concatenate([np.sqrt(within * (2 * RADII - within)),
-                                            depth / SLOPES])
+    within = np.minimum(depth, STEEPEST_SINE * TRIED_RADII)
+    begin = u[low].mean() - np.concatenate([np.sqrt(within * (2 * TRIED_RADII - within)),
+                                            depth / TRIED_SLOPES])
     longest = np.maximum(u[-1] - begin, pitch) / 3
     for _ in range(BEND_STEPS):
         below, slope = _shapes(u - begin)
         off = v - below
         variance = noise ** 2 + (ALONG_STD * pitch * slope) ** 2
-        strays = off ** 2 / (variance * STRAY ** 2)
+        strays = off ** 2 / (variance * STRAY_SIGMAS ** 2)
         weights = 1 / (variance * (1 + strays))
         steep = weights * slope
         information = np.maximum((steep * slope).sum(axis=1, keepdims=True), TINY)
         step = (steep * off).sum(axis=1, keepdims=True) / information
         begin = begin - np.clip(step, -longest, longest)
-    misfit = (STRAY ** 2 * np.log1p(strays) + np.log(variance / noise ** 2)).sum(axis=1)
+    misfit = (STRAY_SIGMAS ** 2 * np.log1p(strays) + np.log(variance / noise ** 2)).sum(axis=1)
     return begin, slope, weights, misfit
 
 
 def _shapes(away: Array) -> tuple[Array, Array]:
     """Return depths and slopes (k, n) of shapes at distances (k, n) from their start."""
-    away, k = np.maximum(away, 0.0), len(RADII)
-    sine = np.minimum(away[:k] / RADII, STEEPEST)
+    away, k = np.maximum(away, 0.0), len(TRIED_RADII)
+    sine = np.minimum(away[:k] / TRIED_RADII, STEEPEST_SINE)
     cosine = np.sqrt(1 - sine * sine)
     slope = sine / cosine
-    depth = RADII * (1 - cosine) + slope * np.maximum(away[:k] - STEEPEST * RADII, 0.0)
-    return (np.concatenate([depth, SLOPES * away[k:]]),
-            np.concatenate([slope, SLOPES * (away[k:] > 0)]))
+    depth = TRIED_RADII * (1 - cosine) + slope * np.maximum(
+        away[:k] - STEEPEST_SINE * TRIED_RADII, 0.0)
+    return (np.concatenate([depth, TRIED_SLOPES * away[k:]]),
+            np.concatenate([slope, TRIED_SLOPES * (away[k:] > 0)]))

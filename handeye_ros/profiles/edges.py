@@ -33,17 +33,17 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.profiles.edge_rounding import rounding_of
-from handeye_ros.profiles.segment import returned, Segment, STEEPEST
+from handeye_ros.profiles.segment import returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
 
 # why an end of a face is no edge
-BORDER = 'at the border of the field of view'
-NEARER = 'at something nearer'
-BENT = 'where its surface goes on at nearly the same height'
+AT_BORDER = 'at the border of the field of view'
+AT_NEARER = 'at something nearer'
+AT_BEND = 'where its surface goes on at nearly the same height'
 
 GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
-NEAREST = 1e-3  # smallest distance of an edge from the end of the view (m)
+LEAST_TO_VIEW_END = 1e-3  # smallest distance of an edge from the end of the view (m)
 ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 MIN_STEP_SIGMAS = 8.0
@@ -170,7 +170,7 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
     marks_lost = len(end.returns) < size
     if other is None:
         if marks_lost and end.lost(end.column + 1, size) < GAP_COLUMNS:
-            return BORDER
+            return AT_BORDER
         kind = 'gap' if marks_lost else 'open'
     else:
         start, least = other.first, smallest_step(end, other)
@@ -181,20 +181,20 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
         if corner:
             kind = 'roof'
             if rise > 0:
-                return NEARER
+                return AT_NEARER
         elif rise > least:
             kind = 'gap'
             if abs(end.points[start, 0] - end.points[end.column, 0]) <= SHADOW_SLOPE * rise:
-                return NEARER
+                return AT_NEARER
         elif rise < -least:
             last = int(further[-1]) if len(further) else end.column
             kind = 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
         else:
-            return BENT
+            return AT_BEND
     room = min(end.column, size - 1 - end.column) * end.pitch
-    if marks_lost and room < NEAREST:
+    if marks_lost and room < LEAST_TO_VIEW_END:
         return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
-                f'(move it {NEAREST * 1e3:.0f} mm or more into the view)')
+                f'(move it {LEAST_TO_VIEW_END * 1e3:.0f} mm or more into the view)')
     if kind == 'roof' and other is not None:
         return _corner(end, other)
     wall = _wall(end, further)
@@ -279,7 +279,7 @@ def _follows(end: FaceEnd, column: int, after: int) -> bool:
     slack = SLACK_SIGMAS * end.segment.noise
     # a driver may leave lost points out: then the next column need not be near
     return (0 < after - column <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column_pitch
-            and -slack < drop < STEEPEST * aside + slack)
+            and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
 def _leading(values: NDArray[np.bool_]) -> int:

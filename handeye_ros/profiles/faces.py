@@ -21,17 +21,18 @@ from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
 SURE_EDGE = 1.5  # weight of a face with a sure edge
-BEHIND = 0.02  # weight of a surface beside a nearer one: all stations should choose the same
+# weight of a surface beside a nearer one: all stations should choose the same
+BEHIND_WEIGHT = 0.02
 WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
-HIDDEN = 0.4  # width that a nearer surface hides, over its height
-SPLINTER = 0.002  # largest piece that is no surface (m)
+HIDDEN_PER_HEIGHT = 0.4  # width that a nearer surface hides, over its height
+LARGEST_SPLINTER = 0.002  # largest piece that is no surface (m)
 MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
 MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
 SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
 FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
 # largest distance of a face's end from the crossing, over its length: a groove can hide its own
 # bottom from the camera
-REACH = 0.5
+REACH_SHARE = 0.5
 SMALLEST_REACH = 2e-3  # m: its lower bound, for short faces
 
 
@@ -58,7 +59,8 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         of_segment = [edge for edge in found if isinstance(edge, EdgePoint)]
         sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in of_segment)
         behind = any(_is_above(end, other) for end in ends for other in end.behind)
-        likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (BEHIND if behind else 1.0)
+        likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
+            BEHIND_WEIGHT if behind else 1.0)
         if of_segment and (likely > best or (likely == best and segment.first < face.first)):
             best, face, edges = likely, segment, of_segment
     if not edges:
@@ -75,8 +77,8 @@ def _is_above(end: FaceEnd, other: Segment) -> bool:
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False
     u, v = end.outwards_and_below(other.columns[[0, -1]])
-    return (math.hypot(u[1] - u[0], v[1] - v[0]) > SPLINTER
-            and bool(u.min() < WIDEST_GAP + HIDDEN * rise))
+    return (math.hypot(u[1] - u[0], v[1] - v[0]) > LARGEST_SPLINTER
+            and bool(u.min() < WIDEST_GAP + HIDDEN_PER_HEIGHT * rise))
 
 
 def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
@@ -129,6 +131,6 @@ def _meet(a: Segment, b: Segment, points: Array) -> bool:
         ends = points[[segment.first, segment.last]]
         near, far = np.sort(np.linalg.norm(ends - [x, a.height(x)], axis=1))
         length = float(np.linalg.norm(ends[1] - ends[0]))
-        if near >= max(REACH * length, SMALLEST_REACH) or far <= FAR_END * length:
+        if near >= max(REACH_SHARE * length, SMALLEST_REACH) or far <= FAR_END * length:
             return False
     return True

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 NORMAL_POINTS = 6
-BINS = 24  # bins whose scatter gives the variance of the normal points
+BIN_COUNT = 24  # bins whose scatter gives the variance of the normal points
 FEWEST_POINTS = 4  # of a bin
 FEWEST_BINS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
@@ -32,7 +32,7 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, std = float(measured[:, 0].mean()), float(measured[:, 0].std())
-    bins, count = bin_means(measured, BINS if n >= BINS * FEWEST_POINTS else min(
+    bins, count = bin_means(measured, BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
     centre = np.array([middle, segment.height(middle)])
     return _line(centre, segment.slope, std * length, bins,

@@ -15,15 +15,15 @@ from handeye_ros.data import Array
 import numpy as np
 from numpy.typing import NDArray
 
-PAIRS, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of a pair
-TRIPLES, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
-VOTERS = 256  # points that vote
-DECISIVE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
+PAIR_COUNT, PAIR_SPANS = 48, (3, 8, 20)  # per span; profile length over that of a pair
+TRIPLE_COUNT, TRIPLE_SPANS = 72, (2.5, 4, 8, 16, 32)  # the same of triples
+VOTER_COUNT = 256  # points that vote
+DECISIVE_SHARE = 0.5  # share of a quarter of the voters that decides on a line: no other has more
 REFIT_WIDTHS = (2.0, 1.5, 1.0)  # of successive lines, in tolerances
-CIRCLES = 8  # circles tried, in the order of their votes
+MOST_CIRCLES = 8  # circles tried, in the order of their votes
 FEWEST_VOTES = 5
 LEAST_SPREAD = 1e-9  # smallest spread of points along x, relative: less is rounding
-NARROWEST = 1e-6  # smallest length of a line along x (m)
+NARROWEST_LINE = 1e-6  # smallest length of a line along x (m)
 LEAST_SAGITTA = 4.0  # smallest sagitta of points on a circle, in tolerances: less is a line
 
 
@@ -41,15 +41,16 @@ def dominant_line(x: Array, z: Array, tolerance: float, fewest: int) -> NDArray[
     np.subtract(x, x.item(n // 2), out=terms[1])  # avoids loss of digits
     np.subtract(z, z.item(n // 2), out=terms[2])
     np.multiply(terms[1], terms[1:3], out=terms[3:])
-    (x, x_after), (z, z_after) = (v.take(_subsets(n, 2, PAIRS, PAIR_SPANS)) for v in terms[1:3])
+    pairs = _subsets(n, 2, PAIR_COUNT, PAIR_SPANS)
+    (x, x_after), (z, z_after) = (v.take(pairs) for v in terms[1:3])
     apart, lines = x_after - x, np.full((len(x), 3), -1.0)  # offset, slope, -1
-    apart[np.abs(apart) < NARROWEST] = np.inf
+    apart[np.abs(apart) < NARROWEST_LINE] = np.inf
     lines[:, 1] = (z_after - z) / apart
     lines[:, 0] = z - lines[:, 1] * x
-    step = -(-n // VOTERS)
+    step = -(-n // VOTER_COUNT)
     for voters in (terms[:3, ::4 * step], terms[:3, ::step]):
         votes = _near(lines, voters, 2 * tolerance).sum(axis=1, dtype=np.int16)
-        if votes.max() > DECISIVE * voters.shape[1]:
+        if votes.max() > DECISIVE_SHARE * voters.shape[1]:
             break
     line = lines[votes.argmax()]
     for width in REFIT_WIDTHS:
@@ -69,18 +70,18 @@ def circles_among(points: Array, smallest: float, largest: float, tolerance: flo
 
     smallest, largest: of the radius (m). Points of a circle do not vote for later ones.
     """
-    circles = _through(*points.take(_subsets(len(points), 3, TRIPLES, TRIPLE_SPANS), axis=0))
+    circles = _through(*points.take(_subsets(len(points), 3, TRIPLE_COUNT, TRIPLE_SPANS), axis=0))
     r = circles[:, 2]
     circles = circles[(r > max(smallest, tolerance)) & (r < largest)]
     if not len(circles):
         return
-    x, z = points[::-(-len(points) // VOTERS)].T
+    x, z = points[::-(-len(points) // VOTER_COUNT)].T
     terms = np.stack([np.ones(len(x)), x, z, x * x + z * z])
     # |d - r| < t is the same as |d^2 - r^2 - t^2| < 2 r t, which is a product of matrices
     x, z, r = circles.T
     on = _near(np.column_stack([(x * x + z * z - r * r - tolerance ** 2) / (2 * r), -x / r, -z / r,
                                 0.5 / r]), terms, tolerance)
-    for _ in range(CIRCLES):
+    for _ in range(MOST_CIRCLES):
         votes, x, z, squares = terms @ on.T.astype(float)
         # evenly spread points of a chord have this variance: a line may fit them as well
         count = np.maximum(votes, 1.0)

@@ -15,7 +15,7 @@ import math
 from typing import Any
 
 from handeye_ros.data import Array
-from handeye_ros.profiles.ransac import dominant_line, NARROWEST
+from handeye_ros.profiles.ransac import dominant_line, NARROWEST_LINE
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,9 +24,10 @@ FOREIGN_POINTS = 5  # largest number of other points between two of a line; more
 STRAY_GAP = 2  # an end point further than this from its neighbour is on the line by chance
 INLIER_SIGMAS = 4.0
 MOST_NOISE = 30.0  # times the configured noise: more is no surface
-STEEPEST = 4.0  # slope of a surface from which light still comes back
+STEEPEST_SURFACE = 4.0  # slope of a surface from which light still comes back
 MOST_JUMPS = 0.1  # largest share of jumps from point to point in a profile without clutter
-NEIGHBOURS, FEWEST_NEIGHBOURS = 5, 4  # compared on either side; fewest of all at a similar range
+# compared on either side; fewest of all at a similar range
+NEIGHBOURS_EACH_SIDE, FEWEST_NEIGHBOURS = 5, 4
 END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
 LARGEST_END = 6  # a bent end has at most one part in so many of the points
@@ -98,8 +99,8 @@ def without_clutter(columns: NDArray[np.intp], points: Array, noise: float) -> N
         return columns
     x = points[:, 0].take(columns)
     neighbours = np.zeros(len(columns), dtype=np.intp)
-    for k in range(1, NEIGHBOURS + 1):
-        near = np.abs(z[k:] - z[:-k]) < slack + STEEPEST * np.abs(x[k:] - x[:-k])
+    for k in range(1, NEIGHBOURS_EACH_SIDE + 1):
+        near = np.abs(z[k:] - z[:-k]) < slack + STEEPEST_SURFACE * np.abs(x[k:] - x[:-k])
         neighbours[k:] += near
         neighbours[:-k] += near
     return columns[neighbours >= FEWEST_NEIGHBOURS]
@@ -163,7 +164,7 @@ def _segments(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float)
         dx, dz = x - middle_x, z - middle_z
         own = dx[inner]
         spread = float(own @ own)
-        if spread < count * NARROWEST ** 2:
+        if spread < count * NARROWEST_LINE ** 2:
             return []
         slope = float(own @ dz[inner]) / spread
         residual = dz - slope * dx

@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 MINIMUM = 5
 """Fewest points per edge: six unknowns and two free spans."""
 
-LENGTH = 0.2
+LENGTH_UNIT = 0.2
 """Metres per unit of t inside the solvers: a lever arm comparable to the sensor's range."""
 
 _GROUP = Rotation.create_group('O').as_matrix()
@@ -48,13 +48,13 @@ _OPTIONS = {'gtol': 1e-9, 'xtol': 1e-12, 'barrier_tol': 1e-12, 'maxiter': 250,
 
 def edge_rows(T_base_flange: Array, points: Array) -> Array:
     """
-    Return M (k, 3, 10) with the scatter of M @ [r1, r3, t / LENGTH, 1] that of the edge.
+    Return M (k, 3, 10) with the scatter of M @ [r1, r3, t / LENGTH_UNIT, 1] that of the edge.
 
     T_base_flange: (n, 4, 4); points: (n, 2), x and z (metres). M is eq. 3, centred; beyond 30
     points its triangular factor replaces it, so the solver's cost does not depend on n.
     """
     R = T_base_flange[:, :3, :3]
-    columns = [R * points[:, :1, None], R * points[:, 1:, None], R * LENGTH,
+    columns = [R * points[:, :1, None], R * points[:, 1:, None], R * LENGTH_UNIT,
                T_base_flange[:, :3, 3:]]
     M = np.concatenate(columns, axis=2)
     M -= M.mean(axis=0)
@@ -66,7 +66,7 @@ def edge_rows(T_base_flange: Array, points: Array) -> Array:
 
 def cost(rows: tuple[Array, Array], u: Array) -> tuple[float, Array, Array]:
     """
-    Return trace(S_p S_q), its gradient (9,) and Hessian (9, 9) in u = [r1, r3, t / LENGTH].
+    Return trace(S_p S_q), its gradient (9,) and Hessian (9, 9) in u = [r1, r3, t / LENGTH_UNIT].
 
     rows: M of edge p and of edge q from `edge_rows`.
     """
@@ -96,7 +96,7 @@ def solve_nine(T_base_flange: Array, points: Array, edges: Array) -> Array:
     Raises TooFewError.
     """
     rows = _rows(T_base_flange, points, edges)
-    bound = np.repeat([1.5, 1.5 / LENGTH], [6, 3])
+    bound = np.repeat([1.5, 1.5 / LENGTH_UNIT], [6, 3])
     found = []
     for R in STARTS:
         start = np.concatenate([R[:, 0], R[:, 2], np.zeros(3)])
@@ -151,7 +151,7 @@ def _norms() -> NonlinearConstraint:
 
 
 def _parameters(delta: Array, R: Array) -> Array:
-    """Return the nine parameters of a step delta (rotation vector, t / LENGTH) from R."""
+    """Return the nine parameters of a step delta (rotation vector, t / LENGTH_UNIT) from R."""
     rotation = se3.exp_rotation(delta[:3]) @ R
     return np.concatenate([rotation[:, 0], rotation[:, 2], delta[3:]])
 
@@ -169,4 +169,4 @@ def _best(rows: tuple[Array, Array], found: Array) -> Array:
     met = np.abs(norms - 1.0).max(axis=1) < 1e-6
     best = found[np.argmin(np.where(met, costs, np.inf if met.any() else costs))]
     columns = np.column_stack([best[:3], np.cross(best[3:6], best[:3]), best[3:6]])
-    return se3.transform(se3.nearest_rotation(columns), best[6:] * LENGTH)
+    return se3.transform(se3.nearest_rotation(columns), best[6:] * LENGTH_UNIT)

@@ -26,7 +26,7 @@ import numpy as np
 MINIMUM = 4
 """Fewest profiles of the linear solution: three equations each, less three for the centre."""
 
-LENGTH = 0.1
+LENGTH_UNIT = 0.1
 """Metres per unit of length in A x = b: what the rank is judged by."""
 
 
@@ -50,12 +50,12 @@ def solve_linear(T_base_flange: Array, centres: Array) -> tuple[Array, Array]:
     """
     if len(centres) < MINIMUM:
         raise TooFewError('the fixed point', MINIMUM, 'profiles', len(centres))
-    R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH
-    A = np.concatenate([R * c for c in (*centres.T[:, :, None, None] / LENGTH, 1.0)], axis=2)
+    R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH_UNIT
+    A = np.concatenate([R * c for c in (*centres.T[:, :, None, None] / LENGTH_UNIT, 1.0)], axis=2)
     mean_A, mean_a = A.mean(axis=0), a.mean(axis=0)
     x = np.linalg.lstsq((A - mean_A).reshape(-1, 12), (mean_a - a).ravel(), rcond=1e-10)[0]
     R = se3.nearest_rotation(x[:9].reshape(3, 3).T)
-    return se3.transform(R, x[9:] * LENGTH), (mean_A @ x + mean_a) * LENGTH
+    return se3.transform(R, x[9:] * LENGTH_UNIT), (mean_A @ x + mean_a) * LENGTH_UNIT
 
 
 def solve_least_squares(T_base_flange: Array, centres: Array) -> Array:
@@ -70,11 +70,11 @@ def solve_least_squares(T_base_flange: Array, centres: Array) -> Array:
     for _ in range(100):
         residuals = se3.apply(T_base_flange @ T, centres[:, None])[:, 0] - ball
         arms = se3.skew(centres @ T[:3, :3].T)
-        J = np.concatenate([base * LENGTH, -base @ arms,
-                            np.broadcast_to(-np.eye(3) * LENGTH, base.shape)], axis=2)
+        J = np.concatenate([base * LENGTH_UNIT, -base @ arms,
+                            np.broadcast_to(-np.eye(3) * LENGTH_UNIT, base.shape)], axis=2)
         step = np.linalg.lstsq(J.reshape(-1, 9), -residuals.ravel(), rcond=1e-6)[0]
-        T = se3.perturb(T, np.append(step[:3] * LENGTH, step[3:6]))
-        ball = ball + step[6:] * LENGTH
+        T = se3.perturb(T, np.append(step[:3] * LENGTH_UNIT, step[3:6]))
+        ball = ball + step[6:] * LENGTH_UNIT
         if np.linalg.norm(step) < 1e-12:
             break
     return T

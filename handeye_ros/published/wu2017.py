@@ -28,7 +28,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
 import numpy as np
 
-FLAT = 1e-6
+FLAT_SHARE = 1e-6
 """Four points are in one plane when |T_w| is below this many cubes of their spread."""
 
 
@@ -67,7 +67,7 @@ def solve(in_camera: Array, in_base: Array) -> Result:
                 for p in (in_base, in_camera))
     spread = np.linalg.norm(in_base[quadruples] - in_base[quadruples].mean(axis=1)[:, None],
                             axis=(1, 2))
-    regular = np.abs(np.linalg.det(T_w)) > FLAT * spread ** 3
+    regular = np.abs(np.linalg.det(T_w)) > FLAT_SHARE * spread ** 3
     if not regular.any():
         raise SingularError('Wu 2017', 'all points lie in one plane; move one out of it')
     T_g = T_c[regular] @ np.linalg.inv(T_w[regular])

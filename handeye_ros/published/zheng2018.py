@@ -36,17 +36,17 @@ from scipy.optimize import golden
 MINIMUM = 5
 """Fewest points: two equations each for ten unknowns (four of them the line's)."""
 
-LENGTH = 0.1
+LENGTH_UNIT = 0.1
 """Metres per unit of length inside the search, so that cosines and lengths weigh alike."""
 
 FACTOR = 1e-2
 """The first penalty factor u0."""
 
 STEP = 1e-9
-"""Er: the search ends when a round of Powell moves the parameters by less (units of LENGTH)."""
+"""Er: the search ends when a round of Powell moves the parameters by less (in LENGTH_UNIT)."""
 
 ENOUGH = 1e-18
-"""Err1: the penalty rounds end when M is less (LENGTH^2); or when u has settled."""
+"""Err1: the penalty rounds end when M is less (LENGTH_UNIT^2); or when u has settled."""
 
 T_plane_x_plane_y = se3.transform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
                                   np.zeros(3))
@@ -57,7 +57,7 @@ _CONSTRAINTS = ((0, 0, 1.0), (3, 3, 1.0), (0, 3, 0.0), (12, 12, 1.0))
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """p_i = A_i x[:9] + a_i (eq. 7), in units of LENGTH, the base's origin moved to the mean a."""
+    """p_i = A_i x[:9] + a_i (eq. 7), in LENGTH_UNIT, the base's origin moved to the mean a."""
 
     A: Array
     a: Array
@@ -96,19 +96,19 @@ def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Array:
     """
     if len(points) < MINIMUM:
         raise TooFewError('Zheng 2018', MINIMUM, 'points on the edge', len(points))
-    R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH
-    y, z = (points[:, k, None, None] / LENGTH for k in (0, 1))
+    R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH_UNIT
+    y, z = (points[:, k, None, None] / LENGTH_UNIT for k in (0, 1))
     problem = _Problem(np.concatenate([R * y, R * z, R], axis=2), a - a.mean(axis=0))
     x = _penalty(problem, _start(problem, T_flange_sensor), len(points))
     columns = np.column_stack([np.cross(x[:3], x[3:6]), x[:3], x[3:6]])
-    return se3.transform(se3.nearest_rotation(columns), x[6:9] * LENGTH)
+    return se3.transform(se3.nearest_rotation(columns), x[6:9] * LENGTH_UNIT)
 
 
 def _start(problem: _Problem, T_flange_sensor: Array) -> Array:
     """Return the fifteen parameters of the nominal transform and the line fitted with it."""
     x = np.zeros(15)
     x[:9] = T_flange_sensor[:3, 1:].T.ravel()
-    x[6:9] /= LENGTH
+    x[6:9] /= LENGTH_UNIT
     p = problem.offsets(x)
     x[9:12] = p.mean(axis=0)
     x[12:] = np.linalg.svd(p - x[9:12])[2][0]

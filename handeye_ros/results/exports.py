@@ -36,12 +36,12 @@ from scipy.spatial.transform import Rotation
 import yaml
 
 YAML = 'yaml'
-REPORT = 'report.html'
-HISTORY = 'history'  # the folder of previous results, each in a folder named after its time
-SI = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed axes x, '
-      'y, z, as in URDF.')
-DIGITS = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
-URDF = """\
+REPORT_FILE = 'report.html'
+HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after its time
+SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed '
+           'y, z, as in URDF.')
+DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
+URDF_TEMPLATE = """\
 <?xml version="1.0"?>
 <!--
 {comment}
@@ -53,14 +53,14 @@ Include it in the description of the robot, which has the link {parent} already.
 </robot>
 """
 
-JOINT = """\
+JOINT_TEMPLATE = """\
 <joint name={name} type="fixed">
     <parent link={parent}/>
     <child link={child}/>
     <origin xyz="{xyz}" rpy="{rpy}"/>
   </joint>"""
 
-LAUNCH = '''\
+LAUNCH_TEMPLATE = '''\
 """Publishes the pose of the sensor on /tf_static: ros2 launch {file}."""
 {comment}from launch import LaunchDescription
 from launch_ros.actions import Node
@@ -85,7 +85,7 @@ PENDANTS = {
 }
 
 
-def preamble(calibration: Calibration, units: str = SI) -> tuple[str, ...]:
+def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
     """Return lines that explain the numbers: direction, frames, units, uncertainty."""
     parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
     std = np.sqrt(np.diag(calibration.covariance))
@@ -107,7 +107,7 @@ def one_line(text: str) -> str:
     return ' '.join(text.split())
 
 
-def commented(calibration: Calibration, mark: str = '# ', units: str = SI) -> str:
+def commented(calibration: Calibration, mark: str = '# ', units: str = SI_TEXT) -> str:
     """Return the preamble as comment lines."""
     return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
 
@@ -150,7 +150,8 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
     names = ('x', 'y', 'z', *notation.labels)
     units = [notation.length] * 3 + [notation.angle] * len(angles)
     values = [*T[:3, 3] * (1e3 if notation.length == 'mm' else 1.0), *angles]
-    texts = [f'{value + 0.0:.{DIGITS[unit]}f}' for value, unit in zip(values, units, strict=True)]
+    texts = [f'{value + 0.0:.{DIGITS_OF_UNIT[unit]}f}'
+             for value, unit in zip(values, units, strict=True)]
     rows = [f'{mark}{name.upper():3} {text} {unit}'.rstrip()
             for name, text, unit in zip(names, texts, units, strict=True)]
     rows.append(line.format(**dict(zip(names, texts, strict=True)), xyz=','.join(texts[:3]),
@@ -161,18 +162,20 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 def joint(calibration: Calibration) -> str:
     """Return the <joint> of a URDF that holds the calibration."""
     parent, child = calibration.parent_frame, calibration.child_frame
-    return JOINT.format(name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
-                        child=quoteattr(child), xyz=numbers(calibration.T_flange_sensor[:3, 3]),
-                        rpy=numbers(se3.rpy(calibration.T_flange_sensor)))
+    return JOINT_TEMPLATE.format(name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
+                                 child=quoteattr(child),
+                                 xyz=numbers(calibration.T_flange_sensor[:3, 3]),
+                                 rpy=numbers(se3.rpy(calibration.T_flange_sensor)))
 
 
 def urdf(calibration: Calibration) -> str:
     """Return a URDF with the sensor's link and its joint, which xacro can include."""
     # two dashes would end an XML comment
     comment = '\n'.join(preamble(calibration)).replace('--', '- -')
-    return URDF.format(comment=comment, parent=calibration.parent_frame.replace('--', '- -'),
-                       robot=quoteattr(calibration.name), joint=joint(calibration),
-                       child=quoteattr(calibration.child_frame))
+    return URDF_TEMPLATE.format(comment=comment,
+                                parent=calibration.parent_frame.replace('--', '- -'),
+                                robot=quoteattr(calibration.name), joint=joint(calibration),
+                                child=quoteattr(calibration.child_frame))
 
 
 def arguments(calibration: Calibration) -> dict[str, str]:
@@ -196,8 +199,9 @@ def launch(calibration: Calibration) -> str:
     node = ''.join(c if c.isascii() and c.isalnum() else '_' for c in calibration.child_frame)
     lines = ',\n                        '.join(
         f'{name!r}, {value!r}' for name, value in arguments(calibration).items())
-    return LAUNCH.format(file=LAUNCH_FILE, comment=commented(calibration), arguments=lines,
-                         name=f'publish_{node}')
+    return LAUNCH_TEMPLATE.format(file=LAUNCH_FILE, comment=commented(calibration),
+                                  arguments=lines,
+                                  name=f'publish_{node}')
 
 
 def easy_handeye2(calibration: Calibration) -> str:
@@ -280,7 +284,7 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     """
     calibration = calibration_file.dated(calibration)
     forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
-    own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT}
+    own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT_FILE}
     return write({form.file_name(calibration): form.text(calibration) for form in forms},
                  folder.expanduser().absolute(), own_names)
 
@@ -314,9 +318,9 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
     files = [folder / name for name in names if (folder / name).is_file()]
     if not files:
         return None
-    with writing(folder / HISTORY):
+    with writing(folder / HISTORY_FOLDER):
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
-        first = folder / HISTORY / newest.strftime('%Y-%m-%dT%H%M%SZ')
+        first = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%SZ')
         others = (first.with_name(f'{first.name}-{k}') for k in count(2))  # of the same second
         history = next(place for place in chain([first], others) if not place.exists())
         history.mkdir(parents=True)

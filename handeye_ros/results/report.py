@@ -20,7 +20,7 @@ from handeye_ros.output import figure, image, page, style
 from handeye_ros.results import exports, table, verification_file
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import in_plane, in_sensor, profile_picture, scene, StopSnapshot
-from handeye_ros.results.truth_file import FIELD, field_points
+from handeye_ros.results.truth_file import field_points, FIELD_TEXT
 import numpy as np
 
 BLUE, ORANGE = '#1f6fb4', '#e07b00'
@@ -68,7 +68,7 @@ def html(calibration: Calibration, evidence: Evidence,
         profiles=[profile_picture(stop.points, stop.features) for stop in evidence.stops],
         refused=[report for report in calibration.samples if not report.used],
         settings=configuration.flatten(config).items(), verified=verified,
-        columns=verification_file.COLUMNS, title_of=verification_file.title_of,
+        columns=verification_file.TABLE_COLUMNS, title_of=verification_file.title_of,
         look_of=verification_file.look_of, rows_of=verification_file.rows_of,
         inputs=[', '.join(f'{key} {value}' for key, value in item.items())
                 for item in calibration.provenance.get('inputs', ())],
@@ -91,7 +91,7 @@ def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Ver
     if wrong := _wrong(calibration, evidence):
         return Verdict(False, f'Do not rely on this calibration: {wrong}', remarks)
     points, region = (visible, 'the points that were seen') if len(visible) else (
-        field_points(), FIELD)
+        field_points(), FIELD_TEXT)
     return Verdict(
         True, f'Good for mapping points of {calibration.child_frame} into '
         f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in space, '

@@ -17,14 +17,15 @@ from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Featu
 from handeye_ros.frames import sensor_axes, target_frame
 import numpy as np
 
-FLANGE, SENSOR, LASER, UNUSED = '#555555', '#6a1b9a', '#e53935', '#bdbdbd'
-TARGET, EDGES, BALL, SEEN = '#2e7d32', '#00695c', '#f9a825', '#e07b00'
-AXIS = 0.03  # m, of a frame at a stop
-ELLIPSOID = 0.02  # m, the largest drawn half axis
+FLANGE_COLOUR, SENSOR_COLOUR = '#555555', '#6a1b9a'
+LASER_COLOUR, UNUSED_COLOUR = '#e53935', '#bdbdbd'
+TARGET_COLOUR, EDGE_COLOUR, BALL_COLOUR, SEEN_COLOUR = '#2e7d32', '#00695c', '#f9a825', '#e07b00'
+AXIS_LENGTH = 0.03  # m, of a frame at a stop
+LARGEST_ELLIPSOID = 0.02  # m, the largest drawn half axis
 MOST_POINTS = 60  # of a laser line in the scene
 MOST_OF_PROFILE = 400  # points: about the pixels of a tablet
-EDGE = 0.1  # m of an edge that is drawn when its length is unknown
-TURN = np.linspace(0, 2 * np.pi, 49)
+DRAWN_EDGE_LENGTH = 0.1  # m of an edge that is drawn when its length is unknown
+FULL_TURN = np.linspace(0, 2 * np.pi, 49)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,25 +75,27 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
     mounts = [stop.T_mount for stop in used] or [np.eye(4)]
     for T in mounts:
         for axis in T[:3, :3].T:
-            line('flange at each stop', FLANGE, np.array([T[:3, 3], T[:3, 3] + AXIS * axis]))
-        line('sensor at each stop', SENSOR, np.array([T[:3, 3], (T @ X)[:3, 3]]))
+            line('flange at each stop', FLANGE_COLOUR,
+                 np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
+        line('sensor at each stop', SENSOR_COLOUR, np.array([T[:3, 3], (T @ X)[:3, 3]]))
     for stop in stops:
         plane = stop.points[np.isfinite(stop.points).all(axis=1)]
         plane = plane[::max(1, len(plane) // MOST_POINTS)]
-        name, color = ('laser line', LASER) if stop.used else ('laser line, not used', UNUSED)
+        name, color = (('laser line', LASER_COLOUR) if stop.used else
+                       ('laser line, not used', UNUSED_COLOUR))
         dots(name, color, se3.apply(stop.T_mount @ X, in_sensor(plane, config)), 2.0)
     seen = np.concatenate([np.empty((0, 3)), *(
         se3.apply(stop.T_mount @ X, in_sensor(in_plane(stop.features), config)) for stop in used)])
     target = shape(calibration.target, config.target.size, seen)
     for outline in target.outline:
-        line('target', TARGET, outline)
+        line('target', TARGET_COLOUR, outline)
     for edge in target.edges:
-        line('edges of the target', EDGES, edge, 2.5)
-    dots('what the answer comes from', SEEN, seen, 4.0)
+        line('edges of the target', EDGE_COLOUR, edge, 2.5)
+    dots('what the answer comes from', SEEN_COLOUR, seen, 4.0)
     axes = half_axes(calibration.covariance[:3, :3])
-    factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), ELLIPSOID)
+    factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), LARGEST_ELLIPSOID)
     for ring in rings(mounts[0][:3, :3] @ axes * factor):
-        line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL,
+        line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL_COLOUR,
              (mounts[0] @ X)[:3, 3] + ring)
     return {'parts': parts, 'factor': factor, 'frame': target_frame(config)}
 
@@ -184,7 +187,7 @@ def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> O
                             np.array([pose['rotation'][axis] for axis in 'xyzw'], dtype=float))
     angle = target.get('edge_angle', np.pi / 2)
     seen = se3.apply(se3.inverse(T), near)
-    length, width = size or seen[:, :2].max(axis=0, initial=EDGE / 2)
+    length, width = size or seen[:, :2].max(axis=0, initial=DRAWN_EDGE_LENGTH / 2)
     p = np.array([length, 0.0, 0.0])
     q = width * np.array([np.cos(angle), np.sin(angle), 0.0])
     ends = se3.apply(T, np.array([np.zeros(3), p, q, p + q]))
@@ -193,7 +196,8 @@ def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> O
 
 def _along(point: Array, direction: Array, near: Array) -> Array:
     """Return the ends (2, 3) of the visible part of a line."""
-    along = (near - point) @ direction if len(near) else np.array([-EDGE / 2, EDGE / 2])
+    along = ((near - point) @ direction if len(near) else
+             DRAWN_EDGE_LENGTH / 2 * np.array([-1.0, 1]))
     return point + np.outer([along.min(), along.max()], direction)
 
 
@@ -201,7 +205,7 @@ def _square(normal: Array, distance: float, near: Array) -> Array:
     """Return the outline (5, 3) of the visible part of a plane."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     axes = np.array([first, np.cross(normal, first)]) / np.linalg.norm(first)
-    flat = near @ axes.T if len(near) else np.array([[-EDGE, -EDGE], [EDGE, EDGE]]) / 2
+    flat = near @ axes.T if len(near) else DRAWN_EDGE_LENGTH / 2 * np.array([[-1.0, -1], [1, 1]])
     (x0, y0), (x1, y1) = flat.min(axis=0), flat.max(axis=0)
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
     return np.asarray(corners @ axes + normal * distance)
@@ -209,7 +213,7 @@ def _square(normal: Array, distance: float, near: Array) -> Array:
 
 def rings(axes: Array) -> tuple[Array, ...]:
     """Return the three ellipses (49, 3) of an ellipsoid with half axes in columns (3, 3)."""
-    return tuple(np.outer(np.cos(TURN), axes[:, i]) + np.outer(np.sin(TURN), axes[:, j])
+    return tuple(np.outer(np.cos(FULL_TURN), axes[:, i]) + np.outer(np.sin(FULL_TURN), axes[:, j])
                  for i, j in ((0, 1), (1, 2), (2, 0)))
 
 

@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.config import RECORD
+from handeye_ros.config import RECORD_PREFIX
 from handeye_ros.data import Array, Budget, Calibration, Quality
 from handeye_ros.results.truth_file import Errors
 import numpy as np
@@ -21,7 +21,7 @@ from rich.text import Text
 
 # Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
 # value, factor to their unit, digits.
-FOUND = '{} (1 sigma, found and allowed for)'
+FOUND_TEXT = '{} (1 sigma, found and allowed for)'
 ESTIMATES = (
     ('(centre|point|radius|distance|size|setback).*', '', '{} mm', 1e3, 3),
     ('.*angle', '', '{} degrees', math.degrees(1), 4),
@@ -29,20 +29,21 @@ ESTIMATES = (
     ('rotation_lag', 'robot, rotation', '{} ms later than the position', 1e3, 3),
     ('clock_drift', 'clocks', '{} ms a minute apart', 60e3, 2),
     ('scale', 'lengths', 'of the robot {} times those of the sensor', 1.0, 5),
-    ('robot_position_error', 'robot, smooth error', FOUND.format('{} mm'), 1e3, 4),
-    ('tracking_position_error', 'robot, error in motion', FOUND.format('{} mm'), 1e3, 4),
-    ('tracking_rotation_error', 'robot, turn in motion', FOUND.format('{} degrees'),
+    ('robot_position_error', 'robot, smooth error', FOUND_TEXT.format('{} mm'), 1e3, 4),
+    ('tracking_position_error', 'robot, error in motion', FOUND_TEXT.format('{} mm'), 1e3, 4),
+    ('tracking_rotation_error', 'robot, turn in motion', FOUND_TEXT.format('{} degrees'),
      math.degrees(1), 4),
-    ('distortion_error', 'sensor, bent field', FOUND.format('{} mm'), 1e3, 4),
-    ('line_bend', 'sensor, bent laser line', FOUND.format('{} mm'), 1e3, 4),
-    ('flatness_error', 'target, flatness', FOUND.format('{} mm'), 1e3, 4),
+    ('distortion_error', 'sensor, bent field', FOUND_TEXT.format('{} mm'), 1e3, 4),
+    ('line_bend', 'sensor, bent laser line', FOUND_TEXT.format('{} mm'), 1e3, 4),
+    ('flatness_error', 'target, flatness', FOUND_TEXT.format('{} mm'), 1e3, 4),
 )
 
 # What the profile shows behind an edge, by the kind of its end.
-BEHIND = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
-          'roof': 'side wall in sight', 'gap': 'nothing behind', 'open': 'end not classified'}
+EDGE_KIND_NAMES = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
+                   'roof': 'side wall in sight', 'gap': 'nothing behind',
+                   'open': 'end not classified'}
 
-LITTLE = 0.005  # share of the variance: smaller causes are one row
+LISTED_SHARE = 0.005  # share of the variance: smaller causes are one row
 
 
 def table(calibration: Calibration) -> RenderableType:
@@ -72,7 +73,8 @@ def budget_table(budget: Budget) -> RenderableType:
     total = budget.total.mapped
     terms = {term.name: np.array([term.mapped, term.translation, term.rotation])
              for term in budget.terms}
-    if small := [name for name, (mapped, *_) in terms.items() if (mapped / total) ** 2 < LITTLE]:
+    if small := [name for name, (mapped, *_) in terms.items()
+                 if (mapped / total) ** 2 < LISTED_SHARE]:
         terms[f'{len(small)} others'] = np.linalg.norm([terms.pop(name) for name in small], axis=0)
     terms[budget.total.name] = np.array([total, budget.total.translation, budget.total.rotation])
     rows = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
@@ -136,8 +138,8 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
     for key, text in (calibration.provenance.get('config') or {}).items():
-        if key.startswith(RECORD):
-            yield key.removeprefix(RECORD).replace('_', ' '), str(text)
+        if key.startswith(RECORD_PREFIX):
+            yield key.removeprefix(RECORD_PREFIX).replace('_', ' '), str(text)
 
 
 def weakest(quality: Quality) -> str:
@@ -179,7 +181,7 @@ def _name(key: str) -> str:
     if not setback:
         return f'target {key.replace("_", " ")}'
     edge, kind = setback.groups()
-    return f'set-back of edge{f" {edge}" if edge else ""}, {BEHIND.get(kind, kind)}'
+    return f'set-back of edge{f" {edge}" if edge else ""}, {EDGE_KIND_NAMES.get(kind, kind)}'
 
 
 def error_sentence(errors: Errors, over: str = 'the field of view') -> str:

@@ -16,7 +16,7 @@ import yaml
 
 NAME = 'truth.yaml'
 SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
-FIELD = 'x within +-20 mm, range 160-190 mm'
+FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
 
 
 def text(values: Mapping[str, Any]) -> str:

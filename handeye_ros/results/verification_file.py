@@ -18,15 +18,15 @@ from handeye_ros.output import csv_text, page
 from handeye_ros.results.calibration_file import content_of, require_format, unusable
 from rich.table import Table
 
-KIND = 'handeye_ros/verification/'
-FORMAT = f'{KIND}1'
-COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
-SCATTER = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
-           ('its maximum', 'maximum'), ('its RMS', 'rms'),
-           ('95 % of such RMS lie below', 'expected'))
-LIMITS = (('tolerance of lengths', 'tolerance', 'm'),
-          ('tolerance of angles', 'angle_tolerance', 'rad'),
-          ('smallest error of the calibration that would show', 'smallest_error', 'm'))
+FORMAT_PREFIX = 'handeye_ros/verification/'
+FORMAT = f'{FORMAT_PREFIX}1'
+TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
+SCATTER_ROWS = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
+                ('its maximum', 'maximum'), ('its RMS', 'rms'),
+                ('95 % of such RMS lie below', 'expected'))
+LIMIT_ROWS = (('tolerance of lengths', 'tolerance', 'm'),
+              ('tolerance of angles', 'angle_tolerance', 'rad'),
+              ('smallest error of the calibration that would show', 'smallest_error', 'm'))
 # Characteristics of VDI/VDE 2634 parts 2 and 3: meaning, and factor to the error of the quantity
 # (PS is of the diameter). E is the length measurement error of ISO 10360.
 CHARACTERISTICS = {
@@ -62,23 +62,23 @@ def look_of(verdict: str) -> str:
 
 
 def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield the measured values: a name, and the texts of COLUMNS."""
+    """Yield the measured values: a name, and the texts of TABLE_COLUMNS."""
     for q in content['quantities']:
         nominal = q['nominal']
         error = None if nominal is None else q['value'] - nominal
         yield q['name'], tuple(formatted(v, q['unit']) for v in (
             q['value'], nominal, error, content['k'] * q['std'],
             q['claimed'] or None))  # a scatter claims nothing
-    for name, key in SCATTER:
+    for name, key in SCATTER_ROWS:
         yield name, (formatted(content['scatter'][key], 'm'), '', '', '', '')
-    for name, key, unit in LIMITS:
+    for name, key, unit in LIMIT_ROWS:
         yield name, (formatted(content[key], unit), '', '', '', '')
 
 
 def table(content: Mapping[str, Any]) -> Table:
     """Return the table of a verification."""
     result = Table(title=title_of(content), title_justify='left')
-    for column in ('', *COLUMNS):
+    for column in ('', *TABLE_COLUMNS):
         result.add_column(column, justify='left' if not column else 'right')
     for name, texts in rows_of(content):
         result.add_row(name, *texts)
@@ -108,7 +108,7 @@ def read(path: Path) -> dict[str, Any]:
     content = content_of(path)
     if not isinstance(content, dict):
         raise unusable(path, 'it is no result of "handeye verify --out"')
-    require_format(path, str(content.get('format')), KIND)
+    require_format(path, str(content.get('format')), FORMAT_PREFIX)
     try:
         if not {'record', 'per_station', 'inputs'} <= content.keys():
             raise KeyError('record')
@@ -122,7 +122,7 @@ def read(path: Path) -> dict[str, Any]:
 def is_verification(path: Path) -> bool:
     """Return whether a file calls itself the result of a verification; raises InputError."""
     content = content_of(path)
-    return isinstance(content, dict) and str(content.get('format')).startswith(KIND)
+    return isinstance(content, dict) and str(content.get('format')).startswith(FORMAT_PREFIX)
 
 
 def protocol(content: Mapping[str, Any]) -> str:
@@ -131,7 +131,7 @@ def protocol(content: Mapping[str, Any]) -> str:
     digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
     return page(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
-        look=look_of(content['verdict']), columns=COLUMNS, rows=list(rows_of(content)),
+        look=look_of(content['verdict']), columns=TABLE_COLUMNS, rows=list(rows_of(content)),
         characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
         formatted=formatted)
 

@@ -11,9 +11,9 @@ from typing import Any
 
 from handeye_ros.arm import (
     corrected_urdf,
+    ERROR_KINDS,
     FORMAT,
     GEOMETRY,
-    KINDS,
     KINEMATICS_FILE,
     OFFSET,
     POSITION,
@@ -24,15 +24,15 @@ from handeye_ros.output import write_whole, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated, transform_values
 from handeye_ros.results.table import figures_table
-from handeye_ros.robot.selection import ArmOutcome, UNCHANGED
+from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 URDF_FILE = 'corrected.urdf'
-UNKNOWN = 0.9  # of the prior sigma: the data hardly determine the error
+UNDETERMINED_SHARE = 0.9  # of the prior sigma: the data hardly determine the error
 MOST_CONFIGURATIONS = 200  # that are stored, to find the joint values of poses
-HEADER = """\
+FILE_HEADER = """\
 # Errors of the joints and axes of an arm, found with the hand-eye transform in calibration.yaml.
 # offset is added to the joint's reading; direction (rad) and position (m) turn and shift its axis
 # across itself. covariance: of all these values, in their order; configurations: joint values of
@@ -57,7 +57,7 @@ class ArmAnswer:
                    'known': self.outcome.known}
         joint_of, column_of = np.nonzero(arm.free)
         for j, joint in enumerate(arm.joints):
-            own = {kind: (joint_of == j) & (KINDS[column_of] == kind) for kind in arm.kinds}
+            own = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind) for kind in arm.kinds}
             entries.append({
                 'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
                 'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
@@ -78,7 +78,7 @@ class ArmAnswer:
         calibration = replace(self.calibration, provenance={**provenance, 'config': read_with})
         saved = exports.save_all(calibration, folder, formats)
         write_whole(folder / KINEMATICS_FILE,
-                    HEADER.format(limit=UNKNOWN) + yaml_text(_content(self)))
+                    FILE_HEADER.format(limit=UNDETERMINED_SHARE) + yaml_text(_content(self)))
         write_whole(folder / URDF_FILE, corrected_urdf(urdf, self.outcome.arm))
         return f'{saved}, {KINEMATICS_FILE}, {URDF_FILE}'
 
@@ -117,11 +117,11 @@ def table(answer: ArmAnswer) -> RenderableType:
             values = [f'{value * factor:+.{digits}f} ± {std * factor:.{digits}f}'
                       for value, std in zip(found['value'], found['std'], strict=True)]
             cells.append(f'{", ".join(values)} {unit}' if values else '-')
-            unknown += [kind] * (min(found['known']) > UNKNOWN)
+            unknown += [kind] * (min(found['known']) > UNDETERMINED_SHARE)
         joints.add_row(joint['name'], *cells, ', '.join(unknown))
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     for model in answer.outcome.models:
-        models.add_row(', '.join(model.kinds) or UNCHANGED,
+        models.add_row(', '.join(model.kinds) or UNCHANGED_ARM,
                        *(f'{size * 1e3:.3f} mm' for size in model.residuals.values()),
                        'the answer' if model is chosen else '')
     return Group(

@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 MINIMUM = 12  # stops
-ROUNDS, CONVERGED = 6, 0.02  # iterations of prior scales and noise; relative change that ends them
-POOLED = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
+# iterations of prior scales and noise; relative change that ends them
+MOST_ROUNDS, CONVERGED_CHANGE = 6, 0.02
+POOLED_FREEDOM = 4.0  # degrees of freedom by which the noise of all axes counts for each axis
 LEAST_NOISE = 1e-6  # rounding of the values (m)
 LARGEST_SCALE = 1e3  # largest prior scale
 
@@ -113,17 +114,17 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
     free, squares = (np.bincount(axis, values) for values in (
         1 - np.einsum('mi,mi->m', J @ fit.covariance, J), (r * fit.noise[axis]) ** 2))
     pooled = squares.sum() / max(free.sum(), 1.0)
-    noise = np.sqrt((squares + POOLED * pooled) / (np.maximum(free, 0.0) + POOLED))
+    noise = np.sqrt((squares + POOLED_FREEDOM * pooled) / (np.maximum(free, 0.0) + POOLED_FREEDOM))
     return np.maximum(noise, LEAST_NOISE), variances
 
 
-def adjusted(fit: ArmFit, conservative: bool = False, rounds: int = ROUNDS) -> ArmFit:
+def adjusted(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS) -> ArmFit:
     """Return a fit with estimated weights; see estimated_weights."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
         noise, variances = estimated_weights(fit, conservative)
         fit = replace(fit, noise=noise, variances=variances).solved()
-        if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED:
+        if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED_CHANGE:
             break
     return fit
 

@@ -24,7 +24,7 @@ from handeye_ros.targets.target import xyz
 import numpy as np
 from numpy.typing import NDArray
 
-ROUGH = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
+INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
 FAR_SQUARES = 25.0  # squared residuals over their median: left out of the first fit
 
 
@@ -99,14 +99,14 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
 
     def linearised(state: ArmState) -> Rows:
         r, J = stops.linearised(state)
-        return Rows(r / ROUGH, lambda: J / ROUGH)
+        return Rows(r / INACCURATE_RMS, lambda: J / INACCURATE_RMS)
 
     def squares(state: ArmState) -> Array:
-        return (stops.distances(state) / ROUGH) ** 2 / 3
+        return (stops.distances(state) / INACCURATE_RMS) ** 2 / 3
     state = graduated(start, squares, System(linearised, stops.moved, stops.station).reweighted)
     left = squares(state)
-    good = left <= FAR_SQUARES * max(float(np.median(left)), (LEAST_NOISE / ROUGH) ** 2)
-    return first_fit(stops, state, good, ROUGH)
+    good = left <= FAR_SQUARES * max(float(np.median(left)), (LEAST_NOISE / INACCURATE_RMS) ** 2)
+    return first_fit(stops, state, good, INACCURATE_RMS)
 
 
 def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]

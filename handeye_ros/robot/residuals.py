@@ -18,7 +18,7 @@ from itertools import pairwise
 from typing import ClassVar, TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.arm import Arm, KINDS
+from handeye_ros.arm import Arm, ERROR_KINDS
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import as_they_are
 from handeye_ros.estimation.noise import LUMPED, whitening
@@ -27,7 +27,7 @@ from handeye_ros.frames import in_mount
 import numpy as np
 from numpy.typing import NDArray
 
-SMOOTH = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
+SMOOTH_ERROR_STD = 2e-4  # prior 1 sigma of the remaining error of the robot, each axis (m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +151,13 @@ class ArmState:
     @property
     def stds(self) -> Array:
         """Return their prior sigmas (p,) as stated."""
-        return np.append(self.arm.priors[self.arm.free], np.full(len(self.smooth), SMOOTH))
+        return np.append(self.arm.priors[self.arm.free],
+                         np.full(len(self.smooth), SMOOTH_ERROR_STD))
 
     @property
     def kinds(self) -> NDArray[np.intp]:
         """Return the number of the kind of each (p,), from 0; the smooth ones are the last."""
-        _, own = np.unique(KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
+        _, own = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
         return np.append(own, np.full(len(self.smooth), own.max(initial=-1) + 1))
 
 

@@ -14,7 +14,16 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
 
-from handeye_ros.arm import Arm, DIRECTION, GEOMETRY, KINDS, OFFSET, POSITION, PRISMATIC, REVOLUTE
+from handeye_ros.arm import (
+    Arm,
+    DIRECTION,
+    ERROR_KINDS,
+    GEOMETRY,
+    OFFSET,
+    POSITION,
+    PRISMATIC,
+    REVOLUTE,
+)
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
@@ -30,20 +39,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
-UNCHANGED = 'the URDF as it is'
-REGIONS, FEWEST_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
+UNCHANGED_ARM = 'the URDF as it is'
+REGION_COUNT, FEWEST_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
 MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
 MOST_SHARE = 0.8  # largest ratio of parameters to conditions
-AGREEING = 0.5  # smallest share of the stops that agree
-HOPELESS = 20.0  # times the limit of the residual: no arm is so inaccurate
+LEAST_AGREEING = 0.5  # smallest share of the stops that agree
+HOPELESS_FACTOR = 20.0  # times the limit of the residual: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
 LINE_CONFIGURATIONS = 15  # configurations on the line from one to another
 # Per kind of joint, rad and m: tolerance of the limits, which are often stated roughly, and the
 # smallest range of values that determines the error of a joint.
-BEYOND = {REVOLUTE: 0.35, PRISMATIC: 0.1}
-STILL = {REVOLUTE: 0.02, PRISMATIC: 0.005}
-BETTER = 0.2  # a change that reduces the residual to less than this fraction is the cause
+LARGEST_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
+UNMOVED_SPREAD = {REVOLUTE: 0.02, PRISMATIC: 0.005}
+CURED_SHARE = 0.2  # a change that reduces the residual to less than this fraction is the cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +142,11 @@ def require_enough(usable: int) -> None:
 def solve(problem: ArmProblem) -> ArmOutcome:
     """Return the corrected arm and its hand-eye transform; raises DataError."""
     fit = problem.fit
-    if fit.used.sum() < max(MINIMUM, AGREEING * len(problem.q)) or (
-            fit.residual_rms > HOPELESS * problem.limit):
+    if fit.used.sum() < max(MINIMUM, LEAST_AGREEING * len(problem.q)) or (
+            fit.residual_rms > HOPELESS_FACTOR * problem.limit):
         raise _contradiction(problem)
     richest = without_outliers(with_arm(fit, problem.arm.freed(GEOMETRY)))
-    if richest.residual_rms > problem.limit or richest.used.mean() < AGREEING:
+    if richest.residual_rms > problem.limit or richest.used.mean() < LEAST_AGREEING:
         raise _contradiction(problem)
     offsets = without_outliers(with_arm(fit, problem.arm.freed([OFFSET])))
     alone = adjusted(replace(fit, used=richest.used))
@@ -153,7 +162,7 @@ def solve(problem: ArmProblem) -> ArmOutcome:
                       wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
-def _regions(q: Array, most: int = REGIONS) -> NDArray[np.intp]:
+def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
     """Return the region (n,) of stops (n, joints): halves of halves, across the longest axis."""
     region = np.zeros(len(q), dtype=np.intp)
     if most > 1 and len(q) >= 2 * FEWEST_OF_REGION:
@@ -202,7 +211,7 @@ def _known(fit: ArmFit) -> Array:
 
 def _require_same_robot(arm: Arm) -> None:
     for kind, largest in LARGEST_ERROR.items():
-        sizes = np.linalg.norm(arm.errors[:, KINDS == kind], axis=1)
+        sizes = np.linalg.norm(arm.errors[:, ERROR_KINDS == kind], axis=1)
         worst = int(np.argmax(sizes))
         if sizes[worst] > largest:
             words = (mm if kind == POSITION else degrees)(float(sizes[worst]))
@@ -217,7 +226,7 @@ def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
         yield f'{dropped} of {len(last.fit.used)} points contradict the others and are left out'
     if chosen is not last:
         yield (f'the model with {" and ".join(last.kinds)} predicts left-out points no better '
-               f'than {" and ".join(chosen.kinds) or UNCHANGED}: the simpler one is '
+               f'than {" and ".join(chosen.kinds) or UNCHANGED_ARM}: the simpler one is '
                'the answer')
     if one_configuration(chosen.fit.state.arm, last.fit.stops.q):
         yield ('all poses have one configuration of elbow and wrist: other configurations '
@@ -245,14 +254,14 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     """
     sentences = []
     for joint, low, high in zip(arm.joints, q.min(axis=0), q.max(axis=0), strict=True):
-        beyond = BEYOND[joint.kind]
+        beyond = LARGEST_EXTRAPOLATION[joint.kind]
         if low < joint.lower - beyond or high > joint.upper + beyond:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
                 f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check the unit of '
                 'the joint values (are they degrees stated as radians?), or the limits in the '
                 'URDF')
-        if high - low < STILL[joint.kind]:
+        if high - low < UNMOVED_SPREAD[joint.kind]:
             size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
             sentences.append(f'{joint.name} moves by {size} only: these configurations do not '
                              'determine its error')
@@ -263,7 +272,7 @@ def _contradiction(problem: ArmProblem) -> DataError:
     """Return the refusal of stops that no arm explains, with the likely cause."""
     stated = problem.residual_with(np.eye(len(problem.arm.joints)), False)
     cause, best = ('check that the URDF is of this robot, the unit and the sign of each joint, '
-                   'calibration_type, and that the target did not move'), BETTER * stated
+                   'calibration_type, and that the target did not move'), CURED_SHARE * stated
     for words, joints, other_side in _changes(problem):
         with suppress(DataError, np.linalg.LinAlgError):
             missed = problem.residual_with(joints, other_side)

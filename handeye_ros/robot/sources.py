@@ -28,8 +28,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
-INACCURATE = 5e-4  # 1 sigma of the robot's error before its correction (m)
-APART = 0.05  # m and rad: largest difference of X between targets
+UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
+LARGEST_APART = 0.05  # m and rad: largest difference of X between targets
 SEED = 0
 
 
@@ -93,7 +93,7 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     measured, states, q = [], [], []
     for source in sources:
         config = source.problem.config
-        noise = replace(config.noise, robot_smooth=INACCURATE)
+        noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
                                  np.random.default_rng(SEED), subsets=True)
         exact = replace(config, noise=replace(noise, robot_smooth=0.0))
@@ -101,7 +101,7 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
         states.append(agreed.estimate)
         q.append(source.q[agreed.used])
         apart = se3.difference(agreed.estimate.X, states[0].X)
-        if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > APART:
+        if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_APART:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')

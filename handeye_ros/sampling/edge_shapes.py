@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array, EdgePoint, Feature, Sample
-from handeye_ros.profiles.edge_rounding import RADII, reach
+from handeye_ros.profiles.edge_rounding import reach, TRIED_RADII
 import numpy as np
 
-SHARPEST = 2.5e-5  # largest depth of ends that count as sharp (m)
+SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
 LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
 SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
-NOTHING = [np.zeros(len(RADII) + 1)]  # no information on the shape
+NO_INFORMATION = [np.zeros(len(TRIED_RADII) + 1)]  # no information on the shape
 OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
 
@@ -48,10 +48,11 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all stations support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.kind != 'roof']
-    if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARPEST:
+    if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARP_DEPTH:
         return EdgeShape()
-    log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NOTHING, axis=0)
-    if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(RADII)) > log_odds[-1]:
+    log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NO_INFORMATION,
+                      axis=0)
+    if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
         return EdgeShape(*_radius(log_odds[:-1]))
     depth = np.array([end.bevel for end in ends])
     # deeper ends say more about the shape
@@ -67,7 +68,7 @@ def _blurred(shapes: Array) -> Array:
 
     A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
     """
-    logs = np.log(RADII[:, 0])
+    logs = np.log(TRIED_RADII[:, 0])
     kernel = -0.5 * ((logs[:, None] - logs) / SLANT_STD) ** 2
     radii = np.logaddexp.reduce(kernel + shapes[:-1], axis=1)
     radii += shapes[:-1].max() - radii.max()
@@ -77,7 +78,7 @@ def _blurred(shapes: Array) -> Array:
 def _radius(log_odds: Array) -> tuple[float, float]:
     """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of RADII."""
     from scipy.interpolate import CubicSpline  # 0.09 s, only for round edges
-    tried = np.log(RADII[:, 0])
+    tried = np.log(TRIED_RADII[:, 0])
     logs = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
     likely = CubicSpline(tried, log_odds)(logs)
     weights = np.exp(likely - likely.max())

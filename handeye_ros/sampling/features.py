@@ -38,10 +38,10 @@ from numpy.typing import NDArray
 LARGEST_DISAGREEMENT = 5e-4  # between profiles of a robot that stands still (m)
 SMALLEST_DISAGREEMENT = 1e-4  # the same for arcs, beyond their own scatter
 LEAST_AGREEING = 0.6  # smallest share of the profiles of a stop
-ALONG = 0.1  # weight of a distance along a surface against one across, to match lines
-MOST_TIMES = 4  # profiles of one stop count as at most this many for an edge
-FLIPPED = 8  # every such profile of a pass tells whether the range counts the other way
-MOST_SINGLE = 32  # profiles of a pass that are evaluated, twice as many if few show the target
+ALONG_WEIGHT = 0.1  # weight of a distance along a surface against one across, to match lines
+MOST_INDEPENDENT = 4  # profiles of one stop count as at most this many for an edge
+FLIPPED_EVERY = 8  # every such profile of a pass tells whether the range counts the other way
+MOST_OF_PASS = 32  # profiles of a pass that are evaluated, twice as many if few show the target
 
 
 def result_of(stop: Stop, config: Config) -> Sample | Reject:
@@ -66,15 +66,15 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
 
 def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
-    found, reasons = _found(decoded(evenly(stop.profiles, MOST_SINGLE), config), config)
-    if 2 * len(found) < MOST_SINGLE < len(stop.profiles):
-        found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_SINGLE), config), config)
+    found, reasons = _found(decoded(evenly(stop.profiles, MOST_OF_PASS), config), config)
+    if 2 * len(found) < MOST_OF_PASS < len(stop.profiles):
+        found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_OF_PASS), config), config)
     if not found:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in found])
     single = tuple(
         Sample(profile.stamp, pose, features,
-               flipped=_flipped(profile, config) if k % FLIPPED == 0 else None)
+               flipped=_flipped(profile, config) if k % FLIPPED_EVERY == 0 else None)
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     middle = single[len(single) // 2]
     return replace(middle, profiles=len(single), of_pass=single,
@@ -190,7 +190,7 @@ def _apart(line: FaceLine, other: FaceLine) -> float:
     """Return the distance between two lines (m): across, plus a small part along."""
     away = line.centre - other.centre
     across = away[1] * line.direction[0] - away[0] * line.direction[1]
-    return float(abs(across) + ALONG * abs(away[0]))
+    return float(abs(across) + ALONG_WEIGHT * abs(away[0]))
 
 
 def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
@@ -221,7 +221,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     scatter = float(along[good].std(ddof=1)) if n > 1 else single
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
-    std = np.hypot(single, scatter / min(n, MOST_TIMES) ** 0.5)
+    std = np.hypot(single, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
     return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, kind,
                      np.median([e.drop for e in edges], axis=0),
                      *_combined_ends(points, edges, good))
@@ -235,7 +235,7 @@ def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.b
         return np.empty(0), np.zeros(2), 0.0
     used = [edge for edge, chosen in zip(edges, bent, strict=True) if chosen]
     middles = points[bent] + [edge.arc for edge in used]
-    times = min(len(used), MOST_TIMES)
+    times = min(len(used), MOST_INDEPENDENT)
     shapes = np.mean([edge.shapes for edge in used], axis=0) * times
     std = float(np.median([edge.arc_std for edge in used])) / times ** 0.5
     return shapes - shapes.max(), middles.mean(axis=0) - points[good].mean(axis=0), std

@@ -32,10 +32,11 @@ from handeye_ros.sampling.stream import Copyable, LARGEST_STEP, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
-SILENCE = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
+SILENCE_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
 FARTHEST_FLANGE = 50.0  # m: no flange is there, it is another unit
-PATIENCE = 2 * NS  # of a stop without any profile, before it is said that it gives no sample
+# of a stop without any profile, before it is said that it gives no sample
+NO_PROFILE_PATIENCE = 2 * NS
 CHECK_LATER = 1.4  # factor of the time after which a stop without a sample is tried again
 
 
@@ -210,7 +211,7 @@ class Session(Copyable):
                             'the sample again; otherwise let only one node publish poses',
                             reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
-        if max(SILENCE, 5 * poses.period) < silence < LARGEST_STEP / NS:
+        if max(SILENCE_TIME, 5 * poses.period) < silence < LARGEST_STEP / NS:
             raise silent_poses(silence)
 
     def _no_poses(self) -> DataError:
@@ -376,7 +377,7 @@ class Session(Copyable):
         if stop is None or self.is_closed(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
-        enough = MOST_PROFILES if next_check == first else 1 if stood < PATIENCE else 0
+        enough = MOST_PROFILES if next_check == first else 1 if stood < NO_PROFILE_PATIENCE else 0
         return stop if len(stop.steady(self._config)) >= enough else None
 
     def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:

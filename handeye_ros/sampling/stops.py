@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 MOTION_TIME = 3 * NS // 10  # time over which the speed is averaged
 LONGEST_STOP = 10 * NS  # of a stop: more adds nothing but memory
-PASS = 2 * NS  # of motion
+PASS_TIME = 2 * NS  # of motion
 SHORT_REST = NS // 10  # a rest that was probably meant as a stop
 MOST_POSES = 20_000  # of one stop: stamps need not go on as time does
 FOREVER = 2**63
@@ -242,7 +242,7 @@ class StopFinder(Copyable):
         first, limits = self._run[0], self.sampling
         if pose.stamp - self._latest > limits.max_pose_gap * NS:
             return False
-        if limits.moving and pose.stamp - first.stamp <= PASS:
+        if limits.moving and pose.stamp - first.stamp <= PASS_TIME:
             return True
         # a rest is one pass, too: a robot at rest shows nothing new
         return (math.dist(pose.translation, first.translation) <= limits.still_translation

@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
-LAST = 2 ** 63 - 1  # ns; largest stamp
+LAST_STAMP = 2 ** 63 - 1  # ns; largest stamp
 
 MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
 OTHER_FRAME = 'some other frame'
-FEW = 3  # messages with wrong stamps that a recording may hold: this number,
+FEW_STRAYS = 3  # messages with wrong stamps that a recording may hold: this number,
 FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
-UNMIXED = 3_000_000_000  # ns of messages of one frame, after which strays are of the past
+UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which strays are of the past
 
 by_stamp = attrgetter('stamp')
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
@@ -86,12 +86,12 @@ class Stream(Copyable, Generic[Stamped]):
         """
         Return the error of a topic with two frames; a few strays are dropped and counted.
 
-        Strays are also forgiven once only the first frame has come for UNMIXED.
+        Strays are also forgiven once only the first frame has come for UNMIXED_TIME.
         """
-        if self.latest - self._strayed > UNMIXED:
+        if self.latest - self._strayed > UNMIXED_TIME:
             return None
         strays = sum(self._strays.values()) - self._forgiven
-        if self.frame is None or (strays <= max(FEW, FEW_SHARE * self.count)
+        if self.frame is None or (strays <= max(FEW_STRAYS, FEW_SHARE * self.count)
                                   and self._strays_in_a_row < 20):
             return None
         return two_frames(self._kind, self.frame, self._strays.most_common(1)[0][0])
@@ -136,14 +136,14 @@ class Stream(Copyable, Generic[Stamped]):
 
     def _adopted(self, frame: str) -> bool:
         """Count a message of another frame; return whether the stream now takes that frame."""
-        if self.latest - self._strayed > UNMIXED:
+        if self.latest - self._strayed > UNMIXED_TIME:
             self._forgiven = sum(self._strays.values())
         known = len(self._strays) < MOST_REASONS or frame in self._strays
         self._strays[frame if known else OTHER_FRAME] += 1
         self._strays_in_a_row += 1
         self._strayed = self.latest
         given = not self.count and self._held is None  # by a session that continues
-        if given or self.count > FEW or self._strays[frame] < 10:
+        if given or self.count > FEW_STRAYS or self._strays[frame] < 10:
             return False
         self._strays, self._forgiven = Counter({str(self.frame): self.count}), 0
         self.frame = frame
@@ -202,10 +202,10 @@ def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
         return np.ones(len(stamps), dtype=bool)
     rising = _longest_rising(stamps.tolist())
     before = np.maximum.accumulate(np.where(rising, stamps, -1))
-    after = np.minimum.accumulate(np.where(rising, stamps, LAST)[::-1])[::-1]
+    after = np.minimum.accumulate(np.where(rising, stamps, LAST_STAMP)[::-1])[::-1]
     fits = (stamps >= before - LARGEST_STEP) & (stamps - LARGEST_STEP <= after)
     wrong = len(fits) - np.count_nonzero(fits)
-    few = wrong <= max(FEW, FEW_SHARE * len(fits)) and 2 * wrong < len(fits)
+    few = wrong <= max(FEW_STRAYS, FEW_SHARE * len(fits)) and 2 * wrong < len(fits)
     return fits if few or not wrong else None
 
 

@@ -34,14 +34,14 @@ from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.least_squares import graduated, Rows, System, typical
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
-from handeye_ros.estimation.search import CONVINCING, mean_squares, reassigned, white_at
+from handeye_ros.estimation.search import CONVINCING_SQUARE, mean_squares, reassigned, white_at
 from handeye_ros.frames import mounted
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 import numpy as np
 from numpy.typing import NDArray
 
-CLOCKS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
+CLOCK_KEYS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
 NO_POSES = 'there are no poses of that time'
 MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
 
@@ -102,7 +102,7 @@ def _poses_and_twists(clocked: ClockedPoses, unknown: tuple[int, ...], values: A
 def _evaluated(clocked: ClockedPoses, unknown: tuple[int, ...], values: tuple[float, ...]
                ) -> tuple[Array, Array]:
     poses = clocked.at(*_all_values(unknown, values))
-    twists = np.stack([poses.twists] * len(CLOCKS), axis=2)
+    twists = np.stack([poses.twists] * len(CLOCK_KEYS), axis=2)
     twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
     twists[:, :, 2] *= clocked.since_middle[:, None]
     return poses.T_base_flange, twists[:, :, list(unknown)]
@@ -111,11 +111,11 @@ def _evaluated(clocked: ClockedPoses, unknown: tuple[int, ...], values: tuple[fl
 def _all_values(unknown: tuple[int, ...], values: Iterable[float]) -> tuple[float, ...]:
     """Return offset, lag and drift from those that are unknown; the others are 0."""
     known = dict(zip(unknown, values, strict=True))
-    return tuple(float(known.get(k, 0.0)) for k in range(len(CLOCKS)))
+    return tuple(float(known.get(k, 0.0)) for k in range(len(CLOCK_KEYS)))
 
 
 def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
-    """Return which of the CLOCKS are unknown, and 1 sigma (k,) of their priors."""
+    """Return which of the CLOCK_KEYS are unknown, and 1 sigma (k,) of their priors."""
     stds = np.array([config.time_offset_std, config.rotation_lag_std, config.clock_drift_std])
     unknown = np.append(0, 1 + np.flatnonzero(stds[1:]))
     return tuple(unknown.tolist()), stds[unknown]
@@ -135,7 +135,7 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
     clocked = ClockedPoses.of(samples)
     unknown, stds = _unknown(config)
     model = PoseModel(
-        partial(_poses_and_twists, clocked, unknown), tuple(CLOCKS[k] for k in unknown),
+        partial(_poses_and_twists, clocked, unknown), tuple(CLOCK_KEYS[k] for k in unknown),
         (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
@@ -222,7 +222,7 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
             found = _refined(shifted, start)
             loss = float(np.log1p(mean_squares(found)).mean())
             best = (loss, found) if best is None or loss < best[0] else best
-        if best and typical(mean_squares(best[1])) < CONVINCING:
+        if best and typical(mean_squares(best[1])) < CONVINCING_SQUARE:
             break
     assert best is not None
     return best[1]

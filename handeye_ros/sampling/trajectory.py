@@ -23,12 +23,12 @@ from handeye_ros.sampling.stream import fitting
 import numpy as np
 from numpy.typing import NDArray
 
-DEGREE = 3
+SPLINE_DEGREE = 3
 # spacings of knots that are tried (s)
-SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
+KNOT_SPACINGS = (0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025, 0.018, 0.012)
 FEWEST_POSES = 8  # fewest poses of a piece
 AT_ONCE = 500  # stamps of which the uncertainty is evaluated together
-AVERAGED = 0.004  # time over which many poses are averaged (s)
+AVERAGING_TIME = 0.004  # time over which many poses are averaged (s)
 OUTLIER_SCATTERS = 8.0  # residual, in robust scatters, above which a pose is an outlier
 
 
@@ -145,7 +145,7 @@ class _Piece:
         """Return 1 sigma of positions and rotations, (n, 2)."""
         from scipy.interpolate import BSpline  # 0.09 s, only for sweeps
         from scipy.sparse.linalg import splu
-        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, DEGREE)
+        rows = BSpline.design_matrix(self._time(stamps), self.spline.t, SPLINE_DEGREE)
         solve = splu(self.information).solve
         parts = (rows[k:k + AT_ONCE] for k in range(0, len(stamps), AT_ONCE))
         leverage = [part.multiply(solve(part.T.toarray()).T).sum(axis=1) for part in parts]
@@ -178,7 +178,7 @@ def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
 
     The first and last pose are kept, so that the trajectory covers the same time.
     """
-    count = int(AVERAGED * (len(t) - 1) / max(t[-1], AVERAGED))
+    count = int(AVERAGING_TIME * (len(t) - 1) / max(t[-1], AVERAGING_TIME))
     if count < 2:
         return t, values
     begins = np.array([0, *range(1, len(t) - 1, count), len(t) - 1])
@@ -216,14 +216,14 @@ def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Any]:
     from scipy.interpolate import BSpline
     from scipy.sparse.linalg import splu
     least, best = np.inf, None
-    for spacing in SPACINGS:
+    for spacing in KNOT_SPACINGS:
         knots = _knots(t, spacing)
-        free = len(t) - (len(knots) - DEGREE - 1)
+        free = len(t) - (len(knots) - SPLINE_DEGREE - 1)
         if best and free < len(t) / 3:
             break
-        rows = BSpline.design_matrix(t, knots, DEGREE)
+        rows = BSpline.design_matrix(t, knots, SPLINE_DEGREE)
         information = (rows.T @ rows).tocsc()
-        spline = BSpline(knots, splu(information).solve(rows.T @ values), DEGREE)
+        spline = BSpline(knots, splu(information).solve(rows.T @ values), SPLINE_DEGREE)
         squares = (values - rows @ spline.c) ** 2
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
         error = float(np.log(sums / max(free, 1) ** 2).sum())
@@ -241,4 +241,4 @@ def _knots(t: Array, spacing: float) -> Array:
         if k - last >= 2 and len(t) - 1 - k >= 2:
             inner.append(float(t[k]))
             last = k
-    return np.concatenate([np.full(DEGREE + 1, t[0]), inner, np.full(DEGREE + 1, t[-1])])
+    return np.concatenate([[t[0]] * (SPLINE_DEGREE + 1), inner, [t[-1]] * (SPLINE_DEGREE + 1)])

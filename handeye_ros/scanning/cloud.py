@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 Points: TypeAlias = NDArray[np.void]
 
-FORMATS = ('.ply', '.pcd')
+CLOUD_SUFFIXES = ('.ply', '.pcd')
 """The endings of the files."""
-DIGITS = 15  # reserved for the number of points
+COUNT_DIGITS = 15  # reserved for the number of points
 PLY_TYPES = {'char': 'i1', 'uchar': 'u1', 'short': 'i2', 'ushort': 'u2', 'int': 'i4',
              'uint': 'u4', 'float': 'f4', 'double': 'f8', 'int8': 'i1', 'uint8': 'u1',
              'int16': 'i2', 'uint16': 'u2', 'int32': 'i4', 'uint32': 'u4', 'float32': 'f4',
@@ -28,8 +28,8 @@ LONGEST_HEADER = 1 << 16
 
 def require_format(path: Path) -> None:
     """Raise InputError for a file name of another format."""
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f'{path}: the file name must end with {" or ".join(FORMATS)}')
+    if path.suffix.lower() not in CLOUD_SUFFIXES:
+        raise InputError(f'{path}: the file name must end with {" or ".join(CLOUD_SUFFIXES)}')
 
 
 def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None:
@@ -53,7 +53,7 @@ def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None
 
 def _header(suffix: str, names: Sequence[str], count: int, comment: str) -> bytes:
     """Return the header of a cloud, of the same length for every number of points."""
-    padding = '.' * (DIGITS - len(str(count)))
+    padding = '.' * (COUNT_DIGITS - len(str(count)))
     if suffix == '.ply':
         lines = ['ply', 'format binary_little_endian 1.0', f'comment {comment}',
                  f'comment {padding}', f'element vertex {count}',

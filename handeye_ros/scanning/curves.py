@@ -16,9 +16,9 @@ import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
-CUT = 3.5  # sigmas of points that are left out
-FINEST = 1e-6  # m: the smallest scatter assumed when outliers are removed
-FINE = 2000  # points of a curve for its length
+OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
+SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
+LENGTH_POINTS = 2000  # points of a curve for its length
 CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 
 
@@ -67,7 +67,7 @@ class Curve:
     @cached_property
     def arc(self) -> tuple[Array, Array]:
         """Return arc lengths from the first point (m), and t there."""
-        t = np.linspace(self.first, self.last, FINE)
+        t = np.linspace(self.first, self.last, LENGTH_POINTS)
         points = self.position(t)
         steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
         return np.cumsum(steps), t
@@ -88,7 +88,8 @@ def spline(t: Array, points: Array) -> Curve:
     for _ in range(4):
         curve = _fitted(t[inliers], points[inliers], _knots(t[inliers], points[inliers]))
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
-        inliers = distance <= CUT * max(float(np.sqrt((distance[inliers] ** 2).mean())), FINEST)
+        scatter = float(np.sqrt((distance[inliers] ** 2).mean()))
+        inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
     return curve
 
 

@@ -25,7 +25,7 @@ from handeye_ros.scanning.cloud import Points
 import numpy as np
 from numpy.typing import NDArray
 
-BATCH = 64  # profiles at once: the arrays stay in the cache
+BATCH_PROFILES = 64  # profiles at once: the arrays stay in the cache
 CELL_BITS = 21  # of the number of a cube along each axis
 SLOPE_REACH = 4  # returns to either side for the slope of the surface
 
@@ -93,7 +93,7 @@ class Scanner:
     def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles in pieces; raises DataError where there are none."""
         source = iter(profiles)
-        while batch := list(islice(source, BATCH)):
+        while batch := list(islice(source, BATCH_PROFILES)):
             yield self.points(batch, track)
         self._require_points()
 

@@ -28,15 +28,17 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 FORMAT = 'handeye_ros/seam/1'
-NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
-COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual', 'std')
-NEARBY = 0.01  # m along the seam: sections within it give the residual at a frame
-WIDEST = 0.012  # m between the edges of a seam
-POINTS = 400_000  # largest number of points of a cloud that are used
+SEAM_NAMES = {'v': 'V seam', 'butt': 'butt seam', 'lap': 'lap seam', 'fillet': 'fillet seam'}
+FRAME_COLUMNS = ('length', 'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'gap', 'mismatch', 'residual',
+                 'std')
+NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual at a frame
+WIDEST_SEAM = 0.012  # m between the edges of a seam
+MOST_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
 FEWEST_POINTS = 500  # smallest number
 SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
-UNCERTAIN = 4e-5, np.deg2rad(0.4)  # largest 1 sigma of position (m) and approach of an end frame
-UNCLEAR = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
+# largest 1 sigma of position (m) and approach of an end frame
+LARGEST_FRAME_STD = 4e-5, np.deg2rad(0.4)
+LARGEST_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ class ToolFrames:
     measures: Array
 
 
-def find_seam(points: Array, widest: float = WIDEST,
+def find_seam(points: Array, widest: float = WIDEST_SEAM,
               towards: Sequence[float] = (0.0, 0.0, -1.0), line: str = 'auto',
               start: Sequence[float] | None = None) -> Seam:
     """
@@ -106,7 +108,7 @@ def find_seam(points: Array, widest: float = WIDEST,
     Raises DataError where there is none, several, or one that is interrupted or not clear.
     """
     points = np.unique(points, axis=0)
-    points = points[::max(-(-len(points) // POINTS), 1)]
+    points = points[::max(-(-len(points) // MOST_CLOUD_POINTS), 1)]
     if len(points) < FEWEST_POINTS:
         raise DataError(f'the cloud has {len(points)} different points, fewer than '
                         f'{FEWEST_POINTS}: scan more densely, or widen --box')
@@ -133,7 +135,7 @@ def find_seam(points: Array, widest: float = WIDEST,
     seam = Seam(rough.kind, line, lines, normals, np.interp(grid, lengths, distance),
                 through(lines[line]), sections.noise, sheets.spacing, rough.others, std)
     scatter = max(seam.noise, seam.residual)
-    if scatter > max(UNCLEAR * sheets.noise, sheets.spacing):
+    if scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(scatter)}, and the points by '
                         f'{mm(sheets.noise)}: this is not a uniform seam; cut it out with --box, '
                         'or scan more densely')
@@ -149,7 +151,7 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
     travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
     n (rad). Raises DataError where no frame is certain.
     """
-    certain = seam.positions[(seam.std <= UNCERTAIN).all(axis=1)]
+    certain = seam.positions[(seam.std <= LARGEST_FRAME_STD).all(axis=1)]
     if not len(certain):
         raise DataError('the position of the seam has a standard deviation of '
                         f'{mm(float(np.median(seam.std[:, 0])))}, too much for a path: scan more '
@@ -180,7 +182,7 @@ def _measures(seam: Seam, lengths: Array) -> Array:
     along_sheets = across - mismatch * seam.normals - advance * tangent
     gap = np.linalg.norm(along_sheets, axis=1)
     known = seam.at(lengths, np.column_stack([gap, np.abs(mismatch), seam.std[:, 0]]))
-    nearby = np.abs(seam.positions - lengths[:, None]) <= NEARBY
+    nearby = np.abs(seam.positions - lengths[:, None]) <= NEARBY_LENGTH
     residual = np.sqrt((nearby * seam.residuals ** 2).sum(axis=1) / nearby.sum(axis=1))
     return np.insert(known, 2, residual, axis=1)
 
@@ -194,13 +196,14 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
     rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
                             se3.quaternion(frames.T_base_tool), frames.measures])
     texts = ([f'{value:.9f}' for value in row] for row in rows)
-    write_whole(folder / 'seam.csv', csv_text(COLUMNS, texts))
+    write_whole(folder / 'seam.csv', csv_text(FRAME_COLUMNS, texts))
     content = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
         'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
         'residual': seam.residual, 'spacing': seam.spacing,
         'frames': [{'length': row[0], 'position': row[1:4], 'quaternion': row[4:8],
-                    **dict(zip(COLUMNS[8:], row[8:], strict=True))} for row in rows.tolist()]}
+                    **dict(zip(FRAME_COLUMNS[8:], row[8:], strict=True))}
+                   for row in rows.tolist()]}
     write_whole(folder / 'seam.yaml', yaml_text(content))
 
 
@@ -208,7 +211,7 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     """Return the sentences on a seam."""
     gap, mismatch, _, std = 1e3 * frames.measures.T
     begins, ends = frames.lengths[0], seam.curve.length - frames.lengths[-1]
-    lines = [f'{NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
+    lines = [f'{SEAM_NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
              f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
              f'{mismatch.max():.2f} mm; its sections scatter by {seam.residual * 1e3:.3f} mm',

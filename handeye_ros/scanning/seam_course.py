@@ -24,17 +24,19 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-PARALLEL = 0.8  # cosine between the normals of the sheets of a gap or a step
-OPPOSITE, AHEAD = -0.5, -0.3  # cosines between outward directions, and to the partner
-INWARDS = 0.3  # cosine between one sheet's normal and the direction into the other: hollow corner
+PARALLEL_COSINE = 0.8  # cosine between the normals of the sheets of a gap or a step
+# cosines between outward directions, and to the partner
+OPPOSITE_COSINE, AHEAD_COSINE = -0.5, -0.3
+# cosine between one sheet's normal and the direction into the other: hollow corner
+INWARD_COSINE = 0.3
 NEXT_NEAREST = 1.15  # largest ratio of a partner's distance to that of the nearest partner
-LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
+LARGEST_LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
 SHORTEST_SEAM = 0.01  # m: smallest length of a seam
 HIGHEST_LAP = 8e-3  # m: a higher step is no lap
-NARROWEST = 4.0  # spacings: smallest gap
-TOUCHING = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
-OUTWARDS = 0.9  # cosine between the axis of a V and the normals of its plates
-KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
+NARROWEST_GAP = 4.0  # spacings: smallest gap
+TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
+V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
+SEAM_KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
 
 Pairs = NDArray[np.intp]
 """Pairs (k, 2) of points on rims that face each other: rows of the cloud."""
@@ -63,13 +65,14 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
         for part, _ in _connected(sheets, pairs[(sides == two).all(axis=1)]):
             of_kind[_kind(sheets, part, up)].append(part)
     seams = {kind: _connected(sheets, np.concatenate([pairs[:0], *of_kind[kind]]))
-             for kind in KINDS}
-    kind = next((kind for kind in KINDS if seams[kind]), '')
+             for kind in SEAM_KINDS}
+    kind = next((kind for kind in SEAM_KINDS if seams[kind]), '')
     if not kind:
         raise DataError(
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
-            f'{mm(NARROWEST * spacing)} to be seen: scan more densely, or check what was scanned')
+            f'{mm(NARROWEST_GAP * spacing)} to be seen: scan more densely, or check what was '
+            'scanned')
     middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
     if kind == 'step':
         raise DataError(
@@ -98,13 +101,13 @@ def _facing(sheets: Sheets, widest: float) -> Pairs:
     i, j = sheets.rims[cKDTree(points[sheets.rims]).query_pairs(widest, output_type='ndarray')].T
     offset = points[j] - points[i]
     length = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
-    threshold = np.where(label[i] == label[j], -AHEAD, AHEAD) * length
+    threshold = np.where(label[i] == label[j], -AHEAD_COSINE, AHEAD_COSINE) * length
     ahead = (offset * outward[i]).sum(axis=1) > threshold
     ahead &= -(offset * outward[j]).sum(axis=1) > threshold
-    alike = np.abs((sheets.normals[i] * sheets.normals[j]).sum(axis=1)) > PARALLEL
-    opposite = (outward[i] * outward[j]).sum(axis=1) < OPPOSITE
+    alike = np.abs((sheets.normals[i] * sheets.normals[j]).sum(axis=1)) > PARALLEL_COSINE
+    opposite = (outward[i] * outward[j]).sum(axis=1) < OPPOSITE_COSINE
     # sheets in contact may meet at an obtuse angle; across a V, a plate faces the other bevel
-    ahead &= (alike == opposite) | (~alike & (length < TOUCHING * sheets.spacing))
+    ahead &= (alike == opposite) | (~alike & (length < TOUCHING_GAP * sheets.spacing))
     i, j, length = i[ahead], j[ahead], length[ahead]
     # of each point the nearest on each other sheet
     count = label.max(initial=0) + 1
@@ -120,7 +123,7 @@ def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
     if not len(pairs):
         return []
     middle = sheets.points[pairs].mean(axis=1)
-    links = cKDTree(middle).query_pairs(LINK * sheets.spacing, output_type='ndarray')
+    links = cKDTree(middle).query_pairs(LARGEST_LINK * sheets.spacing, output_type='ndarray')
     length = np.linalg.norm(middle[links[:, 0]] - middle[links[:, 1]], axis=1)
     n = len(middle)
     graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
@@ -142,17 +145,17 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
     i, j = pairs.T
     normals, outward = sheets.normals, sheets.outward
     alike = (normals[i] * normals[j]).sum(axis=1)
-    if np.median(np.abs(alike)) > PARALLEL:
+    if np.median(np.abs(alike)) > PARALLEL_COSINE:
         height = _height(sheets, pairs)
         distance = np.linalg.norm(sheets.points[j] - sheets.points[i], axis=1)
         lateral = np.sqrt(max(float(np.median(distance)) ** 2 - height ** 2, 0.0))
         if height > 0.5 * lateral:
             return 'lap' if height <= HIGHEST_LAP else 'step'
-        is_gap = lateral > NARROWEST * sheets.spacing and not _covered(sheets, pairs)
+        is_gap = lateral > NARROWEST_GAP * sheets.spacing and not _covered(sheets, pairs)
         return 'butt' if is_gap else 'none'
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
-    if np.median(inward) > -INWARDS:
+    if np.median(inward) > -INWARD_COSINE:
         return 'none'
     return 'v' if _is_v(sheets, pairs) else 'fillet'
 
@@ -175,7 +178,7 @@ def _covered(sheets: Sheets, pairs: Pairs) -> bool:
         middle @ flat, 8, distance_upper_bound=max(reach, spacing))
     valid = np.isfinite(distance)
     offset = sheets.points[np.where(valid, neighbours, 0)] - middle[:, None]
-    return bool(((offset @ normal > NARROWEST * spacing) & valid).any(axis=1).mean() > 0.5)
+    return bool(((offset @ normal > NARROWEST_GAP * spacing) & valid).any(axis=1).mean() > 0.5)
 
 
 def _is_v(sheets: Sheets, pairs: Pairs) -> bool:
@@ -188,9 +191,9 @@ def _is_v(sheets: Sheets, pairs: Pairs) -> bool:
     tree = cKDTree(sheets.points[plates])
     for sheet in np.unique(sheets.label[pairs]):
         rims = sheets.rims[label == sheet]
-        upper = sheets.points[rims[sheets.outward[rims] @ axis > INWARDS]]
-        distance, nearest = tree.query(upper, distance_upper_bound=LINK * sheets.spacing)
+        upper = sheets.points[rims[sheets.outward[rims] @ axis > INWARD_COSINE]]
+        distance, nearest = tree.query(upper, distance_upper_bound=LARGEST_LINK * sheets.spacing)
         plate = plates[nearest[np.isfinite(distance)]]
-        if (np.abs(sheets.normals[plate] @ axis) > OUTWARDS).sum() < len(pairs) / 8:
+        if (np.abs(sheets.normals[plate] @ axis) > V_AXIS_COSINE).sum() < len(pairs) / 8:
             return False
     return True

@@ -26,21 +26,21 @@ from scipy.special import log_ndtr
 
 FEWEST_OF_SIDE = 12  # points of a side of a section
 SHORT_BIAS = 0.365  # mean bias of the most likely end for few points, times the density
-INNER = 15.0  # spacings beside the seam within which the distance of columns is measured
-BIN = 0.05  # spacings: width of a bin of the points beside the seam
-FREQUENCIES = np.fft.rfftfreq(1024, BIN)  # of columns, per spacing
-REGULAR = 0.25  # periodicity of columns, more than random points have
+INNER_WIDTH = 15.0  # spacings beside the seam within which the distance of columns is measured
+BIN_WIDTH = 0.05  # spacings: width of a bin of the points beside the seam
+FREQUENCIES = np.fft.rfftfreq(1024, BIN_WIDTH)  # of columns, per spacing
+LEAST_PERIODICITY = 0.25  # periodicity of columns, more than random points have
 SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
-NARROWEST = 6e-3  # m: the same
-MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
-BEYOND = 2e-3  # m: largest distance of the end from the rough edge
-TOLERANCE = 4.0  # sigmas of points on the sheet
+LEAST_SECTION_WIDTH = 6e-3  # m: the same
+END_MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
+LARGEST_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
+SHEET_SIGMAS = 4.0  # sigmas of points on the sheet
 WIDEST_LINE = 12.0  # spacings: largest width of the rough course
-MISSING = 5e-3  # m: largest missing part of an edge
-WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
-OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
+LARGEST_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
+ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
+COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
-MET = 4.0  # spacings: else they meet in a section if they are nearer
+MEETING_GAP = 4.0  # spacings: else they meet in a section if they are nearer
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     The first of each pair of the course is on the first side.
     """
     step = max(1e-3, 3 * sheets.spacing)
-    first, last = rough.t[0] - OVERHANG, rough.t[-1] + OVERHANG
+    first, last = rough.t[0] - COURSE_OVERHANG, rough.t[-1] + COURSE_OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
     sections = [(t, *both) for t in places.tolist() if None not in (
@@ -130,7 +130,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     seen, *sides = zip(*sections, strict=True) if sections else ((first, last),)
     missing = np.append(np.diff(seen) - step, 0.0)
     worst = int(np.argmax(missing))
-    if not sections or missing[worst] > MISSING:
+    if not sections or missing[worst] > LARGEST_MISSING_EDGE:
         place = position_text(curve.beyond(0.5 * (seen[worst] + seen[worst + 1]))[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
@@ -140,7 +140,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     filled = np.minimum(a.stops - a.begins, b.stops - b.begins) > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
-    met = {'fillet': np.inf, 'v': MET * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
+    met = {'fillet': np.inf, 'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
     lines, *changed = (_lines(rough.kind, met.get(rough.kind, 0.0), *sides)
                        for sides in ((a, b), (a.further(), b), (a, b.further())))
     resolution = {name: float(np.median(np.linalg.norm(
@@ -152,8 +152,8 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
 def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
           ) -> _Side | None:
     """Return one sheet in the section at t, None where it does not end there."""
-    points, spacing, margin = sheets.points, sheets.spacing, MARGIN * sheets.spacing
-    window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= WINDOW
+    points, spacing, margin = sheets.points, sheets.spacing, END_MARGIN * sheets.spacing
+    window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= ROUGH_EDGE_WINDOW
     own, other = rough.pairs[window, side], rough.pairs[window, 1 - side]
     if not len(own):
         return None
@@ -163,16 +163,16 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     offset = np.median(points[own] - on_line, axis=0)
     # the points of a pair may be displaced along the seam
     start = position + offset - (offset @ tangent) * tangent
-    width = max(SECTION_WIDTH * spacing, NARROWEST)
+    width = max(SECTION_WIDTH * spacing, LEAST_SECTION_WIDTH)
     rows = np.array(sheets.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
                     dtype=int)
     labels, counts = np.unique(sheets.label[own], return_counts=True)
     rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
     along, b, height = np.stack([tangent, inwards, upright]) @ (points[rows] - start).T
-    limit = BEYOND
+    limit = LARGEST_END_OFFSET
     if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
         separation = np.median((points[own] - points[other]) @ inwards)
-        limit = min(0.5 * abs(float(separation)), BEYOND)
+        limit = min(0.5 * abs(float(separation)), LARGEST_END_OFFSET)
     resolution = _column_resolution(b, spacing)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
@@ -180,10 +180,10 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     if fitted is None:
         return None
     sheet, noise = fitted
-    on_sheet = np.abs(height - np.polyval(sheet, b)) < TOLERANCE * noise
+    on_sheet = np.abs(height - np.polyval(sheet, b)) < SHEET_SIGMAS * noise
     inner = on_sheet & (b > margin)
     end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - margin))
-    if abs(end) > BEYOND:
+    if abs(end) > LARGEST_END_OFFSET:
         return None
     slope = np.polyval(np.polyder(sheet), end)
     mean = np.polyfit(b[inner], height[inner], 1)[0]
@@ -245,11 +245,12 @@ def _column_resolution(b: Array, spacing: float) -> float:
     follow the seam, their distance is a period of b; else the position of the end between columns
     differs from profile to profile.
     """
-    counts, _ = np.histogram(b / spacing, round((INNER - MARGIN) / BIN), (MARGIN, INNER))
+    counts, _ = np.histogram(b / spacing, round((INNER_WIDTH - END_MARGIN) / BIN_WIDTH),
+                             (END_MARGIN, INNER_WIDTH))
     periodic = np.abs(np.fft.rfft(counts, 1024)) / max(counts.sum(), 1)
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns
     # the first, not a multiple of it
-    peaks, _ = find_peaks(periodic, height=max(REGULAR, 0.8 * periodic.max()))
+    peaks, _ = find_peaks(periodic, height=max(LEAST_PERIODICITY, 0.8 * periodic.max()))
     few = counts.sum() < FEWEST_OF_SIDE or not len(peaks)
     return 0.0 if few else float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 

@@ -21,16 +21,17 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-NEIGHBOURS = 32
-REACH = 3.5  # spacings: radius of the neighbourhood of a point
-LINKED = 10  # neighbours, near and far, that are compared with a point
-FLAT = 1.35  # times the median thickness of a neighbourhood: a thicker one is no plane
+NEIGHBOUR_COUNT = 32
+NEIGHBOUR_RADIUS = 3.5  # spacings: radius of the neighbourhood of a point
+LINKED_NEIGHBOURS = 10  # neighbours, near and far, that are compared with a point
+FLAT_RATIO = 1.35  # times the median thickness of a neighbourhood: a thicker one is no plane
 SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
 SMALLEST_SHEET = 60  # points of a sheet
-THINNEST = 0.25  # spacings: smallest standard deviation across a sheet; less is a single profile
+# spacings: smallest standard deviation across a sheet; less is a single profile
+SMALLEST_THICKNESS = 0.25
 FREE_ANGLE = 2.2  # rad without neighbours: an edge
-CHUNK = 20_000
+CHUNK_POINTS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ def sheets_of(points: Array, up: Array) -> Sheets:
     sixth = tree.query(points[::max(len(points) // 5000, 1)], 7)[0][:, 6]
     spacing = float(np.median(sixth) * np.sqrt(np.pi / 6.0))
     normals, thickness = np.zeros_like(points), np.full(len(points), np.inf)
-    linked = np.zeros((len(points), LINKED), dtype=np.int32)
+    linked = np.zeros((len(points), LINKED_NEIGHBOURS), dtype=np.int32)
     for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
         count = np.maximum(valid.sum(axis=1), 1)
         centred = (offset - (offset.sum(axis=1) / count[:, None])[:, None]) * valid[..., None]
@@ -71,14 +72,14 @@ def sheets_of(points: Array, up: Array) -> Sheets:
         normals[block] = axes[:, :, 0] * np.where(axes[:, :, 0] @ up < 0, -1.0, 1.0)[:, None]
         thickness[block] = np.where(count >= 6, np.sqrt(
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
-        linked[block] = neighbours[:, 1:3 * LINKED:3]
+        linked[block] = neighbours[:, 1:3 * LINKED_NEIGHBOURS:3]
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
-    flat = thickness <= FLAT * noise
+    flat = thickness <= FLAT_RATIO * noise
     label = _joined(points, normals, linked, flat, 1.5 * SAME_PLANE * noise)
-    _assign_unlabelled(points, label, normals, 2 * REACH * spacing, SAME_PLANE * noise)
+    _assign_unlabelled(points, label, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
     # one displaced profile makes a band that is not flat, but does not divide a sheet
     label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
-    _remove_single_profiles(points, label, THINNEST * spacing)
+    _remove_single_profiles(points, label, SMALLEST_THICKNESS * spacing)
     rims, outward = _rims(points, tree, label, normals, spacing)
     return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
 
@@ -112,7 +113,7 @@ def _assign_unlabelled(points: Array, label: NDArray[np.intp], normals: Array, r
 def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDArray[np.bool_],
             tolerance: float) -> NDArray[np.intp]:
     """Return labels (n,) of connected flat points, -1 for others and for small sheets."""
-    i = np.repeat(np.arange(len(points), dtype=np.int32), LINKED)
+    i = np.repeat(np.arange(len(points), dtype=np.int32), LINKED_NEIGHBOURS)
     j = linked.ravel()
     both_flat = flat[i] & flat[j] & (i != j)
     i, j = i[both_flat], j[both_flat]
@@ -158,10 +159,10 @@ def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
 def _neighbours(tree: cKDTree, points: Array, spacing: float
                 ) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.bool_], Array]]:
     """Yield slices of points, rows (m, k) of their neighbours, which are valid, their offsets."""
-    for start in range(0, len(points), CHUNK):
-        block = slice(start, start + CHUNK)
-        distance, neighbours = tree.query(points[block], NEIGHBOURS + 1,
-                                          distance_upper_bound=REACH * spacing)
+    for start in range(0, len(points), CHUNK_POINTS):
+        block = slice(start, start + CHUNK_POINTS)
+        distance, neighbours = tree.query(points[block], NEIGHBOUR_COUNT + 1,
+                                          distance_upper_bound=NEIGHBOUR_RADIUS * spacing)
         valid = np.isfinite(distance[:, 1:])
         neighbours = np.where(valid, neighbours[:, 1:], neighbours[:, :1])
         yield block, neighbours, valid, points[neighbours] - points[block][:, None]

@@ -23,7 +23,7 @@ from handeye_ros.simulate.solids import Ball, box
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-DIGITS = 9  # after the point in the tables
+TABLE_DIGITS = 9  # after the point in the tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def points(rng: np.random.Generator, noise: float = 3e-5, count: int = 10) -> Si
     base = rng.uniform(-0.15, 0.15, (count, 3)) + middle
     camera = se3.apply(se3.inverse(X), base) + noise * rng.normal(size=base.shape)
     header = [f'{frame}_{axis} [mm]' for frame in ('camera', 'base') for axis in 'xyz']
-    text = csv_text(header, (1e3 * np.hstack([camera, base])).round(DIGITS))
+    text = csv_text(header, (1e3 * np.hstack([camera, base])).round(TABLE_DIGITS))
     return SimulatedFiles({'points.csv': text}, X, {'point': noise},
                           {'target.type': 'points', 'calibration_type': 'eye_on_base'})
 
@@ -84,21 +84,22 @@ def hand_eye(rng: np.random.Generator, eye_on_base: bool = False, noise: float =
     header = [f'{name}_{column}' for name in ('flange', 'target')
               for column in ('x [mm]', 'y [mm]', 'z [mm]', 'qx', 'qy', 'qz', 'qw')]
     names = ('robot_translation', 'robot_rotation', 'target_translation', 'target_rotation')
-    return SimulatedFiles({'poses.csv': csv_text(header, np.hstack(columns).round(DIGITS))}, X,
+    table = csv_text(header, np.hstack(columns).round(TABLE_DIGITS))
+    return SimulatedFiles({'poses.csv': table}, X,
                           dict(zip(names, (*robot, *target), strict=True)),
                           {'target.type': 'hand_eye', 'calibration_type': (
                               'eye_on_base' if eye_on_base else 'eye_in_hand')})
 
 
-RADIUS = 0.01905
+BALL_RADIUS = 0.01905
 H0, H1 = 0.02543, 0.031
 SWEEP_ANGLE = np.deg2rad(12.0)
-RIDGE = 0.0145  # the block's ridge is at x = z = RIDGE
-SOLIDS = (Ball(RADIUS), box((-0.05, 0.03, -0.05), (RIDGE, 0.10, RIDGE)))
-SENSOR = SensorModel(columns=640, rate=10.0, noise=3.7e-5)
-SMALL = replace(SENSOR, columns=320, resolution=2.0**-20)  # compresses well
+RIDGE_X = 0.0145  # the block's ridge is at x = z = RIDGE_X
+SOLIDS = (Ball(BALL_RADIUS), box((-0.05, 0.03, -0.05), (RIDGE_X, 0.10, RIDGE_X)))
+FILE_SENSOR = SensorModel(columns=640, rate=10.0, noise=3.7e-5)
+SMALL_SENSOR = replace(FILE_SENSOR, columns=320, resolution=2.0**-20)  # compresses well
 TRACKER_NOISE = 2e-5
-REPORTED = 1e-6  # 1 sigma of the readings of P3 (m)
+JOINT_READING_STD = 1e-6  # 1 sigma of the readings of P3 (m)
 
 
 def arm(turn: float, q3: float) -> Array:
@@ -107,8 +108,9 @@ def arm(turn: float, q3: float) -> Array:
     return se3.transform(R, R[:, 2] * q3)
 
 
-def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
-                  noise: float = TRACKER_NOISE, reported: float = REPORTED) -> SimulatedFiles:
+def laser_tracker(rng: np.random.Generator, sensor: SensorModel = FILE_SENSOR,
+                  noise: float = TRACKER_NOISE, reported: float = JOINT_READING_STD
+                  ) -> SimulatedFiles:
     """
     Return a bag of the sweep over ball and block, and the reflector's positions by kind.
 
@@ -123,18 +125,19 @@ def laser_tracker(rng: np.random.Generator, sensor: SensorModel = SENSOR,
     T_base_target = arm(SWEEP_ANGLE, 0.0) @ X @ T_sensor_target
 
     q3 = np.linspace(-0.03, 0.11, 151)
-    T, times = np.array([arm(SWEEP_ANGLE, q) for q in q3]), np.arange(len(q3)) / SENSOR.rate
+    T, times = np.array([arm(SWEEP_ANGLE, q) for q in q3]), np.arange(len(q3)) / FILE_SENSOR.rate
     exact = sensors.render(sensor, SOLIDS, se3.inverse(T_base_target) @ T @ X)
     profiles = timed_profiles(times, sensors.plane_points(
         sensor, sensors.measure(sensor, *exact, rng)))
     positions = T[:, :3, 3] + reported * rng.normal(size=(len(T), 3))
     reflector = [[kind, *point] for kind, points in _reflector(T_base_target, rng).items()
                  for point in (1e3 * (points + noise * rng.normal(size=points.shape))
-                               ).round(DIGITS)]
+                               ).round(TABLE_DIGITS)]
     return SimulatedFiles(
         {'tracker.csv': csv_text(['kind', 'x [mm]', 'y [mm]', 'z [mm]'], reflector)}, X,
         {'tracker': noise, 'sensor': sensor.noise, 'readings': reported},
-        {'target.type': 'tracker', 'target.radius': RADIUS, 'tracker.h0': H0, 'tracker.h1': H1,
+        {'target.type': 'tracker', 'target.radius': BALL_RADIUS,
+         'tracker.h0': H0, 'tracker.h1': H1,
          'tracker.first_reading': float(q3[0]), 'tracker.noise': max(noise, 1e-9),
          'noise.sensor': max(sensor.noise, 1e-9)},
         profiles, timed_poses(times, positions, se3.quaternion(T)))
@@ -147,9 +150,9 @@ def _reflector(T_base_target: Array, rng: np.random.Generator) -> dict[str, Arra
     reflector = np.array([[0.02, H0 + H1, 0.25]])
     arc = [se3.apply(arm(turn, 0.0), reflector)[0] for turn in np.linspace(-1.0, 1.0, 40)]
     line = [se3.apply(arm(SWEEP_ANGLE, q), reflector)[0] for q in np.linspace(-0.1, 0.1, 30)]
-    along, down = rng.uniform([0.035, -0.04], [0.095, RIDGE - 0.003], (2, 40, 2)).transpose(
+    along, down = rng.uniform([0.035, -0.04], [0.095, RIDGE_X - 0.003], (2, 40, 2)).transpose(
         2, 0, 1)
-    top = np.full(40, RIDGE)
+    top = np.full(40, RIDGE_X)
     target = {'ball': np.zeros((1, 3)), 'face_c': np.column_stack([top, along[0], down[0]]),
               'face_d': np.column_stack([down[1], along[1], top])}
     in_base = {'arc': np.array(arc), 'line': np.array(line),
@@ -162,6 +165,6 @@ FILE_SCENES: dict[str, Callable[[np.random.Generator], SimulatedFiles]] = {
     'hand_eye': hand_eye,
     'hand_eye_on_base': partial(hand_eye, eye_on_base=True),
     'tracker': laser_tracker,
-    'small_tracker': partial(laser_tracker, sensor=SMALL),
+    'small_tracker': partial(laser_tracker, sensor=SMALL_SENSOR),
 }
 """Simulations for the targets that are solved from files, by name."""

@@ -30,8 +30,8 @@ from handeye_ros.simulate.solids import box, Polyhedron, Solid
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-STOP = 0.6  # s of a stop
-GAP = 1.0  # s between two stops
+STOP_TIME = 0.6  # s of a stop
+GAP_TIME = 1.0  # s between two stops
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +59,12 @@ def rendered(scenario: Scenario, T_flange_sensor: Array, T_base_target: Array, s
     profiles: list[Profile] = []
     poses: list[TimedPose] = []
     for k, pose in enumerate(T):
-        begin = start + k * (STOP + GAP)
-        times = np.arange(0.5 / sensor.rate, STOP, 1 / sensor.rate)
+        begin = start + k * (STOP_TIME + GAP_TIME)
+        times = np.arange(0.5 / sensor.rate, STOP_TIME, 1 / sensor.rate)
         again = np.full(len(times), k)
         ranges = sensors.measure(sensor, z[again], angle[again], rng)
         profiles += timed_profiles(begin + times, sensors.plane_points(sensor, ranges))
-        poses += _jittering(robot, pose, begin + np.arange(0.0, STOP, 1 / robot.rate), rng)
+        poses += _jittering(robot, pose, begin + np.arange(0.0, STOP_TIME, 1 / robot.rate), rng)
     return Messages(tuple(profiles), tuple(poses))
 
 
@@ -79,9 +79,9 @@ def _jittering(robot: RobotModel, T: Array, times: Array, rng: np.random.Generat
 # -- a gauge of teeth
 
 
-RANGE = 0.175  # m from the sensor to the middle of the teeth
-PASSES = ((0, 0, 0), (30, 0, 15), (-30, 0, -15), (0, 15, 180), (0, -15, 165), (30, 10, -165),
-          (-30, -10, 0))
+TEETH_RANGE = 0.175  # m from the sensor to the middle of the teeth
+GAUGE_PASSES = ((0, 0, 0), (30, 0, 15), (-30, 0, -15), (0, 15, 180), (0, -15, 165), (30, 10, -165),
+                (-30, -10, 0))
 """Turns of the sensor about its x, y and z for each pass (degrees)."""
 
 
@@ -120,10 +120,10 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
     distance, speed = gauge.length - 0.02, 0.01  # m, m/s along the teeth
     times = np.arange(0.0, distance / speed, 1 / sensor.rate)
     passes = []
-    for k, turn in enumerate(PASSES):
+    for k, turn in enumerate(GAUGE_PASSES):
         R = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_euler('xyz', turn, degrees=True).as_matrix()
         middle = np.array([rng.uniform(-0.004, 0.004), 0.0, gauge.height / 2])
-        position = middle - R @ [0, 0, RANGE] + np.array([0, speed, 0]) * (
+        position = middle - R @ [0, 0, TEETH_RANGE] + np.array([0, speed, 0]) * (
             times - times.mean())[:, None]
         T_gauge_sensor = se3.transform(R, position)
         z, angle = sensors.render(sensor, gauge.solids(), T_gauge_sensor)
@@ -139,14 +139,16 @@ def scan_gauge(gauge: Gauge, T_flange_sensor: Array, T_base_gauge: Array, sensor
 
 
 MEASURING_CELL = 'measuring_cell'  # its name for `handeye simulate`
-BALL = SphereTarget(0.02, table=None, clutter=False)
-BAR = 0.2  # m between two balls
+GAUGE_BALL = SphereTarget(0.02, table=None, clutter=False)
+BALL_BAR_LENGTH = 0.2  # m between two balls
 
 
 def measuring_cell(rng: np.random.Generator, columns: int = 1280
                    ) -> tuple[dict[str, Messages], Array]:
     """
-    Return recordings by name and T_flange_sensor (4, 4); the artefacts are BALL, BAR and Gauge().
+    Return recordings by name and T_flange_sensor (4, 4).
+
+    The artefacts are GAUGE_BALL, two of them BALL_BAR_LENGTH apart, and Gauge().
 
     The sensor has noise of 0.03 mm, the robot is that of the plate scenario.
     """
@@ -155,11 +157,11 @@ def measuring_cell(rng: np.random.Generator, columns: int = 1280
     simulated = simulate(replace(plate, sensor=sensor), rng)
     X, T_bar = simulated.truth.T_flange_sensor, draw_pose(rng)
     recordings = {'plate': Messages(simulated.profiles, simulated.poses)}
-    wide = changed(SCENARIOS['sphere'], 'ball', target=BALL, stations=(12, 0), robot=robot,
+    wide = changed(SCENARIOS['sphere'], 'ball', target=GAUGE_BALL, stations=(12, 0), robot=robot,
                    sensor={'columns': columns, 'noise': sensor.noise})
     for k in range(2):
         T_ball = np.eye(4)
-        T_ball[0, 3] = k * BAR
+        T_ball[0, 3] = k * BALL_BAR_LENGTH
         stops = SCENES[wide.scene].stops(wide, rng)
         recordings[f'ball_{k + 1}'] = rendered(wide, X, T_bar @ T_ball, stops, rng,
                                                1000.0 * (k + 1))

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-START = 1_700_000_000_000_000_000
-INSTANTS = 5  # rendered per exposure
+START_STAMP = 1_700_000_000_000_000_000
+EXPOSURE_INSTANTS = 5  # rendered per exposure
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
 
 def stamps(times: Array) -> NDArray[np.int64]:
     """Return integer nanoseconds of seconds since the start."""
-    return START + np.round(times * 1e9).astype(np.int64)
+    return START_STAMP + np.round(times * 1e9).astype(np.int64)
 
 
 def timed_poses(times: Array, position: Array, quaternion: Array) -> tuple[TimedPose, ...]:
@@ -301,7 +301,7 @@ def _sweeping(cell: Cell, sweep: Sweep, rng: np.random.Generator) -> Simulated:
         return se3.transform(rotation(times).as_matrix(), position(times))
 
     times = np.arange(0.5 / sensor.rate, knots[-1], 1 / sensor.rate)
-    instants = times[:, None] + (np.linspace(-0.5, 0.5, INSTANTS) * sweep.exposure
+    instants = times[:, None] + (np.linspace(-0.5, 0.5, EXPOSURE_INSTANTS) * sweep.exposure
                                  if sweep.exposure else np.zeros(1))
     z, angle = (values.reshape(*instants.shape, -1).mean(axis=1)
                 for values in _exact(cell, path(instants.ravel()), rng))

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 D1, A2, D4, D6 = 0.45, 0.75, 0.75, 0.10  # m: shoulder, upper arm, forearm, flange
-AXES = 'zyyzyz'
-ENDLESS = (4, 6)  # continuous joints
-LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
+JOINT_AXES = 'zyyzyz'
+CONTINUOUS_JOINTS = (4, 6)  # continuous joints
+LINK_LENGTHS = (D1, A2, D4, 0.0, 0.0, D6)  # m, along z, after each joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def draw_arm(sigma: float, rng: np.random.Generator) -> ArmErrors:
 def forward(joints: Array, errors: ArmErrors | None = None) -> Array:
     """Return T_base_flange (n, 4, 4) of joint angles (n, 6)."""
     T = np.tile(np.eye(4), (len(joints), 1, 1))
-    for k, (axis, length) in enumerate(zip(AXES, LENGTHS, strict=True)):
+    for k, (axis, length) in enumerate(zip(JOINT_AXES, LINK_LENGTHS, strict=True)):
         angle = joints[:, k]
         if errors:
             angle = angle + errors.offsets[k] + errors.eccentricity[k] * np.sin(
@@ -88,21 +88,21 @@ def reported_error(T: Array, errors: ArmErrors) -> Array:
 
 def urdf() -> str:
     """Return the URDF of the nominal arm."""
-    heights = (0.0, *LENGTHS[:-1])
+    heights = (0.0, *LINK_LENGTHS[:-1])
     links = ''.join(f'  <link name="{name}"/>\n' for name in (
         'base', *(f'link_{k}' for k in range(1, 7)), 'flange'))
     kinds = {False: 'revolute', True: 'continuous'}
     axes = {'y': '0 1 0', 'z': '0 0 1'}
     joints = ''.join(
-        f'  <joint name="joint_{k}" type="{kinds[k in ENDLESS]}">\n'
+        f'  <joint name="joint_{k}" type="{kinds[k in CONTINUOUS_JOINTS]}">\n'
         f'    <origin xyz="0 0 {height}"/>\n'
         f'    <parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>\n'
         f'    <child link="link_{k}"/>\n    <axis xyz="{axes[axis]}"/>\n'
         '    <limit lower="-3.2" upper="3.2" effort="0" velocity="3"/>\n  </joint>\n'
-        for k, (axis, height) in enumerate(zip(AXES, heights, strict=True), 1))
+        for k, (axis, height) in enumerate(zip(JOINT_AXES, heights, strict=True), 1))
     return (f'<?xml version="1.0"?>\n<robot name="arm">\n{links}{joints}'
             '  <joint name="end" type="fixed">\n'
-            f'    <origin xyz="0 0 {LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
+            f'    <origin xyz="0 0 {LINK_LENGTHS[-1]}"/>\n    <parent link="link_6"/>\n'
             '    <child link="flange"/>\n  </joint>\n</robot>\n')
 
 

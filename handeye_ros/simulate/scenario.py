@@ -284,16 +284,16 @@ def one_of_each(plate: Scenario, wide: SensorModel) -> tuple[Scenario, ...]:
                     tilt=math.radians(20)))
 
 
-WIDE = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
-PLATE, SPHERE, LINE, PLANE, WEDGE = BASES = one_of_each(Scenario(), WIDE)
-ARM = RobotModel(geometry=3e-4, rate=50.0)
+WIDE_SENSOR = SensorModel(range=(0.14, 0.27), half_width=0.27, max_incidence=1.15)
+PLATE, SPHERE, LINE, PLANE, WEDGE = BASES = one_of_each(Scenario(), WIDE_SENSOR)
+WRONG_ARM = RobotModel(geometry=3e-4, rate=50.0)
 REAL_ROBOT = RobotModel(systematic=(1.5e-4, math.radians(0.02)))
 
 # Recordings that compress well: fewer profiles, numbers in steps of 2^-20 m (1 um).
-SMALL: dict[str, Any] = {'rate': 10.0, 'resolution': 2.0**-20, 'thinning': 2}
-SLOW = SMALL | {'rate': 5.0}
+SMALL_BAG: dict[str, Any] = {'rate': 10.0, 'resolution': 2.0**-20, 'thinning': 2}
+SLOW_BAG = SMALL_BAG | {'rate': 5.0}
 FEW_POSES = {'rate': 50.0}
-COARSE_PLATE = changed(PLATE, 'coarse', sensor=SLOW | {'columns': 256}, robot=FEW_POSES)
+COARSE_PLATE = changed(PLATE, 'coarse', sensor=SLOW_BAG | {'columns': 256}, robot=FEW_POSES)
 
 
 def swept(base: Scenario, name: str, columns: int = 640, rate: float = 50.0,
@@ -328,8 +328,8 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'eye_on_base', calibration_type='eye_on_base'),
     changed(SPHERE, 'sphere_on_flange', calibration_type='eye_on_base'),
     # arms whose joint values are recorded
-    changed(PLATE, 'arm_plate', robot=ARM, stations=(20, 20), tilt=math.radians(40)),
-    changed(SPHERE, 'arm_sphere', robot=ARM, stations=(40, 0)),
+    changed(PLATE, 'arm_plate', robot=WRONG_ARM, stations=(20, 20), tilt=math.radians(40)),
+    changed(SPHERE, 'arm_sphere', robot=WRONG_ARM, stations=(40, 0)),
     # recordings without an answer, or with warnings
     *(changed(PLATE, motion, motion=motion)
       for motion in ('one_orientation', 'one_orientation_per_edge', 'tilt_only', 'yaw_only')),
@@ -344,22 +344,22 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     *(swept(base, f'{base.name}_sweep') for base in BASES),
     # the recordings in bags/
     swept(PLATE, 'small_plate_sweep', 320, 12.0, 50.0, resolution=2.0**-20),
-    changed(PLATE, 'small_plate', sensor=SMALL, robot=FEW_POSES),
-    changed(SPHERE, 'small_sphere', sensor=SMALL | {'columns': 640}, robot=FEW_POSES),
-    changed(LINE, 'small_line', sensor=SLOW | {'columns': 640}, robot=FEW_POSES),
-    changed(PLANE, 'small_plane', sensor=SLOW | {'columns': 640}, robot=FEW_POSES),
-    changed(SPHERE, 'small_arm', robot=replace(ARM, rate=20.0), stations=(30, 0),
-            sensor=SLOW | {'thinning': 20, 'columns': 320}),
+    changed(PLATE, 'small_plate', sensor=SMALL_BAG, robot=FEW_POSES),
+    changed(SPHERE, 'small_sphere', sensor=SMALL_BAG | {'columns': 640}, robot=FEW_POSES),
+    changed(LINE, 'small_line', sensor=SLOW_BAG | {'columns': 640}, robot=FEW_POSES),
+    changed(PLANE, 'small_plane', sensor=SLOW_BAG | {'columns': 640}, robot=FEW_POSES),
+    changed(SPHERE, 'small_arm', robot=replace(WRONG_ARM, rate=20.0), stations=(30, 0),
+            sensor=SLOW_BAG | {'thinning': 20, 'columns': 320}),
     changed(COARSE_PLATE, 'small_one_orientation', motion='one_orientation'),
     changed(COARSE_PLATE, 'small_inverted_poses', convention_errors=('inverted',)),
 )}
 
 
 MM, UM = 1e-3, 1e-6
-QUICK: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
-BASELINE = Scenario('baseline', sensor=SensorModel(**QUICK),
+QUICK_RECORDING: dict[str, Any] = {'rate': 6.0, 'delay': 0.0, 'thinning': 10**6}
+BASELINE = Scenario('baseline', sensor=SensorModel(**QUICK_RECORDING),
                     robot=RobotModel(rate=20.0, dwell=0.85, move=0.5))
-BASELINES = _, BALL, _, FLAT, _ = one_of_each(BASELINE, replace(WIDE, **QUICK))
+BASELINES = _, BALL, _, FLAT, _ = one_of_each(BASELINE, replace(WIDE_SENSOR, **QUICK_RECORDING))
 # x from 0 to 140 mm, range from -25 to +25 mm counted upwards
 OFF_CENTRE: dict[str, Any] = {'range': (0.25, 0.30), 'half_width': 0.2545, 'sampling': 'fan_x',
                               'camera': (0.12, 0.0)}

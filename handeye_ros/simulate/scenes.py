@@ -152,8 +152,9 @@ def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise:
 # -- plate, line: a plate with edges
 
 
-FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # of the sensor; line along the edge's y
-END = 0.03  # m from the ends of an edge
+# of the sensor; line along the edge's y
+SENSOR_FACING = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+END_MARGIN = 0.03  # m from the ends of an edge
 
 
 def edge_frames(target: PlateTarget) -> dict[str, Array]:
@@ -183,14 +184,14 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     fraction, points = np.split(np.concatenate([
         _places(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
     if MOTIONS[scenario.motion].shared:
-        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ FACING
+        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ SENSOR_FACING
         nominal = np.repeat(diagonal[None], len(labels), axis=0)
     else:  # the opposite edge is crossed outwards, so that the robot need not turn around
         frames = edge_frames(PlateTarget())
-        nominal = np.array([frames[label[0]][:3, :3] @ FACING for label in labels])
+        nominal = np.array([frames[label[0]][:3, :3] @ SENSOR_FACING for label in labels])
     edges = np.array([edge_frames(target)[label] for label in labels])
     lengths = np.array([edge_lengths(target)[label] for label in labels])
-    along = END + fraction[:, 0] * (lengths - 2 * END)
+    along = END_MARGIN + fraction[:, 0] * (lengths - 2 * END_MARGIN)
     spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
     T = seeing(nominal @ tilts(scenario, rng, counts), spots, lift(points))
     return Placements(T, tuple(labels), points)
@@ -241,7 +242,7 @@ def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     third = (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
-    T = seeing(FACING @ tilts(scenario, rng, (n,)), spots, lift(points))
+    T = seeing(SENSOR_FACING @ tilts(scenario, rng, (n,)), spots, lift(points))
     return Placements(T, ('plane',) * n, points)
 
 
@@ -260,7 +261,7 @@ def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
 
 
 MARGIN = 0.02  # from the ends of the edge (m)
-WALL = 0.02  # thickness of the legs of an angle (m)
+WALL_THICKNESS = 0.02  # thickness of the legs of an angle (m)
 
 
 def facing(target: WedgeTarget) -> Array:
@@ -304,8 +305,8 @@ def wedge_solids(scenario: Scenario) -> tuple[Solid, ...]:
     length, width = target.length, target.width
     if not target.concave:
         return (box((0.0, 0.0, -width), (length, width, 0.0)),)
-    return (box((0.0, 0.0, -WALL), (length, width, 0.0)),
-            box((0.0, -WALL, -WALL), (length, 0.0, width)))
+    return (box((0.0, 0.0, -WALL_THICKNESS), (length, width, 0.0)),
+            box((0.0, -WALL_THICKNESS, -WALL_THICKNESS), (length, 0.0, width)))
 
 
 # -- sphere

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d, gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-CHUNK = 32  # profiles cast at once, so that the arrays stay in the cache
+CHUNK_PROFILES = 32  # profiles cast at once, so that the arrays stay in the cache
 EDGE_COLUMNS = 3
 
 
@@ -50,8 +50,8 @@ def render(sensor: SensorModel, solids: Sequence[Solid], T: Array,
     added to the solids at the intersection of a ray with z = 0, None: none.
     """
     ranges, angles = np.empty((2, len(T), sensor.columns))
-    for k in range(0, len(T), CHUNK):
-        part = slice(k, k + CHUNK)
+    for k in range(0, len(T), CHUNK_PROFILES):
+        part = slice(k, k + CHUNK_PROFILES)
         ranges[part], angles[part] = _render(sensor, solids, T[part], relief)
     return ranges, angles
 
@@ -133,9 +133,9 @@ def plane_points(sensor: SensorModel, ranges: Array, distortion: Distortion | No
     return points
 
 
-GROUND = -2e-4  # m over the target's face: lower points are on another surface
-WIDEST = 2.5  # sigmas of a spot
-FAINT = 0.15  # smallest visible fraction of a spot on one surface, times its brightness
+GROUND_HEIGHT = -2e-4  # m over the target's face: lower points are on another surface
+SPOT_SIGMAS = 2.5  # sigmas of a spot
+FAINTEST = 0.15  # smallest visible fraction of a spot on one surface, times its brightness
 
 
 def blurred(sensor: SensorModel, z: Array, T: Array) -> Array:
@@ -148,11 +148,11 @@ def blurred(sensor: SensorModel, z: Array, T: Array) -> Array:
     across = np.linspace(-1, 1, z.shape[1]) * sensor.half_width
     height = T[:, 2, :1] * across * z + T[:, 2, 2:3] * z + T[:, 2, 3:]
     pitch = 2 * sensor.half_width * np.mean(sensor.range) / sensor.columns
-    reach = int(np.ceil(WIDEST * sensor.spot / pitch))
+    reach = int(np.ceil(SPOT_SIGMAS * sensor.spot / pitch))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * pitch / sensor.spot)**2)
     kernel /= kernel.sum()
-    visible, on_target = np.isfinite(z), height > GROUND
-    best, result = np.full(z.shape, FAINT), np.full(z.shape, np.nan)
+    visible, on_target = np.isfinite(z), height > GROUND_HEIGHT
+    best, result = np.full(z.shape, FAINTEST), np.full(z.shape, np.nan)
     for lit, bright in ((visible & on_target, 1.0), (visible & ~on_target, sensor.ground)):
         fraction, total = _filtered(z, lit, kernel)
         wins = bright * fraction > best
@@ -183,7 +183,7 @@ def speckle(sensor: SensorModel, shape: tuple[int, ...], rng: np.random.Generato
     return np.asarray(sensor.speckle * smooth / smooth.std())
 
 
-GRID = 21  # points along each side of the field
+GRID_POINTS = 21  # points along each side of the field
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +214,8 @@ class Distortion:
     def T_true_reported(self) -> Array:
         """Return the motion (4, 4) that best maps reported points of the field to true ones."""
         z, across = np.meshgrid(
-            np.linspace(*self.sensor.range, GRID),
-            np.linspace(-1, 1, GRID) * self.sensor.half_width, indexing='ij')
+            np.linspace(*self.sensor.range, GRID_POINTS),
+            np.linspace(-1, 1, GRID_POINTS) * self.sensor.half_width, indexing='ij')
         distorted = z + self.ranges(z)
         x = across * (distorted if self.sensor.sampling == 'fan' else z)
         true = lift(np.stack([across * z, z], axis=-1)).reshape(-1, 3)

@@ -141,7 +141,7 @@ def slab(target: PlateTarget) -> tuple[Solid, ...]:
                        np.append(plain.low, np.full(4, -np.inf)), np.append(plain.high, ends)),)
 
 
-WAVES = 12  # of a wavy face
+WAVE_COUNT = 12  # of a wavy face
 WAVELENGTH = (0.015, 0.060)  # m
 
 
@@ -153,7 +153,7 @@ def relief(target: object, rng: np.random.Generator) -> Relief | None:
     """Return the bow and the waves of a plate, None for a flat one and for other targets."""
     if not isinstance(target, PlateTarget) or not (target.bow or target.waves):
         return None
-    count = WAVES if target.waves else 0
+    count = WAVE_COUNT if target.waves else 0
     shortest, longest = np.log(WAVELENGTH)
     wavelength = np.exp(rng.uniform(shortest, longest, count))
     turn = rng.uniform(0, np.pi, count)

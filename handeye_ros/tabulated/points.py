@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 MINIMUM = 4
 SMALLEST_ANGLE = 0.05  # smallest spread across over spread along (rad)
-SIGMA = 1e-9  # m; the noise is estimated, from this on
+SMALLEST_SIGMA = 1e-9  # m; the noise is estimated, from this on
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,19 +46,20 @@ class Pairs(Lists):
         """Return the least squares of the differences, without outliers."""
         def rows(T: Array) -> Rows:
             turned = self.seen @ T[:3, :3].T
-            return Rows((turned + T[:3, 3] - self.robot).ravel() / SIGMA,
-                        lambda: se3.by_perturbation(turned).reshape(-1, 6) / SIGMA)
+            return Rows((turned + T[:3, 3] - self.robot).ravel() / SMALLEST_SIGMA,
+                        lambda: se3.by_perturbation(turned).reshape(-1, 6) / SMALLEST_SIGMA)
 
         every = np.arange(len(self))
         # the best start leaves out one point: in a few points a wrong one bends that of all
         start = min((self.subset(np.delete(every, k)).rigid() for k in every),
                     key=lambda T: np.quantile(self.residuals(T, every, every), TYPICAL_SHARE))
         fit = adjust(System(rows, se3.perturb, np.repeat(every, 3)), start, MINIMUM)
-        off, left_out = (SIGMA * np.linalg.norm(values, axis=1)
+        off, left_out = (SMALLEST_SIGMA * np.linalg.norm(values, axis=1)
                          for values in (fit.residuals, fit.left_out))
         return TableAnswer(fit.state, fit.covariance, np.isin(every, fit.used), off,
                            rms(off[fit.used]), rms(left_out),
-                           target={'point_noise': SIGMA * max(fit.variance_factor, 1.0) ** 0.5})
+                           target={'point_noise':
+                                   SMALLEST_SIGMA * max(fit.variance_factor, 1.0) ** 0.5})
 
     def rigid(self) -> Array:
         """Return the transform (4, 4) with the least squares of all points."""

@@ -28,9 +28,10 @@ LARGEST_TURN = 2e-3  # largest rotation of the flange during a sweep (rad)
 LARGEST_ASIDE = 2e-4  # largest deviation of the flange from its line (m, RMS)
 SMALLEST_WAY = 0.02
 FEWEST_PROFILES = 5
-MISSED = 3  # consecutive profiles without two faces that do not end a run of block profiles
+# consecutive profiles without two faces that do not end a run of block profiles
+MOST_MISSED_PROFILES = 3
 
-SWEPT = ('swept_ball', 'swept_face_c', 'swept_face_d')
+SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
 
 
 class Piece(NamedTuple):
@@ -38,7 +39,7 @@ class Piece(NamedTuple):
     Points of a part of ball, block or arm: a row of the file, or what one profile shows of it.
 
     sample: the row or the stamp
-    part: of SWEPT (face_c is the face at smaller x), or the kind in the file
+    part: of SWEPT_PARTS (face_c is the face at smaller x), or the kind in the file
     points: (k, 3), in the tracker's frame, swept ones x and z in the sensor plane and the reading
         of P3
     sigma: (k,) of each coordinate, of swept ones of x and z (metres)
@@ -76,7 +77,7 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
             else:
                 blocks.append((index, seen))
     # the rim of the ball shows so little that two lines may fit it as well
-    cuts = 1 + np.flatnonzero(np.diff([index for index, _ in blocks]) > 1 + MISSED)
+    cuts = 1 + np.flatnonzero(np.diff([index for index, _ in blocks]) > 1 + MOST_MISSED_PROFILES)
     block = max((blocks[first:last] for first, last in pairwise([0, *cuts, len(blocks)])), key=len)
     for what, count in (('ball', len(ball)), ('block', len(block))):
         if count < FEWEST_PROFILES:
@@ -108,10 +109,11 @@ def _seen(points: Array, config: Config) -> list[tuple[str, Array, Array]]:
     """
     with suppress(FeatureError):
         arc, = arc_features(points, config)
-        return [(SWEPT[0], arc.points, arc.std)]
+        return [(SWEPT_PARTS[0], arc.points, arc.std)]
     left, right = corner_features(points, config)[:2]
     # nearer to the sensor in the middle, so the range falls towards it from both sides
     bend = float(np.linalg.det([left.direction, right.direction])) * config.profile.range_sign
     if bend < math.sin(RIDGE_ANGLE):
         raise FeatureError('a groove, or an edge too blunt')
-    return [(SWEPT[1], left.points, left.points_std), (SWEPT[2], right.points, right.points_std)]
+    return [(SWEPT_PARTS[1], left.points, left.points_std),
+            (SWEPT_PARTS[2], right.points, right.points_std)]

@@ -19,9 +19,9 @@ from handeye_ros.errors import BadValueError, DataError, InputError
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import jing2020
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.results.truth_file import FIELD, field_points
+from handeye_ros.results.truth_file import field_points, FIELD_TEXT
 from handeye_ros.tables import LENGTH, Table, TableError
-from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
+from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT_PARTS
 from handeye_ros.tabulated.values import Index, Input, TableAnswer, Values
 import numpy as np
 
@@ -30,13 +30,13 @@ FEWEST_POINTS = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # po
 UNKNOWNS = {'arc': 6, 'line': 4, 'face_c': 3, 'face_d': 3,
             'swept_ball': 6, 'swept_face_c': 3, 'swept_face_d': 3}
 SMALLEST_ANGLE = 0.17  # smallest angle between the faces, and of the arc (rad)
-ORDERED = 20  # points of arc and line whose order is checked
+ORDER_CHECK_POINTS = 20  # points of arc and line whose order is checked
 ONE_WAY = 0.75  # smallest share of steps in one direction; about half for unordered points
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
-WRONG = 6.0  # sigmas of a point that is left out,
-BESIDE = 4.0  # if it is also as many times the median distance of its part
+OUTLIER_SIGMAS = 6.0  # sigmas of a point that is left out,
+OUTLIER_RATIO = 4.0  # if it is also as many times the median distance of its part
 LARGEST_RMS = 3.0  # sigmas of the points that remain
-DRAWS, SEED = 100, 0  # of the noise, for the covariance
+NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class TrackerSession(Values):
     mounts = ('eye_in_hand',)
     advice = 'measure a longer arc and line, sweep over more of ball and faces'
     check = 'which face is which, h0 and h1, and the readings of P3?'
-    over = FIELD
+    over = FIELD_TEXT
 
     @property
     def samples(self) -> list[tuple[int, str]]:
@@ -91,8 +91,10 @@ class TrackerSession(Values):
 
     def require_determined(self) -> None:
         """Raise for points in the wrong order, a short arc, parallel faces, a crooked sweep."""
-        arc, line = (points[np.linspace(0, len(points) - 1, min(len(points), ORDERED)).astype(int)]
-                     for points in (self.measured.parts['arc'], self.measured.parts['line']))
+        parts = (self.measured.parts['arc'], self.measured.parts['line'])
+        arc, line = (points[np.linspace(
+            0, len(points) - 1, min(len(points), ORDER_CHECK_POINTS)).astype(int)]
+                     for points in parts)
         centre, axis = jing2020.fit_arc(self.measured.parts['arc'])
         spokes = arc - centre
         turns = np.cross(spokes[:-1], spokes[1:]) @ axis
@@ -123,7 +125,8 @@ class TrackerSession(Values):
         every = used = np.arange(len(self))
         for _ in range(3):  # wrong points bend the first fit
             off = self.residuals(self.subset(used).chain().T_flange_sensor, used, every)
-            good = off < np.maximum(WRONG * sigma, BESIDE * self.by_part(off, np.median))
+            good = off < np.maximum(OUTLIER_SIGMAS * sigma,
+                                    OUTLIER_RATIO * self.by_part(off, np.median))
             used = np.flatnonzero(good)
         agreed = self.subset(used)
         chain = agreed.chain()
@@ -154,15 +157,15 @@ class TrackerSession(Values):
         """
         rng, of_ball = np.random.default_rng(SEED), self.config.tracker.noise
         # each coordinate of a point by the tracker, but not the reading of P3
-        sigmas = [scale * piece.sigma[:, None] * [1, 1, piece.part not in SWEPT]
+        sigmas = [scale * piece.sigma[:, None] * [1, 1, piece.part not in SWEPT_PARTS]
                   for piece, scale in zip(self.pieces, np.maximum(excess, 1.0), strict=True)]
         off = []
-        for _ in range(DRAWS):
+        for _ in range(NOISE_DRAWS):
             pieces = [piece._replace(points=piece.points + sigma * rng.normal(size=sigma.shape))
                       for piece, sigma in zip(self.pieces, sigmas, strict=True)]
             session = replace(self, pieces=pieces, ball=self.ball + of_ball * rng.normal(size=3))
             off.append(se3.difference(session.chain().T_flange_sensor, X))
-        return np.asarray(np.transpose(off) @ off / DRAWS)
+        return np.asarray(np.transpose(off) @ off / NOISE_DRAWS)
 
     def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
         """Return the RMS distances of measured pieces from what the fitted ones show with X."""
@@ -188,7 +191,7 @@ class TrackerSession(Values):
                 return np.hypot((points - pivot) @ axis, beside(points, pivot, axis) - reach)
             if part == 'line':
                 return beside(points, line, along)
-            in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT
+            in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT_PARTS
                          else se3.apply(T_sensor_tracker, points))
             if part == 'swept_ball':
                 return np.linalg.norm(in_sensor - centre, axis=1) - radius

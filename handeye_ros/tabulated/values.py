@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
-NEAREST, FARTHEST = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
-CLEAR = 0.2  # of misfit and of spread: a misreading with more does not explain the values
+SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
+CLEAR_SHARE = 0.2  # of misfit and of spread: a misreading with more does not explain the values
 
 Index: TypeAlias = NDArray[np.intp]
 
@@ -123,11 +123,11 @@ class Lists(Values):
             robot: (self.robot, lambda values: replace(self, robot=values))}
         for large, small in ((seen, robot), (robot, seen)):
             (values, with_values), (others, with_others) = lists[large], lists[small]
-            if _reach(others) < NEAREST and _reach(values) < FARTHEST:
+            if _reach(others) < SHORTEST_REACH and _reach(values) < LONGEST_REACH:
                 yield Misreading(f'the positions of the {small} 1000 times larger',
                                  _unit_of(small), with_others(scaled(others, 1e3)))
             else:
-                wrong = (large,) if _reach(values) > FARTHEST else (large, small)
+                wrong = (large,) if _reach(values) > LONGEST_REACH else (large, small)
                 yield Misreading(f'the positions of the {large} 1000 times smaller',
                                  _unit_of(*wrong), with_values(scaled(values, 1e-3)))
 
@@ -265,7 +265,7 @@ def _misreading(otherwise: Sequence[Misreading], before: float) -> DataError | N
         except DataError:
             continue
         # lengths in another unit make every residual smaller: it must be small beside the spread
-        if answer.agrees and answer.misfit < CLEAR * min(before, values.spread()):
+        if answer.agrees and answer.misfit < CLEAR_SHARE * min(before, values.spread()):
             explaining.append(f'the values contradict each other, but with {words} they agree to '
                               f'{mm(answer.misfit)}: {remedy}')
     return DataError(explaining[0], reason='convention') if len(explaining) == 1 else None

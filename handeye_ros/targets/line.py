@@ -34,14 +34,14 @@ from numpy.typing import NDArray
 EDGE_Y, EDGE_Z = 1, 2
 KINDS = ('face', 'edge', 'edge_z')
 NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
-DIRECTIONS = 400
-CANDIDATES = 24
+DIRECTION_COUNT = 400
+CANDIDATE_COUNT = 24
 MINIMUM = 7  # samples
 NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
-CONDITIONS = 2  # of one edge point
+CONDITIONS_OF_EDGE = 2  # of one edge point
 # of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
-GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in END_KINDS)])
+END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in END_KINDS)])
 
 
 def _turns(observations: Observations, p: Array, state: Array) -> Array:
@@ -72,7 +72,8 @@ def line_candidates(problem: Problem) -> list[Estimate]:
     """Return the best linear solutions over a sweep of the direction of the line."""
     obs = problem.observations
     part = replace(problem, observations=obs.select(obs.kind == EDGE_Y))
-    return linear_candidates(part, frames_along(hemisphere(DIRECTIONS)), slice(1, 3), CANDIDATES)
+    return linear_candidates(part, frames_along(hemisphere(DIRECTION_COUNT)), slice(1, 3),
+                             CANDIDATE_COUNT)
 
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
@@ -100,16 +101,17 @@ def one_end(problem: Problem) -> Iterator[list[Problem]]:
     """
     obs, n = problem.observations, len(problem.poses)
     face = obs.kind == FACE
-    group = np.where(face, 0, GROUPS[obs.end])
+    group = np.where(face, 0, END_GROUPS[obs.end])
     total, count = (np.bincount(obs.station[face], weights, n)
                     for weights in (obs.points[face, 0], None))
     left = obs.points[:, 0] < (total / np.maximum(count, 1))[obs.station]
-    stations = [len(np.unique(obs.station[group == k])) for k in range(GROUPS.max() + 1)]
+    stations = [len(np.unique(obs.station[group == k])) for k in range(END_GROUPS.max() + 1)]
     present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
     for choices in ([group == k for k in present] if len(present) > 1 else [], [~face]):
         parts = []
         for chosen in choices:
-            several = face.any() and np.bincount(obs.station[chosen]).max(initial=0) > CONDITIONS
+            several = face.any() and (
+                np.bincount(obs.station[chosen]).max(initial=0) > CONDITIONS_OF_EDGE)
             parts += [_part(problem, chosen & side)
                       for side in ((True, left, ~left) if several else (True,))]
         yield [part for part in parts if part is not None]

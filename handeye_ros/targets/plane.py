@@ -37,8 +37,8 @@ from handeye_ros.targets.target import FaceTarget
 import numpy as np
 from numpy.typing import NDArray
 
-NORMALS = 400
-CANDIDATES = 10
+NORMAL_COUNT = 400
+CANDIDATE_COUNT = 10
 NEAR_SHARE = 0.7  # of the stations
 AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
 ONE_ANGLE = 3.0  # degrees: angles to the plane that differ by less count as one
@@ -78,8 +78,8 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
 
 def plane_candidates(problem: Problem, more: int = 1) -> list[Estimate]:
     """Return the best linear solutions, many times `more`, over a sweep of plane normals."""
-    frames = frames_along(hemisphere(NORMALS))[:, :, [1, 2, 0]]
-    return linear_candidates(problem, frames, slice(2, 3), CANDIDATES * more)
+    frames = frames_along(hemisphere(NORMAL_COUNT))[:, :, [1, 2, 0]]
+    return linear_candidates(problem, frames, slice(2, 3), CANDIDATE_COUNT * more)
 
 
 class Plane(FaceTarget):
@@ -97,7 +97,7 @@ class Plane(FaceTarget):
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         problem = some_of(replace(whole, target=PLANE), rng)
         found: list[Estimate] = []
-        for more in (1, NORMALS // CANDIDATES) if whole.few else (1,):
+        for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.few else (1,):
             known = len(found)
             for part in one_surface(problem):
                 found += best_of(part, plane_candidates(part, more), more)

@@ -35,13 +35,13 @@ OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kin
 KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
 LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
-GATE = 10.0  # an edge point this many times further from its edge than most is not used
+GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
 SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
-DIRECTIONS = 120  # tried, over a quarter turn
-VOTERS = 24  # points that this search uses
+DIRECTION_COUNT = 120  # tried, over a quarter turn
+VOTER_COUNT = 24  # points that this search uses
 
 
 def state(T_base_target: Array, config: Config) -> Array:
@@ -63,7 +63,7 @@ def _edge_points(observations: Observations, p: Array, state: Array
 def _gate(distance: Array) -> float:
     """Return the largest accepted distance of an edge point, from the distances (m,) of all."""
     typical = np.quantile(distance, SURE_SHARE, method='lower') if len(distance) else 0.0
-    return max(SMALLEST_GATE, GATE * float(typical))
+    return max(SMALLEST_GATE, GATE_RATIO * float(typical))
 
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
@@ -129,8 +129,8 @@ def _two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
     points: (m, 2). All directions, and all pairs of points for the lines, are tried. The cost of a
     point is its distance to the nearer line, limited.
     """
-    voters = points[some_stations(len(points), VOTERS, rng)]
-    angles = np.linspace(0.0, np.pi / 2, DIRECTIONS, endpoint=False)
+    voters = points[some_stations(len(points), VOTER_COUNT, rng)]
+    angles = np.linspace(0.0, np.pi / 2, DIRECTION_COUNT, endpoint=False)
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     u, v = c * voters[:, 0] + s * voters[:, 1], c * voters[:, 1] - s * voters[:, 0]
     limit = 0.03 * float(np.ptp(voters, axis=0).max() + 1e-9)

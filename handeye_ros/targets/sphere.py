@@ -30,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-ROTATIONS = 600
-CANDIDATES = 16
-LONG = 9  # points: of longer arcs every third is used for a start
-REGULAR = 1e-9  # weight of a centre at the middle of the poses (regularisation)
+ROTATION_COUNT = 600
+CANDIDATE_COUNT = 16
+LONG_ARC_POINTS = 9  # points: of longer arcs every third is used for a start
+MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 AT_ONCE = 50  # rotations for which the offset across the plane is searched together
 
 
@@ -41,7 +41,7 @@ def _fewer(observations: Observations) -> Observations:
     """Return the observations with every third point of long arcs, enough for a start."""
     station = observations.station
     place = np.arange(len(station)) - np.searchsorted(station, station)
-    short = np.bincount(station)[station] < LONG
+    short = np.bincount(station)[station] < LONG_ARC_POINTS
     return observations.select(short | (place % 3 == 1))
 
 
@@ -53,7 +53,7 @@ def _candidates(problem: Problem, radius: float) -> list[Estimate]:
     radius = radius or 1.05 * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
     a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    R_sensor = rotations(ROTATIONS)
+    R_sensor = rotations(ROTATION_COUNT)
     centre, t, rms, y = _centres(R_sensor, problem.poses[:, :3, :3],
                                  problem.poses[:, :3, 3] - a_mean, circles)
     k = len(R_sensor)
@@ -61,13 +61,13 @@ def _candidates(problem: Problem, radius: float) -> list[Estimate]:
     order = np.argsort(rms)
     for first in range(0, k, AT_ONCE):  # poor fits for any side are skipped
         some = order[first:first + AT_ONCE]
-        if np.partition(np.hypot(rms, rms_y), CANDIDATES)[CANDIDATES] < rms[some[0]]:
+        if np.partition(np.hypot(rms, rms_y), CANDIDATE_COUNT)[CANDIDATE_COUNT] < rms[some[0]]:
             break
         t[some, 1], rms_y[some] = _side(y[some], height)
-    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATES]
+    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATE_COUNT]
     X = se3.transform(R_sensor[best], (R_sensor[best] @ t[best, :, None])[..., 0])
     return [Estimate(*both) for both in zip(X, np.column_stack(
-        [a_mean + centre[best], np.full(CANDIDATES, radius)]), strict=True)]
+        [a_mean + centre[best], np.full(CANDIDATE_COUNT, radius)]), strict=True)]
 
 
 def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
@@ -84,7 +84,7 @@ def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
     # axis . (centre - flange) - offset is the centre of the circle, in x and in z
     A, b = axes[:, ::2], flange[:, ::2] + circles[:, :2].T
     A_free, b_free = A - A.mean(axis=2, keepdims=True), b - b.mean(axis=2, keepdims=True)
-    normal = np.einsum('kani,kanj->kij', A_free, A_free) + REGULAR * len(R) * np.eye(3)
+    normal = np.einsum('kani,kanj->kij', A_free, A_free) + MIDDLE_WEIGHT * len(R) * np.eye(3)
     centre = np.linalg.solve(normal, np.einsum('kani,kan->ki', A_free, b_free)[..., None])[..., 0]
     left = (A @ centre[:, None, :, None])[..., 0] - b
     t = np.zeros((len(centre), 3))

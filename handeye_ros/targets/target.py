@@ -26,13 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 END_KINDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
-NOWHERE = np.zeros(2)  # the outward direction at points that are no edges
+NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
 SOURCES_PER_FEATURE = 64  # per feature, at most
-FLATNESS = {2: 0.8, 3: 0.5, 4: 0.3}  # share of the RMS of each degree: the first are the largest
+# share of the RMS of each degree: the first are the largest
+FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 
-GRAZING = 0.64  # cosine of the incidence below which the range of a face may be wrong
-STEEPNESS = np.array([8, 16, 32])  # exponents of the smallest cosine over that of a point
+GRAZING_COSINE = 0.64  # cosine of the incidence below which the range of a face may be wrong
+# exponents of the smallest cosine over that of a point
+STEEPNESS_EXPONENTS = np.array([8, 16, 32])
 
 
 @dataclass
@@ -56,7 +58,7 @@ class ObservationRows:
         self.points.append(points)
         self.noise.append(noise)
         self.numbers.append((station, kind, source, 1 + END_KINDS.index(edge.kind) if edge else 0))
-        self.outward.append(edge.direction if edge else NOWHERE)
+        self.outward.append(edge.direction if edge else NO_OUTWARD)
         self.shape_std.append(edge.shape_std if edge else 0.0)
 
     def observations(self) -> Observations:
@@ -274,9 +276,9 @@ def flatness(linear: Linear) -> Blocks:
     if not std or not faces:
         return
     p = problem.points_in_base(linear.estimate.X)
-    heights = zip(*(bent_surface(p, problem.observations.kind == i, list(FLATNESS))
+    heights = zip(*(bent_surface(p, problem.observations.kind == i, list(FLATNESS_SHARES))
                     for i in faces), strict=True)
-    for (degree, share), columns in zip(FLATNESS.items(), heights, strict=True):
+    for (degree, share), columns in zip(FLATNESS_SHARES.items(), heights, strict=True):
         yield ParameterBlock(f'flatness_{degree}', np.hstack(columns) * (std * share), std * share,
                              report='flatness_error')
 
@@ -289,7 +291,7 @@ def grazing(linear: Linear) -> Blocks:
     along = np.abs((linear.by_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
     cosine = np.where(on_face, along, 1.0)
     least = cosine.min(initial=1.0)
-    if std and least < GRAZING:
-        share = np.where(cosine < GRAZING, least / np.maximum(cosine, least), 0.0)
-        columns = linear.by_point[:, 1:] * share[:, None] ** STEEPNESS
+    if std and least < GRAZING_COSINE:
+        share = np.where(cosine < GRAZING_COSINE, least / np.maximum(cosine, least), 0.0)
+        columns = linear.by_point[:, 1:] * share[:, None] ** STEEPNESS_EXPONENTS
         yield ParameterBlock('grazing', columns * std, std)

@@ -34,8 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 KINDS = ('face_1', 'face_2')
-SHARE = np.array([-0.5, 0.5])  # turn of each face for a change of the angle between them by 1
-SWEEP = 24  # angles tried for the pair of faces about a known edge
+# turn of each face for a change of the angle between them by 1
+ANGLE_SHARES = np.array([-0.5, 0.5])
+ANGLES_TRIED = 24  # angles tried for the pair of faces about a known edge
 
 
 def one_corner(problem: Problem) -> list[Problem]:
@@ -136,7 +137,7 @@ def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
 def _two_directions(angle: Array, weight: Array) -> tuple[float, float]:
     """Return the two most frequent directions (rad) of angles (m,)."""
     best, least = (0.0, np.pi / 2), np.inf
-    for parting in np.linspace(0.0, np.pi, SWEEP, endpoint=False):
+    for parting in np.linspace(0.0, np.pi, ANGLES_TRIED, endpoint=False):
         side = np.sin(angle - parting) > 0
         sums = [(weight[part] * np.exp(1j * angle[part])).sum() for part in (side, ~side)]
         spread = weight.sum() - sum(abs(total) for total in sums)
@@ -173,11 +174,11 @@ class Wedge(FaceTarget):
         y, z = local[..., 1], local[..., 2]
         by_turn = c * z - s * y
         return (c * y + s * z, np.stack([np.zeros_like(c), c, s], axis=-1),
-                np.stack([by_turn, SHARE[kind] * by_turn], axis=-1))
+                np.stack([by_turn, ANGLE_SHARES[kind] * by_turn], axis=-1))
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return targets (..., 18) after a step: moves, and the turn and angle of both faces."""
-        turns = delta[..., 4:5] + SHARE * delta[..., 5:]
+        turns = delta[..., 4:5] + ANGLE_SHARES * delta[..., 5:]
         return super().retract(state, np.concatenate([delta[..., :4], turns], axis=-1))
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config

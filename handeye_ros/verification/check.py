@@ -7,10 +7,11 @@ r = g(p; target) are the residuals of the recording at the answer of the calibra
 changed, r = G dX + J dη + e: dX, dη are the errors of the calibration's transform and target with
 their joint covariance, e is the noise. A moved target adds T m, a moved sensor -G m, m a twist; a
 changed robot adds an error of each pose, smooth over the poses or white. Each has a normal prior,
-averaged over SCALES, so each cause has a marginal likelihood. A change is reported if the causes
-together are EVIDENCE times as likely as none: by Markov's inequality the probability of a false
-alarm is at most 1 / EVIDENCE (Wald 1945). If the stops do not distinguish several causes, the
-sentence names these and their odds; if nothing changed, the smallest change that would have shown.
+averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is reported if the
+causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality the probability
+of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not distinguish several
+causes, the sentence names these and their odds; if nothing changed, the smallest change that would
+have shown.
 """
 from __future__ import annotations
 
@@ -49,20 +50,21 @@ import numpy as np
 import scipy.linalg
 
 FORMAT = 'handeye_ros/check/2'
-EVIDENCE = 100.0
-SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
-LEVER = 0.1  # m: a scale over it is that of a turn
+LEAST_EVIDENCE = 100.0
+MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
+TURN_LEVER = 0.1  # m: a scale over it is that of a turn
 SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
-SMOOTHNESS = (1.0, 2.0)  # times as far; bench/verify.py --check: one joint's error reaches further
-ITERATIONS = 6
+# times as far; bench/verify.py --check: one joint's error reaches further
+SMOOTH_FACTORS = (1.0, 2.0)
+MOST_ITERATIONS = 6
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
-KEPT = 30  # samples of a sweep: neighbours share the errors of the robot
-UNSEEN = 0.01  # m: a shift that would show only from here on is called unseen
-STILL = np.zeros(6)  # no move
-ROBOT = ('the poses of the robot err otherwise than before (mastering, a joint, wear), or repeat '
-         'worse than noise.robot_* says: check the robot before the sensor')
-MORE = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 degrees '
-        'about x and y: an error of the robot differs there, a move does not')
+KEPT_SAMPLES = 30  # samples of a sweep: neighbours share the errors of the robot
+UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
+NO_MOVE = np.zeros(6)  # no move
+ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
+                 'or repeat worse than noise.robot_* says: check the robot before the sensor')
+MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 '
+              'degrees about x and y: an error of the robot differs there, a move does not')
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         require_stations([len(np.unique(obs.station))])
         # whatever moved, and however the calibration errs
         moves = np.hstack([rows.by[name] for name in ('target', 'sensor')])
-        errors = np.hstack([rows.errors, moves * np.sqrt(np.tile(_prior(SCALES[-1]), 2))])
+        errors = np.hstack([rows.errors, moves * np.sqrt(np.tile(_prior(MOVE_SCALES[-1]), 2))])
         factor = np.linalg.cholesky(rows.noise)
         white = scipy.linalg.solve_triangular(factor, np.column_stack([errors, rows.r]),
                                               lower=True)
@@ -156,14 +158,14 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     (comparison, rows), _, left_out = agreeing_groups(
         np.unique(whole.problem.observations.station), compared_at)
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
-              _Cause('robot', _robot_likelihood(comparison, rows), ROBOT))
+              _Cause('robot', _robot_likelihood(comparison, rows), ROBOT_CHANGED))
     likelihood = np.array([cause.likelihood for cause in causes])
     together = float(np.logaddexp.reduce(likelihood))
     evidence = together - math.log(len(causes)) - rows.likelihood(0.0)
     odds = {cause.name: float(np.exp(cause.likelihood - together)) for cause in causes}
     target_axes, target_shows = _smallest_shifts(rows.by['target'], rows.covariance)
     sensor_axes, sensor_shows = _smallest_shifts(rows.by['sensor'], rows.covariance)
-    if evidence < math.log(EVIDENCE):
+    if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
             f'have shown from {_shown(target_axes, target_shows, target_frame(config))} on, one '
@@ -230,7 +232,7 @@ class _Comparison:
     middle: Array
     noise_scale: float
 
-    def residuals(self, cause: str = '', move: Array = STILL) -> _Residuals:
+    def residuals(self, cause: str = '', move: Array = NO_MOVE) -> _Residuals:
         """Return the residuals after a move of the target or the sensor."""
         problem, at = self.problem, self.calibrated
         if cause == 'sensor':
@@ -284,7 +286,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
 
 
 def _prior(scale: float) -> Array:
-    return np.repeat([scale, scale / LEVER], 3) ** 2
+    return np.repeat([scale, scale / TURN_LEVER], 3) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,16 +308,16 @@ class _Cause:
 
 def _moved(comparison: _Comparison, name: str) -> _Cause:
     """Return the cause of a moved target or sensor."""
-    move, scale = STILL, SCALES[-1]
-    for _ in range(ITERATIONS):
+    move, scale = NO_MOVE, MOVE_SCALES[-1]
+    for _ in range(MOST_ITERATIONS):
         rows = comparison.residuals(name, move)
         D = rows.by[name]
         gain = np.linalg.solve(rows.covariance, D).T
         C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _prior(scale))))
         linear = rows.r + D @ move
         move = C @ gain @ linear
-        likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in SCALES]
-        scale = SCALES[int(np.argmax(likelihood))]
+        likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in MOVE_SCALES]
+        scale = MOVE_SCALES[int(np.argmax(likelihood))]
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(rows.lever[name], move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
@@ -325,7 +327,8 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
         f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
         if name == 'sensor' else
         f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
-    return _Cause(name, float(np.logaddexp.reduce(likelihood) - np.log(len(SCALES))), sentence,
+    mean = float(np.logaddexp.reduce(likelihood) - np.log(len(MOVE_SCALES)))
+    return _Cause(name, mean, sentence,
                   shift, turn, displacement, std)
 
 
@@ -337,8 +340,8 @@ def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
     away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
-    smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTHNESS)
-    likelihood = [rows.likelihood(D * _prior(scale) @ D.T * kernel) for scale in SCALES
+    smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTH_FACTORS)
+    likelihood = [rows.likelihood(D * _prior(scale) @ D.T * kernel) for scale in MOVE_SCALES
                   for kernel in (smooth, smoother, station[:, None] == station)]
     return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
 
@@ -352,10 +355,10 @@ def _smallest_shifts(D: Array, unchanged: Array) -> tuple[Array, Array]:
     """
     information = D.T @ np.linalg.solve(unchanged, D)
     occam = np.linalg.slogdet(np.eye(6) + information * _prior(1e-3))[1]
-    sigmas = np.sqrt(2 * np.log(3 * len(SCALES) * EVIDENCE) + occam) + 1.64  # with 95 %
+    sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64  # with 95 %
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
-    return axes.T[::-1], np.where(sizes < UNSEEN, sizes, np.nan)
+    return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
 
 
 def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
@@ -365,7 +368,7 @@ def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[st
     sentence = '; or '.join(cause.sentence for cause in named)
     if len(named) > 1:
         text = ', '.join(f'{cause.name} {odds[cause.name]:.0%}' for cause in named)
-        sentence = f'these stops cannot decide ({text}): {sentence}. {MORE}'
+        sentence = f'these stops cannot decide ({text}): {sentence}. {MORE_STOPS}'
     return ' or '.join(cause.name for cause in named), sentence
 
 
@@ -373,7 +376,7 @@ def _shown(axes: Array, shifts: Array, frame: str) -> str:
     """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
     named = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
     unseen = ' or '.join(name for size, name in named if np.isnan(size))
-    return ', '.join(f'{mm(size)} along {name}' for size, name in named if size < UNSEEN) + (
+    return ', '.join(f'{mm(size)} along {name}' for size, name in named if size < UNSEEN_SHIFT) + (
         f' (a slide along {unseen} cannot be seen)' if unseen else '')
 
 
@@ -393,7 +396,7 @@ def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration)
 
 def _some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
     """Return some samples of a sweep, evenly spaced, as samples of stops."""
-    step = -(-len(samples) // KEPT)
+    step = -(-len(samples) // KEPT_SAMPLES)
     return [replace(sample, trajectory=None) for sample in samples[step // 2::step]]
 
 

@@ -37,15 +37,15 @@ import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
 
-SENSITIVE = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
-K = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
+DETECTION_SIGMAS = 3.6  # sigmas: 1.96 + 1.64, an error is seen with 95 % if false alarms are 5 %
+COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 95 %)
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
-REFITS = 5  # iterations for the calibration's error
-FARTHEST = 0.1  # m: no calibration error is larger
+REFIT_COUNT = 5  # iterations for the calibration's error
+LARGEST_SHIFT = 0.1  # m: no calibration error is larger
 LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
 MOST_DISTANCES = 1500  # of which the expected RMS is computed
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
-OPEN = 1e-6  # change of a value that no distance shows, per unit of an unknown
+OPEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
 FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
 ALONE_SHARE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
@@ -180,7 +180,7 @@ class Quantity:
     @property
     def expanded(self) -> float:
         """Return the expanded uncertainty of the measurement, k times std."""
-        return K * self.std
+        return COVERAGE_FACTOR * self.std
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,10 +320,10 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     values, F = shape.values(q), derivatives(shape.values, q)
     by_error = F @ gain @ G
     covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
-    unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > OPEN
+    unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > OPEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
-    covariance[known, known] += (config.verify.certificate / K) ** 2
+    covariance[known, known] += (config.verify.certificate / COVERAGE_FACTOR) ** 2
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     factor = np.linalg.cholesky(covariance[block])
@@ -384,15 +384,15 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
     std = float(1 / np.sqrt(max(power[0], 1e-12)))
-    return (SENSITIVE * std, f'{motion} {name_direction(axis, mount)}',
+    return (DETECTION_SIGMAS * std, f'{motion} {name_direction(axis, mount)}',
             abs(float(worst @ shift @ error)), std)
 
 
 def refit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
-    for _ in range(REFITS):
+    for _ in range(REFIT_COUNT):
         result = fit(shape, X, C, config)
-        if not result.implied < FARTHEST:
+        if not result.implied < LARGEST_SHIFT:
             break
         X = se3.perturb(X, -result.error)
     return result

@@ -40,15 +40,16 @@ import numpy as np
 SURE_CHANGE = 4.0  # sigmas of a change
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOST_SAMPLES = 60  # samples of a sweep
-OUTLIER, OF_ANOTHER_SURFACE = 4.0, 20.0  # robust sigmas of a point that is left out; or that is
+# robust sigmas of a point that is left out; or that is
+OUTLIER_SIGMAS, OTHER_SURFACE_SIGMAS = 4.0, 20.0
 GAUSS_NEWTON_STEPS, STEPS_WITH_ALL = 16, 6  # of which the first are with all points
-CORRELATED = 1_000_000_000  # ns, over which residuals are not independent
+CORRELATION_TIME = 1_000_000_000  # ns, over which residuals are not independent
 SAME_SURFACE = 1.5e-3  # m: pieces this near to a plane are one surface, or
-WIDE = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
+FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
 LEAST_SEEN = 0.5  # of the stops must see the nearest surface
 LEAST_STOPS = 4
-TRIALS = 300  # pairs of features that define a trial point, line or plane
-PROFILES, POINTS = 12, 80  # of a pass that are used, and of each of them
+TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
+MOST_OF_PASS, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
 
 
 def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibration: Calibration,
@@ -102,12 +103,12 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     for profiles, track in passes:
         flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
         seen = np.flatnonzero(flange.inside)
-        seen = seen[evenly_chosen(len(seen), PROFILES)]
+        seen = seen[evenly_chosen(len(seen), MOST_OF_PASS)]
         for number, index in enumerate(seen.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
-            some = valid[evenly_chosen(len(valid), POINTS)]
+            some = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
             rows.add_points(number, some, 0, np.repeat(noise[None], len(some), axis=0),
-                            number * POINTS)
+                            number * POINTS_OF_PROFILE)
         poses.append(flange.T_base_flange[seen])
         stamps += [profiles[index].stamp for index in seen.tolist()]
         counts.append(len(seen))
@@ -150,7 +151,7 @@ def _common(points: Array, stop: Numbers, dimension: int) -> tuple[Array, Array]
     first = np.unique(stop, return_index=True)[1]
     best, lowest = (np.full(len(stop), np.inf), np.full(len(first), np.inf)), np.inf
     pairs = [pair for pair in combinations(range(len(stop)), 2) if stop[pair[0]] != stop[pair[1]]]
-    for pair in pairs[::max(len(pairs) // TRIALS, 1)]:
+    for pair in pairs[::max(len(pairs) // TRIAL_COUNT, 1)]:
         through = points[list(pair)].reshape(-1, 3)
         middle = through.mean(axis=0)
         along = np.linalg.svd(through - middle)[2][:dimension]
@@ -197,7 +198,7 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
     least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS)
     while len(stop) > len(np.unique(stop)) and len(np.unique(stop[free])) >= least:
         away, nearest = _common(ends[free], stop[free], 2)
-        on = away <= max(SAME_SURFACE, WIDE * float(np.median(nearest)))
+        on = away <= max(SAME_SURFACE, FAR_RATIO * float(np.median(nearest)))
         if len(np.unique(stop[free][on])) >= least:
             surfaces.append([pieces[row] for row in free[on].tolist()])
         free = free[~on]
@@ -242,15 +243,15 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
         r = distances(x)
         scatter = 1.4826 * np.median(np.abs(r))
         if step >= STEPS_WITH_ALL:
-            inliers = np.abs(r) <= OUTLIER * scatter
+            inliers = np.abs(r) <= OUTLIER_SIGMAS * scatter
         prior = np.append(np.zeros(len(x) - 1), scatter / config.time_offset_std)
         x = x - np.linalg.lstsq(np.vstack([derivatives(distances, x)[inliers], prior]),
                                 np.append(r[inliers], prior @ x), rcond=None)[0]
     r, gain = distances(x), np.linalg.pinv(derivatives(distances, x)[inliers])
-    time = stations.stamps[obs.station[inliers]] // CORRELATED
+    time = stations.stamps[obs.station[inliers]] // CORRELATION_TIME
     parts = np.bincount(np.unique(time, return_inverse=True)[1], gain[-1] * r[inliers])
     std = float(np.sqrt((parts ** 2).sum() * len(parts) / max(len(parts) - len(x), 1)))
-    foreign = set(obs.station[np.abs(r) > OF_ANOTHER_SURFACE * scatter].tolist())
+    foreign = set(obs.station[np.abs(r) > OTHER_SURFACE_SIGMAS * scatter].tolist())
     previous = calibration.time_offset or ClockEstimate(config.time_offset, 0.0)
     _, sentence = compared(ClockEstimate(config.time_offset + float(x[-1]), std), previous)
     if foreign:

@@ -19,14 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOP, VALLEY, RISING, FALLING = 0, 1, 2, 3
-CORNER = 0.12  # of the height: nearer to a corner no point is used
+CORNER_SHARE = 0.12  # of the height: nearer to a corner no point is used
 OFF_ALL_FACES = 0.15  # of the height: a point further from all faces is on none
-BIN = 0.05  # of the pitch
-CUT = 4.0  # sigmas of the points of a face
-ROUNDING = 0.1  # of the sensor's noise: the smallest scatter assumed when outliers are removed
+BIN_WIDTH = 0.05  # of the pitch
+OUTLIER_SIGMAS = 4.0  # sigmas of the points of a face
+# of the sensor's noise: the smallest scatter assumed when outliers are removed
+SMALLEST_SCATTER = 0.1
 LEAST_ON_GAUGE = 0.2  # of the points must be on the gauge
 LEAST_FACE = 0.01  # of the points must be on tops and valleys, and on flanks
-ROUNDS = 6
+ROUND_COUNT = 6
 MOST_GRAZING = 0.05  # cosine of a face to the ray, at least
 
 
@@ -41,7 +42,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     p = stations.points(X)
     frame = _frame(p, pitch, height, flank)
     q = np.append(np.zeros(8), flank / height)
-    for _ in range(ROUNDS):
+    for _ in range(ROUND_COUNT):
         face, tooth, on_gauge = _faces(_local(p, frame, q), pitch, height, q)
         if on_gauge.mean() < LEAST_ON_GAUGE:
             break
@@ -62,7 +63,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     good, scatter = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
         np.stack([found.row_bags, face[on_gauge], tooth[on_gauge]], axis=1),
-        ROUNDING * float(np.median(found.observations.noise[:, 1, 0])))
+        SMALLEST_SCATTER * float(np.median(found.observations.noise[:, 1, 0])))
     obs = found.observations.select(good)
     noise = np.zeros_like(obs.noise)
     noise[:, 1, 0] = np.maximum(obs.noise[:, 1, 0], scatter[good])
@@ -86,7 +87,7 @@ def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scat
         members = np.flatnonzero(group == k)
         deviation = distances[members] - np.median(distances[members])
         scatter = max(1.4826 * float(np.median(np.abs(deviation))), min_scatter)
-        inliers = np.abs(deviation) <= CUT * scatter
+        inliers = np.abs(deviation) <= OUTLIER_SIGMAS * scatter
         count = int(inliers.sum())
         # about a mean and a slope of their own
         scatter = deviation[inliers].std() * np.sqrt(count / max(count - 2, 1))
@@ -129,7 +130,7 @@ def _faces(local: Array, pitch: float, height: float, q: Array
     x, z = local[:, 0], local[:, 2]
     tooth = np.round(x / (pitch + q[5])).astype(np.intp)
     u = x - (pitch + q[5]) * tooth
-    slope, middle, margin = abs(q[8]), pitch / 4 + q[7], CORNER * height
+    slope, middle, margin = abs(q[8]), pitch / 4 + q[7], CORNER_SHARE * height
     out = np.abs(u) - middle  # past the middle of the flank
     reach = slope * height / 2
     on_top, in_valley = out < -reach - margin, out > reach + margin
@@ -155,7 +156,7 @@ def _frame(p: Array, pitch: float, height: float, flank: float) -> Array:
     def unevenness(turn: float) -> float:
         """Return the variance of the heights within strips across a direction."""
         x = local[:, 0] * np.cos(turn) + local[:, 1] * np.sin(turn)
-        strip = np.floor((x - x.min()) / (BIN * pitch)).astype(int)
+        strip = np.floor((x - x.min()) / (BIN_WIDTH * pitch)).astype(int)
         mean = np.bincount(strip, local[:, 2]) / np.maximum(np.bincount(strip), 1)
         return float(((local[:, 2] - mean[strip]) ** 2).mean())
 

@@ -32,9 +32,9 @@ from handeye_ros.results.verification_file import (
 )
 from handeye_ros.verification.fit import (
     agreeing_groups,
+    COVERAGE_FACTOR,
     Fit,
     fit,
-    K,
     Numbers,
     Quantity,
     refit,
@@ -45,11 +45,11 @@ from handeye_ros.verification.fit import (
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
-EARLIEST = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
+EARLIEST_STAMP = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
-SIGNIFICANT = 0.01  # level of the tests of a calibration error
-INCONSISTENT = 1e-3  # level of the test that the points agree
-LARGE = 0.01  # m: a larger tolerance gets a note
+SIGNIFICANCE = 0.01  # level of the tests of a calibration error
+INCONSISTENT_P = 1e-3  # level of the test that the points agree
+LARGE_TOLERANCE = 0.01  # m: a larger tolerance gets a note
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 
 
@@ -198,7 +198,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             continue
         tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
         off = f'{q.name} is off by {formatted(q.error, q.unit)}'
-        U, decided = f'{formatted(q.expanded, q.unit)} (k = {K:g})', decision(
+        U, decided = f'{formatted(q.expanded, q.unit)} (k = {COVERAGE_FACTOR:g})', decision(
             q.error, q.expanded, tolerance)
         if decided == VIOLATES:
             failed.append(f'{off} ± {U}')
@@ -207,17 +207,17 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
                 f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
                 f'{formatted(tolerance, q.unit)}' + _or_measure(
                     used, q.expanded, tolerance - abs(q.error), ':'))
-    outside = [s for s in stations if s.used and K * s.std <= limits.tolerance
-               and s.distance - K * s.std > limits.tolerance]
+    outside = [s for s in stations if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
+               and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
     if outside:
         worst = max(outside, key=lambda s: s.distance)
         failed.append(f'points of {len(outside)} of {len(stations)} stops lie up to '
                       f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
-    if fit.p_no_error <= SIGNIFICANT and not other_size and (
+    if fit.p_no_error <= SIGNIFICANCE and not other_size and (
             fit.implied - ONE_SIDED_95 * fit.implied_std > limits.tolerance):
         failed.append(
             f'the pattern of the distances matches a calibration error of {mm(fit.implied)} ± '
-            f'{mm(K * fit.implied_std)} (k = {K:g}) at the points')
+            f'{mm(COVERAGE_FACTOR * fit.implied_std)} (k = {COVERAGE_FACTOR:g}) at the points')
     if failed:
         return 'fail', (*failed, *notes)
     if fit.smallest_error > limits.tolerance:
@@ -227,10 +227,11 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             'sensor more between the stops' + _or_measure(
                 used, fit.smallest_error, limits.tolerance, ', or'), *notes)
     undecided += [
-        f'the points suggest an error of the calibration of {mm(size)} ± {mm(K * std)} '
-        f'(k = {K:g}), which may exceed the tolerance: measure at more stops'
+        f'the points suggest an error of the calibration of {mm(size)} ± '
+        f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the tolerance: '
+        'measure at more stops'
         for size, std, is_seen in (
-            (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANT),
+            (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANCE),
             (fit.along, fit.along_std, fit.along > NORMAL_95 * fit.along_std))
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
     return 'undecided' if undecided else 'pass', (*undecided, *notes)
@@ -252,17 +253,17 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
     if kept:
         notes.append(f'{", ".join(kept)} contradict the others under every possible calibration, '
                      'and without them too little would be left: measure again')
-    if fit.scatter.p < INCONSISTENT:
+    if fit.scatter.p < INCONSISTENT_P:
         notes.append('the points disagree by more than calibration, noise.sensor and '
                      f'noise.robot_* explain (p = {fit.scatter.p:.1g}): the calibration is worse '
                      'than it claims, the artefact moved, or the noise is set too small')
     if other_size:
         notes.append('the points fit the shape, and no error of the calibration explains these '
                      'deviations: check the nominal values (verify.radius, verify.lengths)')
-    if fit.claim_p < SIGNIFICANT:
+    if fit.claim_p < SIGNIFICANCE:
         notes.append('the deviations are larger than the calibration claims '
                      f'(p = {fit.claim_p:.1g})')
-    if limits.tolerance > LARGE:
+    if limits.tolerance > LARGE_TOLERANCE:
         notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
                      'in metres unless a unit is given')
     return notes
@@ -270,7 +271,7 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
 
 def time_of(stamp: int) -> str:
     """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
-    if stamp < EARLIEST:
+    if stamp < EARLIEST_STAMP:
         return ''
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
@@ -285,4 +286,4 @@ def with_provenance(verification: Verification, inputs: Iterable[object],
 
 def plain_values(verification: Verification) -> dict[str, Any]:
     """Return a verification as plain values: the content of its YAML."""
-    return {'format': FORMAT, 'version': __version__, 'k': K, **asdict(verification)}
+    return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **asdict(verification)}

@@ -8,7 +8,7 @@ from pathlib import Path
 import sqlite3
 
 from handeye_ros.bags import bag, bag_write
-from handeye_ros.bags.reader import Raw, TF
+from handeye_ros.bags.reader import Raw, TF_TYPE
 from handeye_ros.config import Config, ProfileConfig
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.results.truth_file import true_transform
@@ -364,9 +364,10 @@ def tf_bag(folder, tmp_path, moving, static=()):
     raws = [r for r in scan(folder)[1] if r.topic == '/profile']
     for topic, messages in (('/tf', moving), ('/tf_static', static)):
         for stamp, transforms in messages:
-            data = TYPES.serialize_cdr(TYPES.types[TF](transforms), TF)
+            data = TYPES.serialize_cdr(TYPES.types[TF_TYPE](transforms), TF_TYPE)
             raws.append(Raw(topic, stamp, bytes(data)))
-    return rewrite(folder, tmp_path / 'tf.mcap', raws, types={'/tf': TF, '/tf_static': TF})
+    return rewrite(folder, tmp_path / 'tf.mcap', raws,
+                   types={'/tf': TF_TYPE, '/tf_static': TF_TYPE})
 
 
 STAMPS = [START + i * POSES_PERIOD for i in range(100)]

@@ -9,7 +9,7 @@ from functools import partial
 from handeye_ros.bags import bag
 from handeye_ros.bags.bag_write import pose_cdr
 from handeye_ros.bags.messages import ProfileReader, rows_of, split
-from handeye_ros.bags.reader import CLOUD, POSE, Raw
+from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, Raw
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
@@ -34,7 +34,7 @@ def batch(stamp: int, rows: int, *, first: int = 0, gocator: bool = False) -> by
     height, width = (rows * len(X), 1) if gocator else (rows, len(X))
     if gocator:
         made.height, made.width, made.row_step = rows * len(X), 1, 12
-    return bytes(STORE.serialize_cdr(cloud_message(made, stamp), CLOUD))
+    return bytes(STORE.serialize_cdr(cloud_message(made, stamp), CLOUD_TYPE))
 
 
 def profiles(messages: Sequence[bytes], config: ProfileConfig) -> list[RawProfile]:
@@ -52,7 +52,7 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
     found = profiles([batch(START + i * 10 * MS, 10, first=10 * i) for i in range(3)], config)
     assert [p.stamp for p in found] == [START + round((begin + i) * MS) for i in range(30)]
     for index, one in enumerate(found):
-        same = STORE.deserialize_cdr(one.fetch(), CLOUD)
+        same = STORE.deserialize_cdr(one.fetch(), CLOUD_TYPE)
         assert (same.height, same.width, len(same.data)) == (1, 60, 720)
         again = ProfileReader(config).take(one.fetch())
         assert (again.stamp, again.rows, one.reach) == (one.stamp, 1, (0, 0))
@@ -110,7 +110,7 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
               for i, p in enumerate(poses())]
     raws += [Raw('/flange_pose', p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws,
-                   {'/profile': CLOUD, '/flange_pose': POSE})
+                   {'/profile': CLOUD_TYPE, '/flange_pose': POSE_TYPE})
     config = Config(profile=ProfileConfig(period=0.01))
     recording = bag.read(file, config)
     assert [p.stamp for p in recording.profiles] == [START + i * 10 * MS for i in range(100)]

@@ -15,7 +15,7 @@ from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.messages import cloud_from_cdr
-from handeye_ros.bags.reader import CLOUD, Raw
+from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import deviance, Explanation, refitted
 from handeye_ros.checks.settings import require_settings, thinned
@@ -193,7 +193,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
 
 def tilted(raw: Raw, types: dict[str, str], degrees: float) -> Raw:
     """Return a message whose points (x, 0, z) are turned about x."""
-    if types[raw.topic] != CLOUD:
+    if types[raw.topic] != CLOUD_TYPE:
         return raw
     data = bytearray(raw.data)
     cloud = cloud_from_cdr(bytes(data))

@@ -16,13 +16,13 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.advice import (
     Advice,
     advise,
-    CAUSES,
+    CAUSES_BY_BLOCK,
     judged,
     ROUGHLY_KNOWN,
     Sigma,
     turn_and_tilt,
 )
-from handeye_ros.guidance.candidates import anchor_of, REFUSED, with_one_more
+from handeye_ros.guidance.candidates import anchor_of, REFUSED_DISTANCE, with_one_more
 from handeye_ros.guidance.moves import next_move
 from handeye_ros.guidance.view import learn_view, mapped_points
 from handeye_ros.pipeline import Answer
@@ -110,7 +110,8 @@ def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again(made: tuple[Cel
     other = advice(made, refused=(first.T_base_flange,)).next
     assert other is not None
     T = se3.inverse(first.T_base_flange) @ other.T_base_flange
-    assert np.linalg.norm(T[:3, 3]) > REFUSED[0] or se3.angle(T[:3, :3]) > REFUSED[1]
+    assert (np.linalg.norm(T[:3, 3]) > REFUSED_DISTANCE[0]
+            or se3.angle(T[:3, :3]) > REFUSED_DISTANCE[1])
 
 
 def test_it_is_the_same_in_another_base(made: tuple[Cell, Solution]) -> None:
@@ -229,7 +230,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
 def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: float, enough: bool
                                                           ) -> None:
     sigmas = (Sigma('any', 0.0, 1.0), Sigma('worst', 0.0, 1.0), Sigma('points', 4e-4, 3e-4))
-    found, why = judged(sigmas, 4e-4 * (1 - gain), (CAUSES['robot_smooth'], 0.875), count)
+    found, why = judged(sigmas, 4e-4 * (1 - gain), (CAUSES_BY_BLOCK['robot_smooth'], 0.875), count)
     assert found == enough
     assert '0.350 mm is the robot' in why
     assert ('more samples bring little, a better robot' in why) == enough

@@ -84,7 +84,7 @@ def connected(page: PageServer, lines: ExitStack, request: str, body: bytes = b'
 
 def test_it_shows_the_page_and_acts(here: tuple[PageServer, Cell]) -> None:
     page, cell = here
-    for name in ('', *servers.FILES):
+    for name in ('', *servers.ASSET_FILES):
         status, text = asked(page, 'GET', f'/{name}')
         assert status == 200 and text.startswith('' if name else '<!DOCTYPE html>')
         assert 'http://' not in text and 'https://' not in text, 'no file of another host'

@@ -75,7 +75,7 @@ LAYOUTS_OF_MCAP = {
 
 # of points, by drivers
 POINTS = {
-    'xyz': bag_write.SINGLE, 'double': bag_write.DOUBLE,
+    'xyz': bag_write.SINGLE_POINT, 'double': bag_write.DOUBLE_POINT,
     'big_endian': np.dtype([('x', '>f4'), ('y', '>f4'), ('z', '>f4')]),
     'padded': np.dtype({'names': ['x', 'y', 'z', 'intensity'], 'formats': ['<f4'] * 4,
                         'offsets': [0, 4, 8, 16], 'itemsize': 32}),

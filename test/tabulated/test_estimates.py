@@ -10,10 +10,10 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError
 from handeye_ros.published import jing2020
-from handeye_ros.simulate.measured import laser_tracker, RADIUS, SimulatedFiles
+from handeye_ros.simulate.measured import BALL_RADIUS, laser_tracker, SimulatedFiles
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
-from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT
+from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT_PARTS
 from handeye_ros.tabulated.tracker import TrackerSession
 from handeye_ros.tabulated.values import solve, TableAnswer
 import numpy as np
@@ -111,12 +111,12 @@ def test_a_wrong_view_is_left_out() -> None:
 
 
 SENSOR = 3.7e-5
-CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': RADIUS}, 'test')
+CELL = with_values(Config(), {'noise.sensor': SENSOR, 'target.radius': BALL_RADIUS}, 'test')
 
 
 def tracked(measured: jing2020.Readings) -> TableAnswer:
     config = with_values(CELL, {'tracker.h0': measured.height, 'tracker.h1': 0.0}, 'test')
-    pieces = [Piece(row, part, point[None], np.array([SENSOR if part in SWEPT else 2e-5]))
+    pieces = [Piece(row, part, point[None], np.array([SENSOR if part in SWEPT_PARTS else 2e-5]))
               for part, points in measured.parts.items() if part != 'ball'
               for row, point in enumerate(points)]
     return solve(TrackerSession(config, pieces, measured.parts['ball'][0], measured.q30))
@@ -144,7 +144,7 @@ def test_the_rim_of_the_ball_is_no_block() -> None:
     cell = laser_tracker(np.random.default_rng(1003))
     pieces, q30 = sweep_from(cell.profiles, cell.poses, of_cell(cell))
     ball, *faces = (np.concatenate([piece.points for piece in pieces if piece.part == part])
-                    for part in SWEPT)
+                    for part in SWEPT_PARTS)
     assert faces[0][:, 2].min() > ball[:, 2].max()
     along = jing2020.fit_swept_ball(ball, q30, jing2020.SWEEP)[0]
     angle = jing2020.face_angle(*(jing2020.swept(face, q30, along) for face in faces))
