@@ -46,13 +46,13 @@ from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import refined, robust_solution, with_blocks, without_outliers
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.evidence import flat_crossing
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise, turn_and_tilt
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes, learn_view, mapped_points, View
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import errors_against, field_points
+from handeye_ros.review import flat_crossing
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import of_profiles
 from handeye_ros.sampling.session import duplicate_pose

@@ -24,11 +24,11 @@ from handeye_ros import config as configuration
 from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
-from handeye_ros.evidence import evidence
 from handeye_ros.node.main import exit_code, ros
 from handeye_ros.output import write_whole
 from handeye_ros.results import calibration_file, exports, report, table
 from handeye_ros.results.truth_file import errors_against, true_transform
+from handeye_ros.review import evidence
 import rclpy
 from rclpy.node import Node
 from rich.console import Console

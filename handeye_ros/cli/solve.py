@@ -116,7 +116,7 @@ def samples(
 ) -> None:
     """Show the samples of a session, the worst first."""
     from handeye_ros import pipeline
-    from handeye_ros.evidence import samples_table
+    from handeye_ros.review import samples_table
     given = opened(path, config, assignments)
     settings, session = given.settings, given.session
     if session is None:
@@ -141,11 +141,11 @@ def report(
         help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
 ) -> None:
     """Show a calibration or verification in one HTML file."""
-    from handeye_ros.evidence import evidence
     from handeye_ros.output import html_file, write_whole
     from handeye_ros.results import exports, verification_file
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import html
+    from handeye_ros.review import solved_recording
     if out:
         html_file(out)
     if path.is_file() and verification_file.is_verification(path):
@@ -156,7 +156,7 @@ def report(
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
         verified = [*map(verification_file.read, verification)]
         with doing('finding the stops'):
-            shown = evidence(calibration, bag, file.parent)
+            shown = solved_recording(calibration, bag, file.parent)
         with doing('writing the report'):
             text = html(calibration, shown, verified)
     page = (out or page).expanduser().absolute()

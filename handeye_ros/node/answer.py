@@ -19,13 +19,13 @@ from handeye_ros.config import Config, flatten
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.evidence import Agreement, agreements, count_of, flat_crossing
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
 from handeye_ros.results.table import transform_rows
+from handeye_ros.review import Agreement, agreements, count_of, flat_crossing
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 import numpy as np

@@ -17,7 +17,6 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
 from handeye_ros.errors import INSTALL_TF2
-from handeye_ros.evidence import count_of
 from handeye_ros.frames import in_mount, target_frame
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (
@@ -41,6 +40,7 @@ from handeye_ros.results.scene import (
     SEEN_COLOUR,
     StopSnapshot,
 )
+from handeye_ros.review import count_of
 from handeye_ros.sampling.stops import Stop
 import numpy as np
 from numpy.typing import NDArray

@@ -14,9 +14,9 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
-from handeye_ros.evidence import Agreement, sample_summary
 from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
+from handeye_ros.review import Agreement, sample_summary
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, Stop
 import numpy as np

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Calibration, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.evidence import sample_summary
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.node.state import Attempt
 from handeye_ros.output import yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.verification_file import sentence
+from handeye_ros.review import sample_summary
 from handeye_ros.sampling.stops import decoded, Stop
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.routines import Routine, routine_of, settings_for

@@ -18,13 +18,13 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import InputError
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.evidence import stop_snapshot
 from handeye_ros.frames import in_mount
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes
 from handeye_ros.results import calibration_file, exports, table
 from handeye_ros.results.scene import profile_picture, rounded, shape
+from handeye_ros.review import stop_snapshot
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
 
@@ -146,9 +146,9 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
 
 def _report(calibration: Calibration, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
-    from handeye_ros.evidence import evidence
     from handeye_ros.results.report import html  # matplotlib
-    return html(calibration, evidence(calibration, Path(session) if session else None))
+    from handeye_ros.review import solved_recording
+    return html(calibration, solved_recording(calibration, Path(session) if session else None))
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:

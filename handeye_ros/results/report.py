@@ -29,7 +29,7 @@ SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class SolvedRecording:
     """
     The stops of a recording, and its answer.
 
@@ -47,25 +47,25 @@ class Evidence:
     sweep: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
-def html(calibration: Calibration, evidence: Evidence,
+def html(calibration: Calibration, recording: SolvedRecording,
          verified: Sequence[Mapping[str, Any]] = ()) -> str:
     """Return the text of the report; verified: contents of verifications to include."""
     config = config_of(calibration)
-    used = [stop for stop in evidence.stops if stop.used and stop.features]
+    used = [stop for stop in recording.stops if stop.used and stop.features]
     points = in_sensor(in_plane(f for stop in used for f in stop.features), config)
-    drawn = scene(calibration, evidence.stops, config)
+    drawn = scene(calibration, recording.stops, config)
     with style():
-        plots = dict(_plots(used, evidence.sweep))
+        plots = dict(_plots(used, recording.sweep))
     return page(
-        'report.html', c=calibration, verdict=verdict(calibration, evidence, points),
+        'report.html', c=calibration, verdict=verdict(calibration, recording, points),
         transform=list(table.transform_rows(calibration)),
         facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
         plots=plots, stops=[
             (stop, f'{1e3 * rms(stop.residuals):.3f} mm' if len(stop.residuals) else 'used')
-            for stop in evidence.stops],
-        profiles=[profile_picture(stop.points, stop.features) for stop in evidence.stops],
+            for stop in recording.stops],
+        profiles=[profile_picture(stop.points, stop.features) for stop in recording.stops],
         refused=[report for report in calibration.samples if not report.used],
         settings=configuration.flatten(config).items(), verified=verified,
         columns=verification_file.TABLE_COLUMNS, title_of=verification_file.title_of,
@@ -85,10 +85,10 @@ class Verdict:
     remarks: tuple[str, ...]
 
 
-def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Verdict:
+def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array) -> Verdict:
     """Return the verdict; visible: points (k, 3) in the sensor frame, may be empty."""
-    remarks = tuple(_remarks(calibration, evidence))
-    if wrong := _wrong(calibration, evidence):
+    remarks = tuple(_remarks(calibration, recording))
+    if wrong := _wrong(calibration, recording):
         return Verdict(False, f'Do not rely on this calibration: {wrong}', remarks)
     points, region = (visible, 'the points that were seen') if len(visible) else (
         field_points(), FIELD_TEXT)
@@ -98,12 +98,12 @@ def verdict(calibration: Calibration, evidence: Evidence, visible: Array) -> Ver
         f'over {region}).', remarks)
 
 
-def _wrong(calibration: Calibration, evidence: Evidence) -> str:
+def _wrong(calibration: Calibration, recording: SolvedRecording) -> str:
     """Return why the recording contradicts the calibration, '' if it does not."""
-    if evidence.refusal:
-        return f'the recording is refused now: {evidence.refusal}'
-    if evidence.calibration:
-        delta = se3.difference(calibration.T_flange_sensor, evidence.calibration.T_flange_sensor)
+    if recording.refusal:
+        return f'the recording is refused now: {recording.refusal}'
+    if recording.calibration:
+        delta = se3.difference(calibration.T_flange_sensor, recording.calibration.T_flange_sensor)
         # the same data give the same answer: their noise explains no difference
         if (np.abs(delta) > SAME_ANSWER * np.sqrt(np.diag(calibration.covariance)) + 1e-9).any():
             return ('the recording gives another answer than the one saved, '
@@ -113,7 +113,7 @@ def _wrong(calibration: Calibration, evidence: Evidence) -> str:
     return ''
 
 
-def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
+def _remarks(calibration: Calibration, recording: SolvedRecording) -> Iterator[str]:
     quality = calibration.quality
     if 'note' in calibration.target:
         yield str(calibration.target['note'])
@@ -121,8 +121,8 @@ def _remarks(calibration: Calibration, evidence: Evidence) -> Iterator[str]:
         yield (f'stops that are left out are predicted {mm(quality.holdout_rms)} RMS off, those '
                f'in the fit {mm(quality.residual_rms)}: a few stops carry the answer; add more')
     yield from map(str, calibration.provenance.get('warnings', ()))
-    if evidence.missing:
-        yield evidence.missing
+    if recording.missing:
+        yield recording.missing
 
 
 def mapped_std(calibration: Calibration, points: Array) -> float:
@@ -132,7 +132,7 @@ def mapped_std(calibration: Calibration, points: Array) -> float:
 
 
 def _plots(used: Sequence[StopSnapshot], sweep: Array) -> Iterator[tuple[str, str]]:
-    """Yield the plots with data, by name; used: stops; sweep: as in Evidence."""
+    """Yield the plots with data, by name; used: stops; sweep: as in SolvedRecording."""
     if used:
         yield 'coverage', _coverage_plot(used)
     solved = [stop for stop in used if len(stop.residuals)]
@@ -157,7 +157,7 @@ def _residuals_plot(stops: Sequence[StopSnapshot]) -> str:
 
 
 def _sweep_plot(samples: Array) -> str:
-    """Return the plot of a sweep's residuals over time and speed; samples: as in Evidence."""
+    """Return the plot of a sweep's residuals over time and speed (see SolvedRecording)."""
     time, rms, speed = samples.T
     drawing, (by_time, by_speed) = figure(1, 2, 3.5, 2.6)
     for ax, x, label in ((by_time, time, 'time (s)'), (by_speed, 1e3 * speed, 'speed (mm/s)')):

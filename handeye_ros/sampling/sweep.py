@@ -16,7 +16,7 @@ synchronised finds the clocks, on which the poses of the parts depend (problem_o
 from that elsewhere asks Sample.moving or sampling.moving: a pass is never a duplicate, nor taken
 early (session.py); other settings and clocks are not asked (checks/causes.py), and a move must be
 larger than the smooth error of the robot (checks/moved.py); a pass agrees if most of its profiles
-do (evidence.py); advice is to sweep on (guidance/advice.py); a gauge is measured in passes
+do (review.py); advice is to sweep on (guidance/advice.py); a gauge is measured in passes
 (verification/stations.py), and a sweep checks a calibration too (verification/check.py).
 """
 from __future__ import annotations

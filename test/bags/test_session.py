@@ -27,11 +27,11 @@ from handeye_ros.bags.session_files import (
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.evidence import evidence
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import state_of, taken
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.report import verdict
+from handeye_ros.review import solved_recording
 from live_sessions import changed, computed, new, SPHERE, update
 import numpy as np
 import pytest
@@ -132,7 +132,7 @@ def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Pa
     assert handeye('solve', session, '--out', tmp_path, cwd=tmp_path).returncode == 0
     calibration = read_calibration(tmp_path / 'calibration.yaml')
     for bag in (session, None):
-        found = evidence(calibration, bag, tmp_path)
+        found = solved_recording(calibration, bag, tmp_path)
         assert not found.refusal and not found.missing
         assert sum(stop.used for stop in found.stops) == calibration.quality.samples_used
         assert verdict(calibration, found, np.empty((0, 3))).good

@@ -12,9 +12,9 @@ from typing import Any
 from command import chromium, handeye, ROOT
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration
-from handeye_ros.evidence import evidence
 from handeye_ros.results import calibration_file, report
-from handeye_ros.results.report import Evidence, mapped_std, verdict
+from handeye_ros.results.report import mapped_std, SolvedRecording, verdict
+from handeye_ros.review import solved_recording
 import numpy as np
 import pytest
 
@@ -54,8 +54,8 @@ def calibration(solved: Path) -> Calibration:
 
 
 @pytest.fixture(scope='module')
-def found(calibration: Calibration) -> Evidence:
-    return evidence(calibration, BAG)
+def found(calibration: Calibration) -> SolvedRecording:
+    return solved_recording(calibration, BAG)
 
 
 @pytest.fixture(scope='module')
@@ -102,8 +102,8 @@ def test_the_scene_is_drawn_and_turns(page: Any) -> None:
     assert float(text_of(page, 'factor')) >= 1
 
 
-def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, found: Evidence
-                                                    ) -> None:
+def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration,
+                                                    found: SolvedRecording) -> None:
     reason = 'no edge <was> seen'
     stops = tuple(replace(stop, reason=reason) if stop.number == 3 else stop
                   for stop in found.stops)
@@ -115,13 +115,13 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration, fo
 
 
 def test_a_recording_that_says_something_else_is_reported(calibration: Calibration,
-                                                          found: Evidence) -> None:
+                                                          found: SolvedRecording) -> None:
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
     said = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
     assert not said.good
     assert said.sentence.startswith('Do not rely on this calibration: the recording gives another '
                                     'answer than the one saved, 1.000 mm')
-    refused = evidence(calibration, ROOT / 'bags' / 'one_orientation')
+    refused = solved_recording(calibration, ROOT / 'bags' / 'one_orientation')
     assert ('Do not rely on this calibration: the recording is refused now: all poses share'
             in report.html(calibration, refused))
 
@@ -145,11 +145,11 @@ def test_the_recording_is_found_from_another_folder_and_shown_only_unchanged(
     file = next(path for path in (tmp_path / 'bag').iterdir() if path.suffix == '.mcap')
     relative = named(f'bag/{file.name}')
     monkeypatch.chdir('/')
-    found = evidence(relative, None, tmp_path / 'out' / 'plate')
+    found = solved_recording(relative, None, tmp_path / 'out' / 'plate')
     assert not found.missing and len(found.stops) == len(calibration.samples)
-    assert 'is not there' in evidence(relative, None, Path('/')).missing
+    assert 'is not there' in solved_recording(relative, None, Path('/')).missing
     (tmp_path / 'plate.mcap').write_text('another')
-    changed = evidence(named(str(tmp_path / 'plate.mcap')), None)
+    changed = solved_recording(named(str(tmp_path / 'plate.mcap')), None)
     assert 'has changed since it was solved' in changed.missing
 
 
@@ -157,6 +157,6 @@ def test_a_calibration_from_files_has_a_report_too(calibration: Calibration) -> 
     result = {**config.flatten(config.Config()), 'target.type': 'points',
               'calibration_type': 'eye_on_base'}
     files = replace(calibration, provenance={**calibration.provenance, 'config': result})
-    found = evidence(files, None)
+    found = solved_recording(files, None)
     assert 'solved from files' in found.missing
     assert 'id="scene"' in report.html(files, found)

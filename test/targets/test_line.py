@@ -12,7 +12,7 @@ from handeye_ros.config import with_values
 from handeye_ros.data import EdgePoint, FaceLine
 from handeye_ros.estimation.noise import LUMPED
 from handeye_ros.estimation.solve import solution_at
-from handeye_ros.evidence import flat_crossing
+from handeye_ros.review import flat_crossing
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.simulate.scenario import PlateTarget
 import numpy as np

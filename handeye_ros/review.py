@@ -26,7 +26,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount, mounted
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of, input_values
-from handeye_ros.results.report import Evidence
+from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import StopSnapshot
 from handeye_ros.results.table import figures_table
 from handeye_ros.sampling.session import Session
@@ -53,23 +53,24 @@ def session_of(path: Path, config: Config) -> Session:
     return pipeline.gather(recording.profiles, recording.poses, config)
 
 
-def evidence(calibration: Calibration, bag: Path | None, folder: Path = Path()) -> Evidence:
+def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = Path()
+                     ) -> SolvedRecording:
     """
-    Return the evidence of a recording; bag: None for the one named in the calibration.
+    Return a recording solved again; bag: None for the one named in the calibration.
 
     folder: that holds the calibration's file. Without a recording, `missing` gives the reason.
     Raises InputError for an unreadable bag.
     """
     config = config_of(calibration)
     if tabulated.is_solved_from_files(config):
-        return Evidence(missing='stops are shown of recordings; this was solved from files')
+        return SolvedRecording(missing='stops are shown of recordings; this was solved from files')
     missing = ''
     if bag is None:
         bag, missing = recording_of(calibration, folder)
     if bag is None:
-        return Evidence(missing=missing)
+        return SolvedRecording(missing=missing)
     session = session_of(bag, config)
-    return evidence_of(session, pipeline.answer_of(session, config), config)
+    return solved_session(session, pipeline.answer_of(session, config), config)
 
 
 def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, str]:
@@ -95,12 +96,12 @@ def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, s
     return None, f'the calibration names no recording, {advice}'
 
 
-def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
+def solved_session(session: Session, answer: Answer, config: Config) -> SolvedRecording:
     """Return the stops of a session with their part in its answer, and the answer."""
     stops = [stop_snapshot(stop, config) for stop in session.stops]
     calibration, solution = answer.calibration, answer.solution
     if calibration is None or solution is None:
-        return Evidence(tuple(stops), refusal=str(answer.refusal or ''))
+        return SolvedRecording(tuple(stops), refusal=str(answer.refusal or ''))
     used = [answer.samples[i] for i in solution.used]
     measured, residuals, predicted = tested_points(used, solution)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
@@ -110,7 +111,8 @@ def evidence_of(session: Session, answer: Answer, config: Config) -> Evidence:
     for i in np.unique(stop_of_point).tolist():
         stops[i] = replace(stops[i], reason='', residuals=residuals[stop_of_point == i],
                            left_out=predicted[stop_of_point == i])
-    return Evidence(tuple(stops), calibration, sweep=_sweep(used, measured.station, residuals))
+    return SolvedRecording(tuple(stops), calibration,
+                           sweep=_sweep(used, measured.station, residuals))
 
 
 def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) -> Array:
