@@ -267,7 +267,7 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
         Raw(profile_topic, profile.stamp - offset,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
             else cloud_cdr(profile, config.profile.unit, DOUBLE_POINT))
-                 for profile in stop.profiles]
+        for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     reason = stop.result.reason if kind == STOP and isinstance(stop.result, Reject) else ''
     values = {'event': kind, 'number': stop.number, 'began': stop.began,

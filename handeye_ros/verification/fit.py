@@ -279,6 +279,27 @@ class Fit:
     by_unknowns: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Whitened:
+    """
+    Distances at the best shape and their derivatives, white: r = J dq + G dX + n.
+
+    factors: Cholesky factors of the covariances of the groups' distances
+    r: (m,); J: (m, k) by the shape; G: (m, 6) by the calibration's error
+    gain: (k, m) the pseudo-inverse of J
+    """
+
+    factors: Sequence[Array]
+    r: Array
+    J: Array
+    G: Array
+    gain: Array
+
+    def remainder(self, values: Array) -> Array:
+        """Return what the shape does not take up of values (m, ...)."""
+        return np.asarray(values - self.J @ (self.gain @ values))
+
+
 def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
     """
     Return the fit of a shape; raises InputError for an impossible covariance.
@@ -296,68 +317,88 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
     factors, distances = factors_at(q), shape.distance(p, q)
-    r, J = (_white(factors, values) for values in (
-        distances, derivatives(partial(shape.distance, p), q)))
     by_mount = stations.in_mount(shape.by_point(p, q))
-    G = _white(factors, np.hstack([by_mount, se3.cross(lever, by_mount)]))
-    gain = np.asarray(np.linalg.pinv(J), dtype=float)
-    A, remainder = G - J @ (gain @ G), r - J @ (gain @ r)  # what the shape does not take up
+    r, J, G = (_white(factors, values) for values in (
+        distances, derivatives(partial(shape.distance, p), q),
+        np.hstack([by_mount, se3.cross(lever, by_mount)])))
+    at = _Whitened(factors, r, J, G, np.asarray(np.linalg.pinv(J), dtype=float))
+    measured = _measured(shape, at, q, C, config.verify.certificate)
 
-    # do the distances agree with the noise and with what the calibration claims
-    root = root_of(C)
-    explained = root.T @ A.T @ remainder
-    square = remainder @ remainder - explained @ np.linalg.solve(
-        np.eye(6) + root.T @ A.T @ A @ root, explained)
-    freedom = max(len(r) - len(q), 1)
-    expected = _expected_rms(np.hstack([np.eye(len(r)) - J @ gain, A @ root]), factors) if (
-        len(r) <= MOST_DISTANCES) else math.nan
-    size = np.abs(distances)
-    scatter = Scatter(len(r), float(size.mean()), float(size.std()),
-                      float(np.sqrt((size ** 2).mean())), float(size.max()), expected,
-                      float(chi2_sf(square, freedom)))
-
-    # the measured values, and those of them that have a nominal one
-    values, F = shape.values(q), derivatives(shape.values, q)
-    by_error = F @ gain @ G
-    covariance, claimed = F @ gain @ gain.T @ F.T, by_error @ C @ by_error.T
-    unseen = np.abs(F - F @ gain @ J).max(axis=1, initial=0.0) > OPEN_CHANGE
-    nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
-    known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
-    covariance[known, known] += (config.verify.certificate / COVERAGE_FACTOR) ** 2
-    deviation, block = (values - nominal)[known], np.ix_(known, known)
-    region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
-    factor = np.linalg.cholesky(covariance[block])
-    # distances and deviations from nominal values, both whitened, by an error of the calibration
-    both_A = np.vstack([A, -np.linalg.solve(factor, by_error[known])])
-    both = np.append(remainder, np.linalg.solve(factor, deviation))
-    covariance[unseen, unseen] = np.inf
-    quantities = tuple(
-        replace(quantity, value=float(value), std=float(std), claimed=float(claim))
-        for quantity, value, std, claim in zip(
-            shape.quantities, values, *(np.sqrt(np.maximum(np.diag(each), 0.0))
-                                        for each in (covariance, claimed)), strict=True))
-
-    # the most likely error of the calibration
-    inverse = np.asarray(np.linalg.inv(both_A.T @ both_A + np.diag(LARGEST_ERROR ** -2.0)))
-    error = np.asarray(inverse @ both_A.T @ both, dtype=float)
-    left = float(((both - both_A @ error) ** 2).sum())
-    freedom_left = max(freedom + len(known) - 6, 1)
-    scale = max(left / freedom_left, 1.0)
+    # the most likely error of the calibration, by the distances and by the values with a nominal
+    A = np.vstack([at.remainder(G), -measured.by_error])
+    b = np.append(at.remainder(r), measured.deviation)
+    inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0)))
+    error = np.asarray(inverse @ A.T @ b, dtype=float)
+    left = float(((b - A @ error) ** 2).sum())
+    known = len(measured.deviation)
+    freedom = max(max(len(r) - len(q), 1) + known - 6, 1)
+    scale = max(left / freedom, 1.0)
     smallest_error, weakest_direction, along, along_std = _weakest(
-        both_A.T @ both_A, lever, error, mount_frame(config))
+        A.T @ A, lever, error, mount_frame(config))
     implied, implied_std = largest_displacement(lever, error, scale * inverse)
     unknowns = np.hstack([J, G])
     return Fit(
-        quantities=quantities, scatter=scatter, smallest_error=smallest_error,
-        weakest_direction=weakest_direction, along=along, along_std=along_std,
-        distances=distances,
+        quantities=measured.quantities, scatter=_scatter(at, C, distances),
+        smallest_error=smallest_error, weakest_direction=weakest_direction, along=along,
+        along_std=along_std, distances=distances,
         distance_std=np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]),
-        region=region, freedom=len(known),
-        claim_p=float(chi2_sf(region, len(known))) if len(known) else 1.0,
-        error=error, p_error=float(chi2_sf(left, freedom_left)),
-        p_no_error=float(chi2_sf((both @ both - left) / scale, 6)),
+        region=measured.region, freedom=known,
+        claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
+        error=error, p_error=float(chi2_sf(left, freedom)),
+        p_no_error=float(chi2_sf((b @ b - left) / scale, 6)),
         implied=implied, implied_std=implied_std, residuals=r,
         by_unknowns=unknowns * FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+
+
+def _scatter(at: _Whitened, C: Array, distances: Array) -> Scatter:
+    """Return whether distances (m,) agree with the noise and with what the calibration claims."""
+    root = root_of(C)
+    by_claim, rest = at.remainder(at.G) @ root, at.remainder(at.r)
+    explained = by_claim.T @ rest
+    square = rest @ rest - explained @ np.linalg.solve(np.eye(6) + by_claim.T @ by_claim,
+                                                       explained)
+    m, k = at.J.shape
+    expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), by_claim]), at.factors) if (
+        m <= MOST_DISTANCES) else math.nan
+    size = np.abs(distances)
+    return Scatter(m, float(size.mean()), float(size.std()), float(np.sqrt((size ** 2).mean())),
+                   float(size.max()), expected, float(chi2_sf(square, max(m - k, 1))))
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """
+    The measured values, and those with a nominal one.
+
+    region: as of Fit
+    deviation: (v,) from the nominal values, white; by_error: (v, 6) by the calibration's error
+    """
+
+    quantities: tuple[Quantity, ...]
+    region: float
+    deviation: Array
+    by_error: Array
+
+
+def _measured(shape: Shape, at: _Whitened, q: Array, C: Array, certificate: float) -> _Measured:
+    """Return the values of a shape q (k,); certificate: expanded uncertainty of nominal ones."""
+    values, F = shape.values(q), derivatives(shape.values, q)
+    by_error = F @ at.gain @ at.G
+    covariance, claimed = F @ at.gain @ at.gain.T @ F.T, by_error @ C @ by_error.T
+    unseen = np.abs(F - F @ at.gain @ at.J).max(axis=1, initial=0.0) > OPEN_CHANGE
+    nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
+    known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
+    covariance[known, known] += (certificate / COVERAGE_FACTOR) ** 2
+    deviation, block = (values - nominal)[known], np.ix_(known, known)
+    factor = np.linalg.cholesky(covariance[block])
+    region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+    covariance[unseen, unseen] = np.inf
+    stds, claims = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (covariance, claimed))
+    return _Measured(
+        tuple(replace(quantity, value=float(value), std=float(std), claimed=float(claim))
+              for quantity, value, std, claim in zip(shape.quantities, values, stds, claims,
+                                                     strict=True)),
+        region, np.linalg.solve(factor, deviation), np.linalg.solve(factor, by_error[known]))
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
