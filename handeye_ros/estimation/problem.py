@@ -135,11 +135,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Values g (m,) that should vanish, (1), and their derivatives by point and target."""
+    """Values g (m,) that should vanish, (1), and their derivatives by point and state."""
 
     g: Array
     dg_dp: Array
-    dg_dtarget: Array
+    dg_dstate: Array
 
 
 class Target(ABC):
@@ -398,7 +398,7 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Linear:
     """
-    Residuals (..., m) at an estimate, and their Jacobian (..., m, 6 + k) by X and target.
+    Residuals (..., m) at an estimate, and their Jacobian (..., m, 6 + k) by X and state.
 
     lever: (..., m, 3) from the sensor's origin to the points, in the mount; by_base: (..., m, 3)
     derivatives by the points in the base.
@@ -462,6 +462,6 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
     conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
     by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
-    jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dtarget],
+    jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dstate],
                               axis=-1)
     return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

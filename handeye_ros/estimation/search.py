@@ -233,7 +233,7 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
         # of few stations, many starts lead to the same estimate
         best = (order[different(states[0][order])] if problem.few else order)[:kept]
         states = tuple(values[best] for values in states)
-    return [Estimate(X, target) for X, target in zip(*states, strict=True)][:20]
+    return [Estimate(X, state) for X, state in zip(*states, strict=True)][:20]
 
 
 def different(X: Array) -> list[int]:

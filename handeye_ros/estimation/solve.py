@@ -188,10 +188,10 @@ class Solution:
                 delta[block.parameter] = (after - block.value)[0]
             elif block.pose_values is not None:
                 values[block.pose_values] = after
-        target = problem.target.retract(estimate.state, delta)
+        state = problem.target.retract(estimate.state, delta)
         if len(values):
             problem = problem.with_pose_values(values)
-        return linearise(problem, Estimate(estimate.X, target))
+        return linearise(problem, Estimate(estimate.X, state))
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""

@@ -325,7 +325,7 @@ def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None,
     Return the end of a plate before a drop, the further columns included.
 
     ground: the surface seen below, or None. The distance of a bent end from its edge is determined
-    later from all stations (see sampling/edge_shapes.py).
+    later from all samples (see sampling/edge_shapes.py).
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], further])
     u, v = end.outwards_and_below(plate)

@@ -21,7 +21,7 @@ from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
 SURE_EDGE = 1.5  # weight of a face with a sure edge
-# weight of a surface beside a nearer one: all stations should choose the same
+# weight of a surface beside a nearer one: all profiles should choose the same
 BEHIND_WEIGHT = 0.02
 WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
 HIDDEN_PER_HEIGHT = 0.4  # width that a nearer surface hides, over its height

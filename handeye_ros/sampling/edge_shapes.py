@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The common shape of the edges over all stations, and the edge points that follow from it."""
+"""The common shape of the edges over all samples, and the edge points that follow from it."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
     """
     Return the samples with edge points where the planes of face and wall intersect.
 
-    All stations share the shape of rounded or bevelled ends, but one profile shows it only
+    All samples share the shape of rounded or bevelled ends, but one profile shows it only
     roughly, or not at all if a bevel returns no light. So the shape that is likeliest for all ends
     together is used. Edges with a visible wall need no correction.
     """
@@ -45,7 +45,7 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def common_shape(samples: Sequence[Sample]) -> EdgeShape:
-    """Return the edge shape that all stations support, with one common radius where they agree."""
+    """Return the edge shape that all samples support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.kind != 'roof']
     if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARP_DEPTH:

@@ -139,10 +139,10 @@ def of_profiles(profiles: Sequence[Profile], config: Config
 
 def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:
     """
-    Return the features of a station from those of its profiles (one tuple each).
+    Return the features of a stop from those of its profiles (one tuple each).
 
     Features are matched by kind, place and facing direction; together: number of consecutive lines
-    that are used only together. Raises FeatureError when the profiles of the station do not agree.
+    that are used only together. Raises FeatureError when the profiles of the stop do not agree.
     """
     if len(found) == 1:
         return found[0]
@@ -258,7 +258,7 @@ def _near_median(values: Array, times: float, least: float, what: str) -> NDArra
 
 
 def _combined_arc(arcs: Sequence[Arc]) -> Arc:
-    """Return one arc from all points of the profiles of a station."""
+    """Return one arc from all points of the profiles of a stop."""
     centres = np.array([a.centre for a in arcs])
     middle = np.median([a.circle for a in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
