@@ -151,7 +151,8 @@ class Agreement:
 
     residual: from the answer
     left_out: from the answer without this sample
-    used: whether the answer uses it. Both are the same for a sample that it does not use.
+    used: whether the answer uses it. Both are the same for a sample that it does not use, and for
+        the only one that it uses.
     """
 
     residual: float
@@ -180,6 +181,8 @@ def agreements(answer: Answer, samples: Sequence[Sample], config: Config
     fold = np.unique(of_used, return_inverse=True)[1].reshape(-1)
     measured, *both = tested_points(used, solution, fold)
     residual, predicted = (rms_by(of_used[measured.station], r, n) for r in both)
+    if not fold.any():
+        predicted = residual.copy()
     others = [k for k in range(n) if not by_answer[k]]
     residual[others] = predicted[others] = _of_others(
         [samples[k] for k in others], answer.samples[0].offsets, solution, config)

@@ -117,6 +117,16 @@ def robot_scale(linear: Linear) -> Blocks:
                          origin=1.0)
 
 
+def by_smooth(by_pose: Array, smooth: Array) -> Array:
+    """
+    Return derivatives (m, 6 k) by a smooth error of the robot, of unit size.
+
+    by_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each.
+    """
+    by_each = by_pose / np.repeat([1.0, TURN_LENGTH], 3)
+    return np.asarray((by_each[:, :, None] * smooth[:, None]).reshape(len(by_pose), -1))
+
+
 def robot_smooth(linear: Linear) -> Blocks:
     """Yield the block of the robot's smooth errors, of position and rotation."""
     problem, size = linear.problem, linear.problem.config.noise.robot_smooth
@@ -125,8 +135,8 @@ def robot_smooth(linear: Linear) -> Blocks:
     n, smooth = len(problem.poses), problem.smooth
     axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
-    columns = (linear.by_pose @ axes)[:, :, None] * smooth[problem.observations.station][:, None]
-    yield ParameterBlock('robot_smooth', columns.reshape(len(columns), -1) * size, size, twists,
+    columns = by_smooth(linear.by_pose, smooth[problem.observations.station])
+    yield ParameterBlock('robot_smooth', columns * size, size, twists,
                          _motions_of_smooth, report='robot_position_error')
 
 

@@ -32,6 +32,7 @@ from handeye_ros.estimation.least_squares import (
     covariance_of,
     FREE_DIRECTION,
     inverse,
+    LARGEST_STD,
     left_out_of,
 )
 from handeye_ros.estimation.noise import (
@@ -435,7 +436,9 @@ class Solution:
                 left_out = left_out_of((J @ self.covariance @ J.T)[None], r[None])[0]
                 steps[k] = self.covariance @ (J.T @ left_out)
             else:
-                steps[k] = inverse(self.information - J.T @ J) @ (J.T @ r)
+                # what no other fold shows keeps a large, finite variance
+                rest = self.information - J.T @ J + np.eye(J.shape[1]) / LARGEST_STD ** 2
+                steps[k] = inverse(rest) @ (J.T @ r)
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 

@@ -136,6 +136,8 @@ class HandeyeNode(Node):
             text, success = answer.result() if isinstance(answer, Future) else answer, True
         except HandeyeError as error:
             text, success = str(error), False
+        except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
+            text, success = f'{name} failed: {error!r}; the log shows where', False
         if name == 'clear_samples' and success:
             self._streams.restart()
         text = with_trouble(self.state, text, success, name)

@@ -33,6 +33,7 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import DataError, InputError, mm
+from handeye_ros.estimation.blocks import by_smooth
 from handeye_ros.estimation.noise import covariances
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
@@ -191,7 +192,7 @@ class _Residuals:
     """
     Residuals r (m,), without a change r = errors @ e + n, and derivatives by (m, 6) of changes.
 
-    errors (m, k): of the calibration, e of unit covariance
+    errors (m, k): of the calibration and smooth ones of the robot, e of unit covariance
     noise (m, m): covariance of n, of blocks
     by: the change of target or sensor, or of the pose of the own stop, for robot
     lever: (m, 3) of the points from what target or sensor turns about
@@ -223,7 +224,7 @@ class _Comparison:
     calibrated: sensor plane in the mount, and target
     root (6 + k, 6 + k): R R' is their joint covariance
     middle (3,): of the points, about which the target turns
-    noise_scale: factor of the stated noise
+    noise_scale: factor of the stated noise; smooth: 1 sigma of the robot's smooth error (m)
     """
 
     problem: Problem
@@ -231,6 +232,7 @@ class _Comparison:
     root: Array
     middle: Array
     noise_scale: float
+    smooth: float
 
     def residuals(self, cause: str = '', move: Array = NO_MOVE) -> _Residuals:
         """Return the residuals after a move of the target or the sensor."""
@@ -250,9 +252,13 @@ class _Comparison:
         obs, out = problem.observations, out_of_face(linear) * problem.config.target.setback_std
         ends = np.unique(np.column_stack([obs.kind, obs.end])[obs.end > 0], axis=0)
         setbacks = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in ends]
+        # what all stops share was part of the calibration too
+        smooth = (problem.smooth - problem.smooth.mean(axis=0))[obs.station] * self.smooth
         lever = obs.in_base(problem.poses, at.X) - self.middle
         return _Residuals(
-            linear.residuals, np.column_stack([linear.jacobian @ self.root, *setbacks]), noise,
+            linear.residuals,
+            np.column_stack([linear.jacobian @ self.root, by_smooth(linear.by_pose, smooth),
+                             *setbacks]), noise,
             {'target': np.hstack([linear.by_base, se3.cross(lever, linear.by_base)]),
              'sensor': -linear.jacobian[:, :6], 'robot': linear.by_pose},
             {'target': lever, 'sensor': linear.lever})
@@ -277,12 +283,13 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
     noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
         config.noise.robot_translation, config.noise.distortion))
     problem = Problem(target, frames.mounted(samples, config), target.observe(samples),
-                      replace(config, noise=noise))
+                      replace(config, noise=noise), long_errors=True)
     require_stations([len(np.unique(problem.observations.station))], others)
     obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
     return _Comparison(problem, Estimate(X, state), root_of(covariance),
-                       problem.points_in_base(X).mean(axis=0), scale)
+                       problem.points_in_base(X).mean(axis=0), scale,
+                       float(calibration.target.get('robot_position_error', 0.0)))
 
 
 def _prior(scale: float) -> Array:

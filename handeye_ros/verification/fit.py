@@ -5,9 +5,10 @@ Fits a shape to measured points, and estimates the calibration error from the de
 
 The calibration is fixed, as it is in use. The parameters q of the shape minimise the distances
 r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of poses,
-r = J dq + G dX + n, where n has unit covariance. The error of q is -pinv(J) (G dX + n), and
-the residuals are M (G dX + n), M = I - J pinv(J). An error dX of the calibration enters through
-G: its claimed covariance C is never part of the measurement's own uncertainty.
+r = J dq + G dX + S s + n, where n and s, the smooth error of the robot, have unit covariance. The
+error of q is -pinv(J) (G dX + S s + n), and the residuals are M (G dX + S s + n),
+M = I - J pinv(J). An error dX of the calibration enters through G: its claimed covariance C is
+never part of the measurement's own uncertainty.
 """
 from __future__ import annotations
 
@@ -22,6 +23,8 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.estimation.basis import process_root
+from handeye_ros.estimation.blocks import by_smooth
 from handeye_ros.estimation.least_squares import (
     agreeing,
     as_they_are,
@@ -112,13 +115,9 @@ class StationSet:
         by_p: (m, 3) derivatives of the distances by the points. config.verify.aim is a further
         error of the position of each pose.
         """
-        obs, noise, p = self.observations, config.noise, self.points(X)
+        obs, noise = self.observations, config.noise
         by_feature = np.einsum('mi,ij,mjk->mk', self.in_mount(by_p), X[:3, [0, 2]], obs.noise)
-        # the robot's errors: in the axes of its base, and about the origin of its flange
-        by_shift, lever = ((by_p, p - self.poses[obs.station, :3, 3])
-                           if config.calibration_type == 'eye_in_hand' else
-                           (self.in_mount(by_p), self.in_mount(p)))
-        by_pose = np.hstack([by_shift, se3.cross(lever, by_shift)]) * np.repeat(
+        by_pose = self.by_pose(X, by_p, config) * np.repeat(
             [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
         covariances = []
         for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(self.row_groups)) + 1):
@@ -127,6 +126,20 @@ class StationSet:
                                + by_pose[rows] @ by_pose[rows].T
                                + LEAST_NOISE ** 2 * np.eye(len(rows)))
         return covariances
+
+    def by_pose(self, X: Array, by_p: Array, config: Config) -> Array:
+        """Return derivatives (m, 6) by pose errors: in the base, rotation about the flange."""
+        station, p = self.observations.station, self.points(X)
+        by_shift, lever = ((by_p, p - self.poses[station, :3, 3])
+                           if config.calibration_type == 'eye_in_hand' else
+                           (self.in_mount(by_p), self.in_mount(p)))
+        return np.hstack([by_shift, se3.cross(lever, by_shift)])
+
+    def by_smooth(self, X: Array, by_p: Array, config: Config) -> Array:
+        """Return derivatives (m, s) by the robot's smooth error of unit size (see basis.py)."""
+        in_hand = config.calibration_type == 'eye_in_hand'
+        smooth = process_root(self.poses if in_hand else se3.inverse(self.poses), long_errors=True)
+        return by_smooth(self.by_pose(X, by_p, config), smooth[self.observations.station])
 
     def of_groups(self, groups: Numbers) -> StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
@@ -282,17 +295,18 @@ class Fit:
 @dataclass(frozen=True, eq=False)
 class _Whitened:
     """
-    Distances at the best shape and their derivatives, white: r = J dq + G dX + n.
+    Distances at the best shape and their derivatives, white: r = J dq + E e + n.
 
     factors: Cholesky factors of the covariances of the groups' distances
-    r: (m,); J: (m, k) by the shape; G: (m, 6) by the calibration's error
+    r: (m,); J: (m, k) by the shape
+    E: (m, 6 + s) by the errors e: of the calibration, and the robot's smooth one (unit variance)
     gain: (k, m) the pseudo-inverse of J
     """
 
     factors: Sequence[Array]
     r: Array
     J: Array
-    G: Array
+    E: Array
     gain: Array
 
     def remainder(self, values: Array) -> Array:
@@ -300,12 +314,13 @@ class _Whitened:
         return np.asarray(values - self.J @ (self.gain @ values))
 
 
-def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
+def fit(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
     """
     Return the fit of a shape; raises InputError for an impossible covariance.
 
     X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; config.verify: the artefact,
-    with the uncertainty of its nominal values and of the aim of the laser at it.
+    with the uncertainty of its nominal values and of the aim of the laser at it; smooth: 1 sigma
+    (m) of the smooth error of the robot.
     """
     stations = shape.stations
     p = stations.points(X)
@@ -316,49 +331,61 @@ def fit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
         return [np.asarray(np.linalg.cholesky(S)) for S in covariances]
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
-    factors, distances = factors_at(q), shape.distance(p, q)
-    by_mount = stations.in_mount(shape.by_point(p, q))
-    r, J, G = (_white(factors, values) for values in (
-        distances, derivatives(partial(shape.distance, p), q),
-        np.hstack([by_mount, se3.cross(lever, by_mount)])))
-    at = _Whitened(factors, r, J, G, np.asarray(np.linalg.pinv(J), dtype=float))
-    measured = _measured(shape, at, q, C, config.verify.certificate)
+    factors, distances, by_p = factors_at(q), shape.distance(p, q), shape.by_point(p, q)
+    by_mount = stations.in_mount(by_p)
+    by_errors = np.hstack([by_mount, se3.cross(lever, by_mount), *(
+        [stations.by_smooth(X, by_p, config) * smooth] if smooth else [])])
+    r, J, E = (_white(factors, values) for values in (
+        distances, derivatives(partial(shape.distance, p), q), by_errors))
+    at = _Whitened(factors, r, J, E, np.asarray(np.linalg.pinv(J), dtype=float))
+    root = np.eye(E.shape[1])  # of the covariance of the errors
+    root[:6, :6] = root_of(C)
+    measured = _measured(shape, at, q, root, config.verify.certificate)
 
-    # the most likely error of the calibration, by the distances and by the values with a nominal
-    A = np.vstack([at.remainder(G), -measured.by_error])
+    # the most likely errors, by the distances and by the values with a nominal one
+    A = np.vstack([at.remainder(E), -measured.by_error])
     b = np.append(at.remainder(r), measured.deviation)
-    inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(LARGEST_ERROR ** -2.0)))
+    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(E.shape[1] - 6))
+    inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)))
     error = np.asarray(inverse @ A.T @ b, dtype=float)
-    left = float(((b - A @ error) ** 2).sum())
+    left, without = (_squares(A[:, first:], b, prior[first:]) for first in (0, 6))
+    left -= float(error[:6] ** 2 @ prior[:6])
     known = len(measured.deviation)
     freedom = max(max(len(r) - len(q), 1) + known - 6, 1)
     scale = max(left / freedom, 1.0)
+    of_calibration = inverse[:6, :6]
     smallest_error, weakest_direction, along, along_std = _weakest(
-        A.T @ A, lever, error, mount_frame(config))
-    implied, implied_std = largest_displacement(lever, error, scale * inverse)
-    unknowns = np.hstack([J, G])
+        np.linalg.inv(of_calibration) - np.diag(prior[:6]), lever, error[:6], mount_frame(config))
+    implied, implied_std = largest_displacement(lever, error[:6], scale * of_calibration)
+    unknowns = np.hstack([J, E[:, :6]])
+    unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
-        quantities=measured.quantities, scatter=_scatter(at, C, distances),
+        quantities=measured.quantities, scatter=_scatter(at, root, distances),
         smallest_error=smallest_error, weakest_direction=weakest_direction, along=along,
         along_std=along_std, distances=distances,
-        distance_std=np.concatenate([np.linalg.norm(factor, axis=1) for factor in factors]),
+        distance_std=np.hypot(np.concatenate([np.linalg.norm(factor, axis=1)
+                                              for factor in factors]),
+                              np.linalg.norm(by_errors[:, 6:], axis=1)),
         region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
-        error=error, p_error=float(chi2_sf(left, freedom)),
-        p_no_error=float(chi2_sf((b @ b - left) / scale, 6)),
+        error=error[:6], p_error=float(chi2_sf(left, freedom)),
+        p_no_error=float(chi2_sf((without - left) / scale, 6)),
         implied=implied, implied_std=implied_std, residuals=r,
-        by_unknowns=unknowns * FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300))
+        by_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
-def _scatter(at: _Whitened, C: Array, distances: Array) -> Scatter:
+def _squares(A: Array, b: Array, prior: Array) -> float:
+    """Return the least |b - A x|^2 + x' diag(prior) x."""
+    explained = A.T @ b
+    return float(b @ b - explained @ np.linalg.solve(A.T @ A + np.diag(prior), explained))
+
+
+def _scatter(at: _Whitened, root: Array, distances: Array) -> Scatter:
     """Return whether distances (m,) agree with the noise and with what the calibration claims."""
-    root = root_of(C)
-    by_claim, rest = at.remainder(at.G) @ root, at.remainder(at.r)
-    explained = by_claim.T @ rest
-    square = rest @ rest - explained @ np.linalg.solve(np.eye(6) + by_claim.T @ by_claim,
-                                                       explained)
+    by_error = at.remainder(at.E) @ root
+    square = _squares(by_error, at.remainder(at.r), np.ones(len(root)))
     m, k = at.J.shape
-    expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), by_claim]), at.factors) if (
+    expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), by_error]), at.factors) if (
         m <= MOST_DISTANCES) else math.nan
     size = np.abs(distances)
     return Scatter(m, float(size.mean()), float(size.std()), float(np.sqrt((size ** 2).mean())),
@@ -371,7 +398,7 @@ class _Measured:
     The measured values, and those with a nominal one.
 
     region: as of Fit
-    deviation: (v,) from the nominal values, white; by_error: (v, 6) by the calibration's error
+    deviation: (v,) from the nominal values, white; by_error: (v, 6 + s) by the errors
     """
 
     quantities: tuple[Quantity, ...]
@@ -380,17 +407,19 @@ class _Measured:
     by_error: Array
 
 
-def _measured(shape: Shape, at: _Whitened, q: Array, C: Array, certificate: float) -> _Measured:
+def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: float) -> _Measured:
     """Return the values of a shape q (k,); certificate: expanded uncertainty of nominal ones."""
     values, F = shape.values(q), derivatives(shape.values, q)
-    by_error = F @ at.gain @ at.G
-    covariance, claimed = F @ at.gain @ at.gain.T @ F.T, by_error @ C @ by_error.T
+    by_error = F @ at.gain @ at.E
+    by_claim, by_smooth = np.split(by_error @ root, [6], axis=1)
+    covariance, claimed = F @ at.gain @ at.gain.T @ F.T, by_claim @ by_claim.T
     unseen = np.abs(F - F @ at.gain @ at.J).max(axis=1, initial=0.0) > OPEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     covariance[known, known] += (certificate / COVERAGE_FACTOR) ** 2
     deviation, block = (values - nominal)[known], np.ix_(known, known)
-    factor = np.linalg.cholesky(covariance[block])
+    factor = np.linalg.cholesky(covariance[block])  # the smooth error is one of the errors
+    covariance += by_smooth @ by_smooth.T
     region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     covariance[unseen, unseen] = np.inf
     stds, claims = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (covariance, claimed))
@@ -429,10 +458,10 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
             abs(float(worst @ shift @ error)), std)
 
 
-def refit(shape: Shape, X: Array, C: Array, config: Config) -> Fit:
+def refit(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
-        result = fit(shape, X, C, config)
+        result = fit(shape, X, C, config, smooth)
         if not result.implied < LARGEST_SHIFT:
             break
         X = se3.perturb(X, -result.error)

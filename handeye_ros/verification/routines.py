@@ -57,9 +57,11 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     centred = p - middles[bag]
     frames = np.array([np.linalg.svd(centred[block[bag] == k], full_matrices=False)[2].T
                        for k in range(blocks)])
-    for k in range(blocks):  # upwards from the first of a block to the last
+    sensors = (stations.poses @ X)[:, :3, 3]
+    for k in range(blocks):  # upwards from the first of a block to the last; of one, to the sensor
         reach = (middles[block == k] - middles[block == k][0]) @ frames[k][:, 2]
-        frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or 1.0)
+        away = (sensors[block[stations.bags] == k].mean(axis=0) - middles[block == k][0])
+        frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or away @ frames[k][:, 2])
 
     def normals(q: Array) -> Array:
         tilt = q[:2 * blocks].reshape(blocks, 2)
@@ -72,7 +74,7 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     def values(q: Array) -> Array:
         n = normals(q)
         if bags == blocks == 2:
-            return np.array([np.arctan2(np.linalg.norm(np.cross(*n)), np.abs(n[0] @ n[1]))])
+            return np.array([np.arctan2(np.linalg.norm(np.cross(*n)), -(n[0] @ n[1]))])
         height = (middles * n).sum(axis=1) + q[2 * blocks:]
         return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
 

@@ -33,6 +33,7 @@ from handeye_ros.results.verification_file import (
 from handeye_ros.verification.fit import (
     agreeing_groups,
     COVERAGE_FACTOR,
+    DETECTION_SIGMAS,
     Fit,
     fit,
     Numbers,
@@ -140,15 +141,16 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ sensor_axes(config)
+    smooth = float(calibration.target.get('robot_position_error', 0.0))
 
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
-        found = fit(shape, X, calibration.covariance, config)
+        found = fit(shape, X, calibration.covariance, config, smooth)
         return (shape, found), found.residuals, found.by_unknowns, shape.stations.row_groups
 
     (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
     if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
-        freed = refit(shape, X, calibration.covariance, config)
+        freed = refit(shape, X, calibration.covariance, config, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
@@ -157,7 +159,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
                 'view (verify.near)')
     quantities = (*found.quantities, *routine.scatter(shape.stations, found.distances))
     per_station = _station_results(stations, shape.stations, found, p, left_out)
-    verdict, reasons = _decide(found, quantities, per_station, config.verify)
+    verdict, reasons = _decide(found, quantities, per_station, config.verify, smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
@@ -188,8 +190,14 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
 
 
 def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
-            limits: VerifyConfig) -> tuple[str, tuple[str, ...]]:
-    """Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences."""
+            limits: VerifyConfig, smooth: float) -> tuple[str, tuple[str, ...]]:
+    """
+    Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
+
+    smooth: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
+    """
+    hidden = (f': the smooth error of the robot that the calibration found ({mm(smooth)}) hides '
+              'less' if DETECTION_SIGMAS * smooth > limits.tolerance else '')
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     notes = _notes(fit, other_size, stations, limits)
     failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
@@ -205,8 +213,8 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
         elif decided == UNDECIDED:
             undecided.append(
                 f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
-                f'{formatted(tolerance, q.unit)}' + _or_measure(
-                    used, q.expanded, tolerance - abs(q.error), ':'))
+                f'{formatted(tolerance, q.unit)}' + (hidden or _or_measure(
+                    used, q.expanded, tolerance - abs(q.error), ':')))
     outside = [s for s in stations if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
                and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
     if outside:
@@ -223,9 +231,9 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     if fit.smallest_error > limits.tolerance:
         return 'insensitive', (
             f'an error of the calibration would show only from {mm(fit.smallest_error)} on '
-            f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}: turn the '
-            'sensor more between the stops' + _or_measure(
-                used, fit.smallest_error, limits.tolerance, ', or'), *notes)
+            f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}' + (
+                hidden or ': turn the sensor more between the stops' + _or_measure(
+                    used, fit.smallest_error, limits.tolerance, ', or')), *notes)
     undecided += [
         f'the points suggest an error of the calibration of {mm(size)} ± '
         f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the tolerance: '

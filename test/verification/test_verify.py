@@ -209,6 +209,53 @@ def test_of_an_artefact_on_the_flange_the_truth_lies_in_the_stated_region():
     assert inside >= 17  # fewer of a true 95 % region: p = 0.003
 
 
+def test_the_smooth_error_of_a_robot_is_part_of_the_uncertainty_and_blames_no_calibration():
+    size, verdicts, inside = 1.5e-4, {0.0: [], 1.5e-4: []}, {0.0: [], 1.5e-4: []}
+    for seed in range(8):
+        made, found = measured('point', seed)
+        rng = np.random.default_rng(seed)
+        wave, phase = rng.normal(0, 2.5, (8, 6, 6)), rng.uniform(0, 2 * np.pi, (8, 6))
+
+        def smooth(T, wave=wave, phase=phase):  # of another form than the fit assumes
+            at = np.append(T[:3, 3], 0.24 * T[:3, 2])
+            error = np.sin(wave @ at + phase).sum(axis=0) / 2
+            return se3.perturb(T, size * error / np.repeat([1.0, 0.3], 3))
+
+        made = replace(made, bags=tuple(
+            tuple(replace(s, T_base_flange=smooth(s.T_base_flange)) for s in bag)
+            for bag in made.bags))
+        for stated in verdicts:
+            try:
+                report = result('point', made, replace(found, target={
+                    'robot_position_error': stated}))
+            except DataError:  # not what "point" measures
+                verdicts[stated].append('refused')
+                continue
+            verdicts[stated].append(report.verdict)
+            inside[stated] += [abs(q.error) < 1.96 * np.hypot(q.std, q.claimed)
+                               for q in report.quantities if q.error is not None]
+            if stated and report.verdict == 'insensitive':
+                assert 'smooth error of the robot' in report.reasons[0]
+    assert np.mean(inside[size]) > 0.85 > 0.5 > np.mean(inside[0.0])
+    assert {*verdicts[size]} <= {'pass', 'undecided', 'insensitive'}
+    assert 'fail' in verdicts[0.0]
+
+
+def test_an_angle_of_more_than_90_degrees_is_told_from_one_of_less():
+    made, found = measured('square')
+    flat = [np.concatenate([se3.apply(
+        s.T_base_flange @ made.T_flange_sensor, np.insert(f.centre, 1, 0.0)[None])
+        for s in bag for f in s.features if isinstance(f, FaceLine)]) for bag in made.bags]
+    normals = [np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2][2] for p in flat]
+    turn = se3.exp_rotation(4e-3 * np.cross(*normals))
+    errors = []
+    for T in (se3.transform(turn, np.zeros(3)), se3.transform(turn.T, np.zeros(3))):
+        turned = tuple(replace(s, T_base_flange=T @ s.T_base_flange) for s in made.bags[0])
+        errors.append(result('square', replace(made, bags=(turned, made.bags[1])), found
+                             ).quantities[0].error)
+    assert sorted(errors) == pytest.approx([-4e-3, 4e-3], abs=3e-4)
+
+
 def test_what_cannot_be_verified_is_refused():
     made, found = measured('sphere')
     flat = with_features(made, lambda s: [FaceLine(
