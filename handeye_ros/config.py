@@ -461,8 +461,13 @@ def flatten(config: Config) -> dict[str, Any]:
     """Return the values of a configuration by dotted key, but those not set; tuples as lists."""
     values = {p.key: attrgetter(p.key)(config) for p in parameters()}
     values = {key: value for key, value in values.items() if value == value}  # not NOT_SET
-    values |= {f'{RECORD_PREFIX}{name}': text for name, text in config.record}
+    values |= recorded(config)
     return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
+
+
+def recorded(config: Config) -> dict[str, str]:
+    """Return the free texts of a configuration by dotted key."""
+    return {f'{RECORD_PREFIX}{name}': text for name, text in config.record}
 
 
 def with_values(config: Config, values: Mapping[str, Any], source: str = 'values') -> Config:

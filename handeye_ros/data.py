@@ -269,7 +269,7 @@ class Sample:
     """
     What a stop gives, or one profile of a moving robot: the features seen, and the pose.
 
-    stamp: of the first profile used
+    stamp: of the first profile used, of a pass of its middle one
     T_base_flange: (4, 4)
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for

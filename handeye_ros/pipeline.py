@@ -161,7 +161,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, agree = None, None, None, False
     try:
-        # 1. Use only edges whose shape is the same over all stops.
+        # 1. Move each edge to where face and wall meet, by the shape common to all stops.
         ordered = with_common_shape(ordered)
         # 2. Refuse what no solver can answer: the sensor's frame, too few samples, no rotation.
         require_distinct_frame(frame_id, config)

@@ -5,7 +5,7 @@ The same stops under one changed assumption, and the evidence for it.
 
 Every explanation is scored over the same stops by a measure that all share: the left-out residual
 of each stop, which pays for unknowns by itself (Geisser and Eddy 1979, JASA 74:153). With q_i the
-mean squared left-out residual of stop i, v the mean of those explained (at least 0.01) and m
+mean squared left-out residual of stop i, v the mean of those explained (0.01 to 64) and m
 conditions a stop, the deviance of an explanation is, (13),
 
     m sum_i min(log v + q_i / v, log 64 + 1)

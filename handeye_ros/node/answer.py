@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import pipeline
-from handeye_ros.config import Config, flatten
+from handeye_ros.config import Config, flatten, recorded
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.solve import Solution
@@ -106,7 +106,7 @@ class LiveAnswer:
         self.asked_with: dict[str, Any] | None = None
         self._solved: set[int] = set()  # numbers of the samples of the last answer
         self._saved: exports.Saved | None = None  # the files of this answer
-        self._wanted: tuple[Any, ...] = ()  # their folder, formats and times
+        self._wanted: tuple[Any, ...] = ()  # their folder, formats, record and times
 
     @property
     def withdrawn(self) -> bool:
@@ -131,11 +131,14 @@ class LiveAnswer:
                 f'the current {len(now)}')
 
     def required(self) -> Calibration:
-        """Return the answer under the name of its folder; raises DataError without one."""
+        """Return the answer with name and record of now; raises DataError without one."""
         if self.calibration is None:
             raise DataError('there is no calibration to save: call ~/compute_calibration first, '
                             'and check that it succeeds')
-        return replace(self.calibration, name=folder_name(self._live.config))
+        config, provenance = self._live.config, self.calibration.provenance
+        values = {**provenance['config'], **recorded(config)}
+        return replace(self.calibration, name=folder_name(config),
+                       provenance={**provenance, 'config': values})
 
     def objection(self, stop: Stop) -> str:
         """Return a sentence if the laser crosses an estimated edge at too small an angle."""
@@ -148,7 +151,7 @@ class LiveAnswer:
     def forget(self, why: str) -> None:
         """Begin anew with other samples."""
         self.review, self.asked_with = Review(advise((), self._live.config)), None
-        self.calibration, self.missing = None, why
+        self.seen, self.calibration, self.missing = np.zeros((0, 2)), None, why
 
     def compute_calibration(self) -> Future[str]:
         """
@@ -238,7 +241,8 @@ class LiveAnswer:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.required()
         live.store_rest()
-        wanted = folder, formats = live.folders.own(live.config), live.config.save.formats
+        folder, formats = live.folders.own(live.config), live.config.save.formats
+        wanted = folder, formats, live.config.record
         if self._saved and self._wanted == (*wanted, _times(self._saved)):
             text = f'saved already: {", ".join(map(str, self._saved.files))}'
         else:

@@ -453,7 +453,7 @@ class LiveSession:
             self.session.clear()
             self.early = None
             self.verification.end()
-        self.attempt, self.without_sample = None, {}
+        self.attempt, self.without_sample, self._overflowed = None, {}, 0
         self.answer.forget(why)
         return count
 

@@ -39,7 +39,7 @@ YAML = 'yaml'
 REPORT_FILE = 'report.html'
 HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after its time
 SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed '
-           'y, z, as in URDF.')
+           'axes x, y, z, as in URDF.')
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
 URDF_TEMPLATE = """\
 <?xml version="1.0"?>

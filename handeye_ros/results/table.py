@@ -177,11 +177,12 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _name(key: str) -> str:
     """Return the name for a key of the target."""
-    setback = re.fullmatch(r'setback(?:_([pq]))?_(\w+)', key)
+    setback = re.fullmatch(rf'setback_(\w+)_({"|".join(EDGE_KIND_NAMES)})', key)
     if not setback:
         return f'target {key.replace("_", " ")}'
     edge, kind = setback.groups()
-    return f'set-back of edge{f" {edge}" if edge else ""}, {EDGE_KIND_NAMES.get(kind, kind)}'
+    name = {'p': ' p', 'q': ' q', 'p_far': ' opposite p', 'q_far': ' opposite q'}.get(edge, '')
+    return f'set-back of edge{name}, {EDGE_KIND_NAMES[kind]}'
 
 
 def error_sentence(errors: Errors, over: str = 'the field of view') -> str:

@@ -76,7 +76,7 @@ def _blurred(shapes: Array) -> Array:
 
 
 def _radius(log_odds: Array) -> tuple[float, float]:
-    """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of RADII."""
+    """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of TRIED_RADII."""
     from scipy.interpolate import CubicSpline  # 0.09 s, only for round edges
     tried = np.log(TRIED_RADII[:, 0])
     logs = np.linspace(tried[0], tried[-1], 8 * len(log_odds))

@@ -282,8 +282,8 @@ class ProfileBuffer(Copyable):
     @property
     def warning(self) -> str:
         """Return a sentence with the number of dropped profiles, '' without any."""
-        return (f'dropped {self.dropped} profiles, the oldest of their stops: a stop may take '
-                f'{self._most / 1e6:.0f} MB') if self.dropped else ''
+        return (f'dropped {self.dropped} profiles, the oldest of those that wait: together these '
+                f'may take {self._most / 1e6:.0f} MB') if self.dropped else ''
 
     def add(self, profiles: Iterable[AnyProfile]) -> None:
         """Add the next profiles."""

@@ -159,8 +159,8 @@ class Scanner:
             cloud['intensity'] = (np.nan if profile.intensity is None
                                   else profile.intensity[keep])
         if self.options.std:
-            cloud['std'] = point_std(self.calibration, self.config.noise,
-                                     points @ axes[[0, 2]].T, pose_std)
+            in_mount = points @ (self.calibration.T_flange_sensor[:3, :3] @ axes).T
+            cloud['std'] = point_std(self.calibration, self.config.noise, in_mount, pose_std)
         return cloud
 
     def _within_limits(self, points: Array) -> NDArray[np.bool_]:
@@ -182,17 +182,17 @@ def _incidence(points: Array) -> Array:
     return np.asarray(np.arctan2(across, along))
 
 
-def point_std(calibration: Calibration, noise: NoiseConfig, points: Array, pose_std: Array
+def point_std(calibration: Calibration, noise: NoiseConfig, lever: Array, pose_std: Array
               ) -> Array:
     """
-    Return 1 sigma (n,) of points (n, 2) of the sensor plane in the base, as a length (m).
+    Return 1 sigma (n,) of measured points in the base, as a length (m).
 
+    lever: (n, 3) from the sensor to the points, in the axes of its mount (m).
     Its square is the mean squared length of the position's error, the trace of its covariance:
     of the calibration (6x6), of the range, of single poses (noise), and of the track of the poses
     (pose_std (2,), per axis, m and rad).
     """
     X, C = calibration.T_flange_sensor, calibration.covariance
-    lever = points @ X[:3, [0, 2]].T
     # E|dt + dr x l|^2 = tr(C_tt) + 2 l . E[dt x dr] + l' (tr(C_rr) I - C_rr) l
     twist = np.array([C[1, 5] - C[2, 4], C[2, 3] - C[0, 5], C[0, 4] - C[1, 3]])
     square = np.trace(C[:3, :3]) + 2 * lever @ twist + noise.sensor ** 2

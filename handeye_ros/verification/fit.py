@@ -408,7 +408,7 @@ class _Measured:
 
 
 def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: float) -> _Measured:
-    """Return the values of a shape q (k,); certificate: expanded uncertainty of nominal ones."""
+    """Return the values of a shape q (k,); certificate: U of nominal lengths."""
     values, F = shape.values(q), derivatives(shape.values, q)
     by_error = F @ at.gain @ at.E
     by_claim, by_smooth = np.split(by_error @ root, [6], axis=1)
@@ -416,7 +416,8 @@ def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: f
     unseen = np.abs(F - F @ at.gain @ at.J).max(axis=1, initial=0.0) > OPEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
-    covariance[known, known] += (certificate / COVERAGE_FACTOR) ** 2
+    is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
+    covariance[known, known] += is_length[known] * (certificate / COVERAGE_FACTOR) ** 2
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     factor = np.linalg.cholesky(covariance[block])  # the smooth error is one of the errors
     covariance += by_smooth @ by_smooth.T

@@ -40,7 +40,7 @@ import numpy as np
 SURE_CHANGE = 4.0  # sigmas of a change
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOST_SAMPLES = 60  # samples of a sweep
-# robust sigmas of a point that is left out; or that is
+# robust sigmas of a point that is left out, of one that is of another surface
 OUTLIER_SIGMAS, OTHER_SURFACE_SIGMAS = 4.0, 20.0
 GAUSS_NEWTON_STEPS, STEPS_WITH_ALL = 16, 6  # of which the first are with all points
 CORRELATION_TIME = 1_000_000_000  # ns, over which residuals are not independent

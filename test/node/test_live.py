@@ -18,6 +18,7 @@ import threading
 from cells import recorded, set_to, settings_of
 from command import PATIENCE, ROOT
 from handeye_ros import pipeline, se3
+from handeye_ros.bags.bag import read
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
@@ -126,11 +127,14 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
     assert all(shared) and len(shared) > 10
 
 
-def test_cleared_samples_leave_no_joint_values() -> None:
-    live = new()
-    live.add_joints(SPHERE.poses[0].stamp, b'')
-    live.ask(live.clear_samples)
-    assert not live.joints
+def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -> None:
+    live, wide = fed(), fed()
+    wide.answer.seen = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
+    wide.add_joints(SPHERE.poses[0].stamp, b'')
+    wide.ask(wide.clear_samples)
+    assert not wide.joints
+    feed(wide, [*SPHERE.poses, *SPHERE.profiles])
+    assert wide.answer.review.advice.sigmas == live.answer.review.advice.sigmas
 
 
 def test_settings_that_change_need_no_new_samples() -> None:
@@ -222,6 +226,18 @@ def test_cleared_and_refused_answers_are_withdrawn() -> None:
     assert 'cleared' in status['text'] and 'is not the answer' in status['text']
 
 
+def test_one_pass_alone_has_a_review() -> None:
+    config = set_to(Config(), sampling__mode='moving')
+    bag = read(ROOT / 'bags' / 'plate_sweep', config)
+    end = bag.poses[0].stamp + 23 * 10**8
+    live = fed(config, replace(SPHERE, profiles=tuple(p for p in bag.profiles if p.stamp < end),
+                               poses=tuple(p for p in bag.poses if p.stamp < end)))
+    live.ask(live.evaluate_all)
+    update(live)
+    assert [sample['taken'] for sample in state_of(live)['samples']] == [True]
+    assert not state_of(live)['review'] and not live.troubles
+
+
 def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     config = replace(SPHERE.config, output_dir=str(tmp_path))
     live, folder = fed(config), tmp_path / 'sphere'
@@ -233,6 +249,9 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
         live.answer.save_calibration()
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     assert not (folder / 'history').exists()
+    changed(live, record__operator='A. Nother')  # a text, of which no answer follows
+    live.answer.save_calibration()
+    assert 'A. Nother' in (folder / 'calibration.yaml').read_text()
     (folder / 'calibration.yaml').write_text('of another')
     assert live.answer.save_calibration().startswith('wrote ')
     assert (next((folder / 'history').glob('*/calibration.yaml'))).read_text() == 'of another'

@@ -116,7 +116,7 @@ def test_the_std_of_a_point_is_that_of_many_trials():
         p = X[:3, :3] @ (s + [0, 0, rng.normal() * 3e-5]) + X[:3, 3]
         trials.append(turn @ T[:3, :3] @ p + T[:3, 3] + rng.normal(size=3) * 4e-5)
     scatter = np.sqrt(np.var(trials, axis=0).sum())
-    result = point_std(cal, noise, point[None], np.zeros(2))[0]
+    result = point_std(cal, noise, (cal.T_flange_sensor[:3, :3] @ s)[None], np.zeros(2))[0]
     assert result == pytest.approx(scatter, rel=0.04)
 
 
