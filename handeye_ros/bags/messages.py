@@ -35,6 +35,7 @@ LENGTH_TOLERANCE = 1e-2  # of a quaternion's length
 # No line profiler measures this far (m): a larger coordinate is no return. If most are larger, or
 # with mm all are smaller than ALL_TOO_NEAR, the unit is wrong.
 LARGEST_COORDINATE = 10.0
+NO_RETURN = 1e9  # coordinates beyond it, such as the largest float, are those of no return
 ALL_TOO_NEAR = 1e-3
 LARGEST_THICKNESS = 2e-3  # m: largest distance of the points of a profile from its plane
 SMALLEST_TILT, LEAST_SLOPE = 2e-4, 0.01  # m, slope: less across the plane is no tilt of it
@@ -300,6 +301,7 @@ def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool
     out_of_plane = (cloud.column(across) if across in [field.name for field in cloud.fields]
                     else np.full(len(ranges), np.nan))
     points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
+    points[np.abs(points) > NO_RETURN] = np.nan
     x, z = points[:, 0], points[:, 1]
     with np.errstate(invalid='ignore'):
         good = (np.maximum(np.abs(x), np.abs(z)) <= LARGEST_COORDINATE) & ((x != 0) | (z != 0))

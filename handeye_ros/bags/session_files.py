@@ -189,7 +189,7 @@ class SessionFiles:
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
         """
         if self.path is None:
-            with writing('the folder of the session'):
+            with writing(f'a folder of the session in {self._parent(config)} (output_dir)'):
                 self.path, self._lock = self._begun(config)
         folder = self.path
         with writing(folder):

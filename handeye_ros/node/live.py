@@ -416,8 +416,10 @@ class LiveSession:
             note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
             self._put(self._stored(stop), over=True)
         except HandeyeError as error:
+            if error.reason == 'moving' and silence > POSES_SILENT:  # it did, long ago
+                error = silent_poses(silence)
             self.attempt = Attempt(str(error))
-            raise
+            raise error from None
         text = f'sample {stop.number} taken{note}: {sample_summary(stop.result)}'
         self.attempt = Attempt(text, stop)
         return text
@@ -488,6 +490,8 @@ class LiveSession:
             self.session.configure(config)
             if config.verify.routine != old.verify.routine:
                 self.verification.end()
+        if config.profile != old.profile:  # what could not be read may be readable now
+            self.messages['profile'].excuse()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
             self._stale = deque(stop.number for stop in self.session.stops)
         if self.files.path:

@@ -140,6 +140,8 @@ class HandeyeNode(Node):
             text, success = f'{name} failed: {error!r}; the log shows where', False
         if name == 'clear_samples' and success:
             self._streams.restart()
+            if self.live.config.samples.exclude:  # numbers begin again
+                self.set_values({'samples.exclude': []})
         text = with_trouble(self.state, text, success, name)
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()

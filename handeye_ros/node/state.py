@@ -67,6 +67,10 @@ class MessageCount:
         self.malformed, self.reason = self.malformed + 1, reason
         self._bad_in_a_row += 1
 
+    def excuse(self) -> None:
+        """Forget the invalid messages, as they were read with other settings."""
+        self.malformed, self.reason, self._bad_in_a_row = 0, '', 0
+
     @property
     def silence(self) -> float:
         """Return the seconds since the last valid message, or since the start."""
@@ -83,7 +87,8 @@ class MessageCount:
         sent = self.lost + bad + total
         if self.lost > BAD_SHARE * sent:
             sentences.append(f'{self.lost} of {sent} {self.kind}s were lost on their way: let '
-                             'the driver publish them reliably, or fewer or smaller ones')
+                             'the driver publish them reliably, with a queue for as many as come '
+                             'at once, or fewer or smaller ones')
         return '; '.join(sentences)
 
 
@@ -122,7 +127,8 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     conflict = str(session.conflict or '')
     if session.conflict and session.conflict.reason == 'two_frames':
         conflict += '; ~/clear_samples begins anew with the frame of now'
-    troubles = (trouble, conflict, late, _clocks(profiles, poses),
+    troubles = (trouble, conflict, late, str(session.unusable_poses or ''),
+                _clocks(profiles, poses),
                 session.unasked, *live.troubles)
     return {
         'name': folder_name(config),
@@ -157,15 +163,16 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     Return the message of a service with the current troubles.
 
     A silent stream is reported if it explains a refusal, and by take_sample. What is refused may
-    follow from a trouble, which is told first.
+    follow from a trouble, which is told first; where no message can be used, it does.
     """
-    streams = [stream['trouble'] for stream in (state['profiles'], state['poses'])
-               if (service == 'take_sample' or not success)
-               and (stream['count'] == 0 or stream['malformed'])]
-    trouble = '; '.join(filter(None, (*streams, state['session']['trouble'])))
+    streams = [state['profiles'], state['poses']]
+    told = [stream['trouble'] for stream in streams if service == 'take_sample' or (
+        not success and (stream['count'] == 0 or stream['malformed']))]
+    trouble = '; '.join(filter(None, (*told, state['session']['trouble'])))
     if trouble in text:
         return text
-    if text in trouble and not success:
+    unusable = any(stream['malformed'] and not stream['count'] for stream in streams)
+    if not success and (text in trouble or unusable):
         return trouble
     return f'{text}; {trouble}' if success else f'{trouble}; {text}'
 

@@ -91,7 +91,9 @@ def _no_profiles(stop: Stop, config: Config) -> FeatureError:
     return FeatureError(f'no profile has a stamp of the {(stop.end - stop.start) / NS:.1f} s '
                         'during which the robot stood still here: the sensor sent none, they '
                         'were dropped (the warnings say why), or its clock is not that of the '
-                        'robot', reason='no_profiles')
+                        'robot' + (', or time_offset was another when this was recorded: take '
+                                   'the sample again' if config.time_offset else ''),
+                        reason='no_profiles')
 
 
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:

@@ -15,7 +15,7 @@ import math
 
 from handeye_ros import se3, targets
 from handeye_ros.config import Config, UNNAMED_FRAME
-from handeye_ros.data import AnyProfile, NS, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, NS, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
@@ -34,6 +34,8 @@ import numpy as np
 
 SILENCE_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
+FEWEST_TILTED, TILT_REST = 6, 0.1  # stops that show a tilted plane; what it leaves unexplained
+MOST_REPEATS = 20  # of one stamp in a row: its clock stands still
 FARTHEST_FLANGE = 50.0  # m: no flange is there, it is another unit
 # of a stop without any profile, before it is said that it gives no sample
 NO_PROFILE_PATIENCE = 2 * NS
@@ -77,8 +79,9 @@ class Session(Copyable):
         self._closed: set[int] = set()  # beginnings of stops that are not returned (again)
         self._passed_by = 0  # stops in manual mode
         self._unseen = 0  # stops dropped while waiting for profiles
-        self._largest_position = 0.0
-        self._out_of_plane: list[float] = []  # of the first profile of each stop
+        self._reach = 0.0  # of the last pose (m)
+        # of the first profile of each stop: beside the plane, and means along the line and range
+        self._out_of_plane: list[Array] = []
         self._pose_stream: Stream[TimedPose] = Stream('pose')
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
 
@@ -94,8 +97,7 @@ class Session(Copyable):
 
     def _take_poses(self, poses: Sequence[TimedPose]) -> None:
         for pose in poses:
-            reach = math.hypot(*pose.translation)
-            self._largest_position = max(self._largest_position, reach)
+            self._reach = math.hypot(*pose.translation)
             stop = self._finder.add(pose)
             if stop and self._config.sampling.by_itself:
                 self._waiting.append(stop)
@@ -164,7 +166,9 @@ class Session(Copyable):
     def _with_profiles(self, stop: Stop) -> Stop:
         stop = stop.with_profiles(self._profiles.items, self._config)
         for profile in decoded(stop.profiles[:1], self._config):
-            self._out_of_plane.append(profile.out_of_plane)
+            if np.isfinite(profile.points).all(axis=1).any():
+                self._out_of_plane.append(np.append(profile.out_of_plane, np.nanmean(
+                    profile.points, axis=0)))
         return stop
 
     def is_closed(self, stop: Stop) -> bool:
@@ -179,8 +183,8 @@ class Session(Copyable):
         """
         Return the stop at which the robot stands now.
 
-        Raises InputError for two frames on a topic, and DataError without current poses
-        (reason no_poses, silent_poses, late_poses) or while the robot moves (moving).
+        Raises InputError for two frames on a topic, and DataError without current poses (reason
+        no_poses, silent_poses, late_poses, position_unit) or while the robot moves (moving).
         """
         self._require_one_frame()
         self._require_poses_now()
@@ -205,6 +209,8 @@ class Session(Copyable):
         poses = self._pose_stream
         if poses.frame is None:
             raise self._no_poses()
+        if self.unusable_poses:
+            raise self.unusable_poses
         if poses.late or poses.latest < 0:
             raise DataError('the poses come with older stamps than those before, so the robot '
                             'position is not known: if the clock was set, wait a second and take '
@@ -213,6 +219,19 @@ class Session(Copyable):
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(SILENCE_TIME, 5 * poses.period) < silence < LARGEST_STEP / NS:
             raise silent_poses(silence)
+
+    @property
+    def unusable_poses(self) -> DataError | None:
+        """Return the error of poses whose clock stands still, or in another unit, or None."""
+        if self._pose_stream.repeats >= MOST_REPEATS:
+            return DataError('all poses have the same stamp: the clock of their driver stands '
+                             'still; with use_sim_time, /clock must be published',
+                             reason='late_poses')
+        if self._reach > FARTHEST_FLANGE:
+            return DataError(f'the flange is {self._reach:.0f} m from the base of the robot: the '
+                             'positions seem to be in mm; publish them in metres',
+                             reason='position_unit')
+        return None
 
     def _no_poses(self) -> DataError:
         topic, keys = self._config.pose_origin
@@ -243,9 +262,8 @@ class Session(Copyable):
             raise self._no_poses()
         if self.unasked:
             raise DataError(self.unasked, reason='not_asked')
-        if self._largest_position > FARTHEST_FLANGE:
-            raise DataError(f'the flange positions reach {self._largest_position:.0f} m: they '
-                            'seem to be in mm; publish them in metres', reason='position_unit')
+        if self.unusable_poses:
+            raise self.unusable_poses
         if poses.period > sampling.max_pose_gap:
             raise DataError(f'the flange poses come only every {poses.period:.2g} s, more than '
                             f'sampling.max_pose_gap ({sampling.max_pose_gap:g} s): publish them '
@@ -264,7 +282,7 @@ class Session(Copyable):
         dropped = [self._profiles.warning] if self._profiles.warning else []
         if self._unseen:
             dropped.append(f'gave up {self._unseen} stops, the oldest that waited for profiles')
-        out_of_plane = float(np.abs(self._out_of_plane).max(initial=0.0))
+        out_of_plane = max((abs(float(seen[0])) for seen in self._out_of_plane), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self._config))
 
@@ -276,11 +294,11 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        if self._out_of_plane and np.ptp(self._out_of_plane) > SAME_PLANE:
+        if beside := _tilted(self._out_of_plane):
             along, across = self._config.profile.axes
             return InputError(
-                f'the profiles lie between {min(self._out_of_plane) * 1e3:.1f} and '
-                f'{max(self._out_of_plane) * 1e3:.1f} mm beside the plane of {along} and '
+                f'the profiles lie between {beside[0] * 1e3:.1f} and {beside[1] * 1e3:.1f} mm '
+                f'beside the plane of {along} and '
                 f'{across} in their frame, as in a light plane that is tilted against it: let the '
                 'driver publish them in a frame of the light plane; a static transform can hold '
                 'the tilt', reason='tilted_plane')
@@ -409,6 +427,21 @@ class Session(Copyable):
         self.last_number, self._profile_stream.frame = last_number, frame_id or None
         for stop in stops:
             self.put(stop)
+
+
+def _tilted(seen: Sequence[Array]) -> tuple[float, float] | None:
+    """
+    Return between which distances (m) profiles lie beside their plane, if this is a tilted one.
+
+    seen: distance beside the plane, and mean along the line and range, of a profile of each stop.
+    Of a tilted plane the first follows from the others; an encoder's position does not.
+    """
+    if len(seen) < FEWEST_TILTED or np.ptp([one[0] for one in seen]) < SAME_PLANE:
+        return None
+    y, *rest = np.transpose(seen)
+    by = np.column_stack([*rest, np.ones(len(y))])
+    off = y - by @ np.linalg.lstsq(by, y, rcond=None)[0]
+    return (float(y.min()), float(y.max())) if np.std(off) < TILT_REST * np.std(y) else None
 
 
 def silent_poses(seconds: float) -> DataError:

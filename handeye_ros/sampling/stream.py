@@ -58,6 +58,7 @@ class Stream(Copyable, Generic[Stamped]):
     latest: stamp of the last message passed on, -1 before the first
     count: number passed on
     late: whether the last received message was dropped because it is older than `latest`
+    repeats: how many last messages have its stamp too
     frame: of the first message, or of the majority if the first ones were strays
     set_back: by how much the clock was set back (ns), 0 if it was not
     """
@@ -72,6 +73,7 @@ class Stream(Copyable, Generic[Stamped]):
         self.latest = -1
         self.count = 0
         self.late = False
+        self.repeats = 0
         self.frame: str | None = None
         self.set_back = 0
         self._late_since = -1  # stamp of the first of consecutive late messages
@@ -124,10 +126,13 @@ class Stream(Copyable, Generic[Stamped]):
             self._held = None
             self._dropped['whose stamp lies far ahead of the next one'] += 1
         passed = self.released(0, item.stamp - 1)
-        self.late = item.stamp <= max(self.latest, self._held.stamp if self._held else -1)
-        if self.late:
+        newest = max(self.latest, self._held.stamp if self._held else -1)
+        self.late = item.stamp < newest
+        self.repeats = self.repeats + 1 if item.stamp == newest else 0
+        if item.stamp <= newest:
             self._dropped['whose stamp is not later than the one before'] += 1
-            self._note_late(item.stamp)
+            if self.late:
+                self._note_late(item.stamp)
         elif item.stamp - self.latest > LARGEST_STEP:
             self._held = item
         else:

@@ -13,7 +13,7 @@ from command import chromium, complaints, free_port, PATIENCE
 from handeye_ros.data import Calibration, Quality
 from handeye_ros.results import report, table
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
-from handeye_ros.results.report import Evidence
+from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.truth_file import true_transform
 import numpy as np
 import pytest
@@ -98,7 +98,7 @@ def calibrated(browser: Any, tmp_path: Path) -> int:
                                   '.map(r => [...r.cells].map(c => c.textContent))')
     # the page, the report and the command line say the same, figure by figure
     assert rows[:6] == [list(row) for row in table.transform_rows(found)]
-    text = report.html(found, Evidence(()))
+    text = report.html(found, SolvedRecording(()))
     assert all(figure in text for row in rows[:6] for figure in row[1:3])
     quality = found.quality
     assert rows[6:] == [['residual', f'{1e3 * quality.residual_rms:.3f}', '', 'mm'],

@@ -35,6 +35,7 @@ function element(name, content = '', className = '') {
 
 function show(state) {
   if (latest && state.profiles.count < latest.profiles.count) say('');  // another node
+  if (latest && latest.session.path && latest.session.path !== state.session.path) mine.clear();
   latest = state;
   heard = Date.now();
   if (refused !== null && refused !== situation(state)) say('');
@@ -242,8 +243,9 @@ function showSamples(state) {
 const lines = new Map();
 
 function sample(s, state, largest) {
-  if (!lines.has(s.number)) lines.set(s.number, newLine(s.number));
-  const { line, number, edge, tilt, time, fill, figure, why, button } = lines.get(s.number);
+  const key = s.number + ' ' + s.stamp;  // another session numbers from 1 again
+  if (!lines.has(key)) lines.set(key, newLine(s.number));
+  const { line, number, edge, tilt, time, fill, figure, why, button } = lines.get(key);
   line.className = s.excluded ? 'out' : '';
   number.textContent = s.number;
   edge.textContent = !s.taken ? 'no sample' : s.excluded ? 'left out' :
