@@ -92,10 +92,13 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     """
     Return the jobs of bags, folders of bags, and CSV lists; base: the common command.
 
-    Raises InputError for a list that cannot be read, DataError without a recording.
+    Raises InputError for a list that cannot be read and for labels that are no folders of their
+    own, DataError without a recording.
     """
     jobs: list[Job] = []
     for source in map(Path, sources):
+        if not source.exists():
+            raise InputError(f'{source} is not there: give bags, folders of bags, or a CSV list')
         if source.suffix == '.csv' and source.is_file():
             jobs += _listed(source, base)
         else:
@@ -109,6 +112,12 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         counts[job.label] += 1
         if counts[job.label] > 1:
             jobs[k] = replace(job, label=f'{job.label}-{counts[job.label]}')
+    labels = [Path(job.label) for job in jobs]
+    inside = {folder for label in labels for folder in label.parents}
+    for label in labels:  # results replace the folder of their label
+        if not label.parts or label in inside or label.is_absolute() or '..' in label.parts:
+            raise InputError(f'the label "{label}" is no folder of its own inside that of the '
+                             'results: give other labels in a CSV list (bag,label)')
     return jobs
 
 
@@ -117,13 +126,13 @@ def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
     files = list(map(Path, files_of(source)))
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
     if Path() in {*files, *folders}:
-        yield source, source.stem
+        yield source, source.resolve().stem
         return
     single = {file for file in files
               if file.name.endswith(SUFFIXES) and file.parent not in folders}
     for bag in sorted(folders | single):
         label = bag.with_name(bag.name.removesuffix('.zstd')).with_suffix('')
-        yield source / bag, str(source.name / label if several else label)
+        yield source / bag, str(source.resolve().name / label if several else label)
 
 
 def words_of(args: str, config: Path | str | None, settings: Iterable[str],
@@ -179,9 +188,13 @@ def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
 
     verb: runs the words of a command in a process, and returns its exit code; scheduler: its
     address, asked where there is something to compute. A worker that ends costs only its own
-    job. Raises InputError.
+    job. Raises InputError, also for a folder that is there but holds no result.
     """
     pending = []
+    for folder in (out / job.label for job in jobs):
+        if folder.exists() and not (folder / JOB_FILE).is_file():
+            raise InputError(f'{folder} is there and holds no result of batch, so it is not '
+                             'replaced: name another folder with --out')
     for job in jobs:
         if row := unchanged(job, out):
             yield row

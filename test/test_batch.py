@@ -114,9 +114,29 @@ def test_lists_name_their_recordings_relative_to_them(tmp_path):
         with pytest.raises(InputError, match=sentence):
             jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
     (tmp_path / 'empty').mkdir()
-    for source in ('empty', 'missing.csv'):
-        with pytest.raises(DataError, match='no recording'):
-            jobs_of([str(tmp_path / source)], SOLVE)
+    with pytest.raises(DataError, match='no recording'):
+        jobs_of([str(tmp_path / 'empty')], SOLVE)
+    with pytest.raises(InputError, match='is not there'):
+        jobs_of([str(tmp_path / 'missing.csv')], SOLVE)
+
+
+def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, monkeypatch):
+    (tmp_path / 'nights').mkdir()
+    (tmp_path / 'nights/plate.mcap').write_text('laser 1.0')
+    (tmp_path / 'nights/plate').mkdir()
+    (tmp_path / 'nights/plate/notes.txt').write_text('kept')
+    jobs = jobs_of([str(tmp_path / 'nights')], SOLVE)
+    with pytest.raises(InputError, match='holds no result of batch'):
+        list(rows_of(jobs, tmp_path / 'nights', pretended))
+    assert (tmp_path / 'nights/plate/notes.txt').read_text() == 'kept'
+    monkeypatch.chdir(tmp_path / 'nights')
+    assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
+    (tmp_path / 'nights/metadata.yaml').touch()
+    assert [job.label for job in jobs_of(['.'], SOLVE)] == ['nights']
+    for labels in (('../keep',), ('.',), (str(tmp_path),), ('a', 'a/b')):
+        (tmp_path / 'jobs.csv').write_text('bag,label\n' + ''.join(f'x,{a}\n' for a in labels))
+        with pytest.raises(InputError, match='no folder of its own'):
+            jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)
 
 
 @pytest.mark.thorough

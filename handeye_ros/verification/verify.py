@@ -201,6 +201,11 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     notes = _notes(fit, other_size, stations, limits)
     failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
+    contradict = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
+    if contradict:
+        undecided.append(f'{", ".join(contradict)} contradict the others under every possible '
+                         'calibration, and without them too little would be left: measure again')
+        notes = [*undecided, *notes]
     for q in quantities:
         if q.error is None:
             continue
@@ -242,7 +247,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANCE),
             (fit.along, fit.along_std, fit.along > NORMAL_95 * fit.along_std))
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
-    return 'undecided' if undecided else 'pass', (*undecided, *notes)
+    return 'undecided' if undecided else 'pass', tuple(dict.fromkeys((*undecided, *notes)))
 
 
 def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str:
@@ -257,10 +262,6 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
            limits: VerifyConfig) -> list[str]:
     """Return what a verdict must be read with, in sentences."""
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
-    kept = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
-    if kept:
-        notes.append(f'{", ".join(kept)} contradict the others under every possible calibration, '
-                     'and without them too little would be left: measure again')
     if fit.scatter.p < INCONSISTENT_P:
         notes.append('the points disagree by more than calibration, noise.sensor and '
                      f'noise.robot_* explain (p = {fit.scatter.p:.1g}): the calibration is worse '

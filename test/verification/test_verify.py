@@ -307,6 +307,14 @@ def test_passes_that_contradict_the_others_are_told():
                            for reason in judged.reasons)
 
 
+@pytest.mark.parametrize('seed', (1, 2, 3))
+def test_an_artefact_that_moved_halfway_does_not_pass(seed):
+    made, found = measured('line', seed)
+    moved = with_poses(made, {k: [3e-4, 3e-4, 3e-4, 0, 0, 0] for k in range(7, 14)})
+    report = result('line', moved, found)
+    assert report.verdict != 'pass' and 'contradict the others' in ' '.join(report.reasons)
+
+
 def test_of_points_without_noise_none_is_an_outlier():
     made = bench.tooth(np.random.default_rng(0), replace(bench.PLAIN, noise=0.0),
                        replace(bench.ROBOT, repeatability=(0.0, 0.0)))
