@@ -287,6 +287,9 @@ def test_what_lost_points_hold_does_not_matter() -> None:
         got = profile(layered(x, z, y))
         np.testing.assert_allclose(got.points, expected(LINE, LOST), rtol=1e-6)
         assert got.out_of_plane == pytest.approx(y[0])
+    for none in (1e30, np.finfo(np.float32).max, -np.inf):
+        half = np.where(np.arange(200) % 3 > 0, none, 0.2)
+        assert np.isnan(points(layered(LINE, half))[:, 1]).sum() == 133
     millimetres = np.where(np.arange(200) % 3 == 0, -327.68, 200.0)
     millimetres[1] = 0.0
     config = ProfileConfig(unit='mm', invalid=(0.0, -327.68), axes=('x', '-z'))

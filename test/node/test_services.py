@@ -112,7 +112,7 @@ def test_samples_by_hand_and_refusals(client: Client, node: subprocess.Popen[str
             ('take_sample', 'no flange pose was received on /flange_pose'),
             ('remove_last_sample', 'there is no sample to remove'),
             ('compute_calibration', 'no flange pose was received'),
-            ('save_calibration', 'there is no calibration to save'),
+            ('save_calibration', 'there is no calibration to save: call'),
             ('verify_result', 'no verification was started')):
         answer = client.call(service)
         assert (answer.success, reason in answer.message) == (False, True), answer.message
@@ -133,8 +133,14 @@ def test_samples_by_hand_and_refusals(client: Client, node: subprocess.Popen[str
     assert not few.success and 'needs at least' in few.message
     assert client.call('remove_last_sample').message.endswith('0 left')
     assert client.call('take_sample').success
+    assert set_parameter(client, 'samples.exclude', [1]).successful
     assert client.call('clear_samples').message.startswith('1 sample removed')
     assert client.state()['samples'] == '0'
+    stand_still(client, START + 100 * 10**9)  # numbers begin again, and none is excluded
+    client.until_counted(profiles=40, poses=40)
+    assert client.call('take_sample').message.startswith('sample 1 taken: ')
+    client.until(lambda: client.state()['samples'] == '1', 'it is told')
+    assert 'excluded' not in client.call('compute_calibration').message
 
 
 def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(

@@ -20,6 +20,7 @@ from streams import (
     BAD,
     collect,
     CONFIG,
+    GOOD,
     key,
     MANUAL,
     played,
@@ -43,6 +44,36 @@ def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
     assert len(session.samples) == 1 and session.samples[0].T_base_flange[0, 3] == 0
     kinds = [(w.split(' whose')[0], w.rsplit('(', 1)[1]) for w in session.warnings]
     assert kinds == [('dropped a pose', '4 times)'), ('dropped a profile', '1 times)')]
+
+
+def test_messages_that_come_twice_are_not_late_but_a_clock_that_stands_still_is_told() -> None:
+    session = Session(MANUAL)
+    for item in sorted([*stops((0, 1)), *profiles(0, 1)], key=lambda item: item.stamp):
+        add(session, item)
+        add(session, item)
+    assert session.late == () and taken(session, MANUAL).profiles > 5
+    for _ in range(20):
+        session.add_pose(pose(1.0))
+    with pytest.raises(DataError, match='clock of their driver stands still'):
+        taken(session, MANUAL)
+
+
+@pytest.mark.parametrize(('tilt', 'refused'), [(0.1, True), (0.0, False)])
+def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool) -> None:
+    spans, rng = [(3.0 * k, 3.0 * k + 1) for k in range(8)], np.random.default_rng(0)
+    seen = []
+    for start, end in spans:
+        height = rng.uniform(-0.01, 0.01)
+        beside = tilt * (np.nanmean(GOOD[:, 1]) + height) if tilt else 1e-3 * start
+        seen += [replace(p, points=p.points + [0.0, height], out_of_plane=beside)
+                 for p in profiles(start, end)]
+    session = played(stops(*spans), seen, finish=False)
+    if refused:
+        with pytest.raises(InputError, match='light plane that is tilted'):
+            session.finish()
+    else:
+        session.finish()
+        assert len(session.samples) == 8
 
 
 @pytest.mark.parametrize('config', [CONFIG, MANUAL])
