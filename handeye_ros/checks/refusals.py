@@ -28,6 +28,7 @@ FEWEST_REDUNDANT = 3  # redundant conditions needed, and as many for each droppe
 LARGEST_P_WRONG = 0.1  # largest probability that one of few samples is wrong
 # the same where several stations were dropped and similar surfaces may be confused
 SURELY_WRONG_P = 0.99
+STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 
 
@@ -212,10 +213,22 @@ def missing_motion(solution: Solution, config: Config) -> str:
 
 
 def require_edges(solution: Solution) -> None:
-    """Raise UnexplainedError for an answer that does not use most of the visible edges."""
+    """
+    Raise UnexplainedError for an answer that does not use most of the visible edges.
+
+    Also if those used scatter, as the ends of a floor beside the target do, and the residuals are
+    larger than the noise (m): of worn edges only the first is true.
+    """
     target = solution.whole.target
     if not target.essential:
         return
+    factor = solution.noise.variance_factors[1]
+    if factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
+        raise UnexplainedError(
+            f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '
+            'allow: check that the laser crosses the target alone, and no clamp, bar or second '
+            'plate beside it, profile.range_sign, and that the edges are straight and sharp',
+            reason='edges')
     used = int(solution.problem.shows_essential.sum())
     if used < target.minimum:
         raise UnexplainedError(

@@ -11,7 +11,7 @@ import re
 from cells import Cell, cell, settings_of, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.conventions import orientations_scatter
-from handeye_ros.config import Config, with_values
+from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, FaceLine, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import chi2_isf
@@ -204,6 +204,24 @@ def barred(scenario: Scenario) -> tuple[Solid, ...]:
             box((-0.06, -0.05, -0.015), (-0.02, 0.25, -0.005)))
     ground = box((-0.3, -0.3, -0.02), (0.5, 0.5, -0.015))
     return (*scenes.SCENES['plate'].solids(scenario), *bars, ground)
+
+
+def railed(scenario: Scenario) -> tuple[Solid, ...]:
+    """Return a plate with a rail 15 mm beside one edge, on a floor."""
+    return (*scenes.SCENES['plate'].solids(scenario),
+            box((-0.05, -0.055, -0.015), (0.25, -0.015, 0.01)),
+            box((-0.3, -0.3, -0.02), (0.5, 0.5, -0.015)))
+
+
+@pytest.mark.thorough
+def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the wrong sign the floor between rail and plate is a face, off by centimetres."""
+    monkeypatch.setitem(scenes.SCENES, 'railed', replace(scenes.SCENES['plate'], solids=railed))
+    scenario = replace(SCENARIOS['plate'], stations=(14, 14), scene='railed')
+    made = simulate(scenario, np.random.default_rng(1))
+    config = flipped_range(with_values(Config(), settings(scenario) | {'target.type': 'plate'}))
+    with pytest.raises(DataError, match='edges of the target scatter'):
+        pipeline.calibrate(made.profiles, made.poses, config)
 
 
 def clamped(scenario: Scenario, height: float) -> tuple[Solid, ...]:
