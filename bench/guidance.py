@@ -44,7 +44,12 @@ from handeye_ros.config import Config
 from handeye_ros.data import EdgePoint, Feature, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import refined, robust_solution, with_blocks, without_outliers
+from handeye_ros.estimation.search import (
+    refined_robustly,
+    robust_solution,
+    with_all_blocks,
+    without_outliers,
+)
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mounted
 from handeye_ros.guidance.advice import advise, turn_and_tilt
@@ -374,9 +379,9 @@ def solved(cell: World) -> Solution | None:
     problem = Problem(target, mounted(samples, cell.config), target.observe(samples),
                       cell.config)
     try:
-        agreed = (without_outliers(refined(problem, cell.last.estimate)) if cell.last else
+        agreed = (without_outliers(refined_robustly(problem, cell.last.estimate)) if cell.last else
                   robust_solution(problem, np.random.default_rng(0), True))
-        found = with_blocks(agreed)
+        found = with_all_blocks(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
     std = mapped_points(found.estimate.X, cell.view).std(found.reported[:6, :6])

@@ -49,7 +49,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.estimation.search import robust_solution, with_blocks
+from handeye_ros.estimation.search import robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mounted
 from handeye_ros.sampling.edge_shapes import with_common_shape
@@ -180,7 +180,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
         # lengths of the target where they are stated wrongly. Refuse clocks that jumped, and
         # scales that differ.
-        solution = with_free_size_if_needed(with_blocks(solution))
+        solution = with_free_size_if_needed(with_all_blocks(solution))
         require_steady_clocks(solution)
         require_one_scale(solution)
         agree = True

@@ -15,7 +15,7 @@ from handeye_ros.data import Array
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-SMALLEST_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
+TINY_ANGLE = 1e-30  # rad: keeps sin(a) / a defined
 
 
 def transform(rotation: Array, translation: Array) -> Array:
@@ -47,7 +47,7 @@ def exp_rotation(vector: Array) -> Array:
     """
     if vector.ndim == 1:
         return _exp_rotation_of(*vector.tolist())
-    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None] + SMALLEST_ANGLE
+    angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None] + TINY_ANGLE
     S = skew(vector)
     half = 2 * np.sin(angle / 2) / angle
     return cast(Array, np.eye(3) + np.sin(angle) / angle * S + 0.5 * half * half * (S @ S))
@@ -55,7 +55,7 @@ def exp_rotation(vector: Array) -> Array:
 
 def _exp_rotation_of(x: float, y: float, z: float) -> Array:
     """Return the (3, 3) rotation of one vector: plain numbers are quicker than small arrays."""
-    angle = math.sqrt(x * x + y * y + z * z) + SMALLEST_ANGLE
+    angle = math.sqrt(x * x + y * y + z * z) + TINY_ANGLE
     a, half = math.sin(angle) / angle, math.sin(angle / 2) / angle
     b = 2 * half * half
     xx, yy, zz, xy, xz, yz = b * x * x, b * y * y, b * z * z, b * x * y, b * x * z, b * y * z

@@ -15,9 +15,9 @@ from functools import partial
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
     Explanation,
-    fit_of,
+    explanation_of,
     Hypothesis,
-    refitted,
+    problem_explanation,
     refuse_better,
 )
 from handeye_ros.data import Array, Sample
@@ -48,9 +48,10 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
 
     def refit(T: Array) -> Explanation:
         if trajectory is None:
-            return refitted(replace(problem, poses=in_mount(T, problem.config)))
+            return problem_explanation(replace(problem, poses=in_mount(T, problem.config)))
         moved = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-        return fit_of([replace(sample, trajectory=moved) for sample in samples], problem.config)
+        return explanation_of([replace(sample, trajectory=moved) for sample in samples],
+                              problem.config)
 
     def undone(name: str, T: Array, advice: str) -> Hypothesis:
         """Return the hypothesis that T (n, 4, 4) are the poses without an error."""

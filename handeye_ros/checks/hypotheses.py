@@ -129,7 +129,7 @@ def _squares(found: Solution) -> Array:
     return q
 
 
-def refitted(problem: Problem, all_starts: bool = False) -> Explanation:
+def problem_explanation(problem: Problem, all_starts: bool = False) -> Explanation:
     """
     Return the fit of a problem whose stations are all the stops.
 
@@ -140,13 +140,13 @@ def refitted(problem: Problem, all_starts: bool = False) -> Explanation:
     return Explanation.of(found) if found else Explanation.nothing(len(problem.poses))
 
 
-def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts: bool = False,
-           clocks: bool = True) -> Explanation:
+def explanation_of(results: Sequence[Sample | Reject | None], config: Config,
+                   all_starts: bool = False, clocks: bool = True) -> Explanation:
     """
     Return the fit of what stops gave.
 
-    results: of each of the stops that are compared; all_starts: see refitted; clocks: of a sweep,
-    search them anew, as these results show them.
+    results: of each of the stops that are compared; all_starts: see problem_explanation; clocks:
+    of a sweep, search them anew, as these results show them.
     """
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
@@ -155,7 +155,7 @@ def fit_of(results: Sequence[Sample | Reject | None], config: Config, all_starts
         return every
     if clocks:
         ordered = synchronised(ordered, config).samples
-    fit = refitted(problem_at_poses(ordered, config), all_starts)
+    fit = problem_explanation(problem_at_poses(ordered, config), all_starts)
     every.q[:, [number[sample.stamp] for sample in ordered]] = fit.q
     return replace(every, parts=fit.parts)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, refitted
+from handeye_ros.checks.hypotheses import Explanation, Hypothesis, problem_explanation
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import covariance_of
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_blocks
+from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount
 from handeye_ros.notes import CONTRADICTION_SIGMAS, parameters, PLATE_LENGTHS
@@ -54,8 +54,9 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     if not config.target.size or stated >= FREED_SIZE:
         return agreed
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
-    other = with_blocks(replace(agreed, whole=replace(agreed.whole, config=free), linear=replace(
-        agreed.linear, problem=replace(problem, config=free))))
+    other = with_all_blocks(replace(
+        agreed, whole=replace(agreed.whole, config=free),
+        linear=replace(agreed.linear, problem=replace(problem, config=free))))
     found, before = (parameters(one.conservative) for one in (other, agreed))
     lengths = [found[name] for name in PLATE_LENGTHS if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
@@ -90,7 +91,7 @@ def other_scale(agreed: Solution) -> list[Hypothesis]:
     T[:, :3, 3] /= 1 + scale
 
     def refit() -> Explanation:
-        fit = refitted(replace(problem, poses=in_mount(T, problem.config)))
+        fit = problem_explanation(replace(problem, poses=in_mount(T, problem.config)))
         most = fit.variance_factor < 0.5 * agreed.variance_factor
         return fit if most else Explanation.nothing(len(T))
     return [Hypothesis(refit, lambda fit: _scales_differ(

@@ -89,16 +89,16 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
     where the evidence is decisive.
     """
-    n, reported, config = len(agreed.used), agreed.conservative, agreed.whole.config
+    n, conservative, config = len(agreed.used), agreed.conservative, agreed.whole.config
     if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
         return agreed, ''
-    few = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
-    changes = np.unique(np.linspace(few, n - few, MOST_CHANGES).round().astype(int))
-    first = _Steps.of(reported, changes).gains()
+    margin = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
+    changes = np.unique(np.linspace(margin, n - margin, MOST_CHANGES).round().astype(int))
+    first = _Steps.of(conservative, changes).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
     kind, k, moved = _likeliest(agreed, changes, first)
-    unmoved = reestimated(reported)
+    unmoved = reestimated(conservative)
     evidence = unmoved.deviance - moved.deviance
     shift, turn, size = _size(moved, kind)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
@@ -132,10 +132,11 @@ def _likeliest(agreed: Solution, changes: NDArray[np.intp], first: Array
 
     first: (2, k) gains of moves with the noise as it is without one.
     """
-    reported, tried = agreed.conservative, dict[tuple[int, int], Solution]()
+    conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
     for kind, gains in enumerate(first):
         while (one := (kind, int(np.argmax(gains)))) not in tried:
-            tried[one] = reestimated(reported, _blocks(reported, kind, int(changes[one[1]])))
+            further = _blocks(conservative, kind, int(changes[one[1]]))
+            tried[one] = reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
             gains = _steps_at(agreed, tried[one], changes).gains()[kind]
     (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)

@@ -14,7 +14,7 @@ from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import Explanation, fit_of, Hypothesis, refuse_better
+from handeye_ros.checks.hypotheses import Explanation, explanation_of, Hypothesis, refuse_better
 from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
@@ -37,7 +37,7 @@ def require_settings(session: Session, config: Config) -> None:
     seen = with_common_shape([r for r in results if isinstance(r, Sample)])
     with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
-    stated = fit_of(results, config, all_starts=True)  # as a solve starts
+    stated = explanation_of(results, config, all_starts=True)  # as a solve starts
 
     def refit(values: dict[str, str]) -> Explanation:
         """Return the fit of the stops, read with other values of settings."""
@@ -46,7 +46,7 @@ def require_settings(session: Session, config: Config) -> None:
                   for stop in stops]
         if 2 * sum(isinstance(result, Sample) for result in glance) < len(stops):
             return Explanation.nothing(len(stops))  # most show nothing: read no more of them
-        fit = fit_of([result_of(stop, as_changed) for stop in stops], as_changed)
+        fit = explanation_of([result_of(stop, as_changed) for stop in stops], as_changed)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
             fit = replace(fit, q=np.where(edges, np.inf, fit.q))
         return fit if _within_noise(fit) else Explanation.nothing(len(stops))
@@ -92,7 +92,8 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
             f'the noise allows: check {RANGE_SIGN}, and that every sample shows the target itself '
             'and no clamp or second plate', reason='misfit')
 
-    refuse_better(stated, [Hypothesis(partial(fit_of, others, flipped, clocks=clocks), refusal)])
+    refuse_better(stated, [Hypothesis(
+        partial(explanation_of, others, flipped, clocks=clocks), refusal)])
 
 
 def _within_noise(fit: Explanation) -> bool:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from handeye_ros.checks.hypotheses import fit_of
+from handeye_ros.checks.hypotheses import explanation_of
 from handeye_ros.checks.settings import changed, thinned
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Sample
@@ -56,8 +56,8 @@ def require_one_surface(session: Session, config: Config) -> None:
         return
     taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
     as_plane = changed(config, {'target.type': 'plane'})
-    fit = fit_of([result_of(thinned(stop, config), as_plane) for stop in taken],
-                 as_plane, all_starts=True)
+    fit = explanation_of([result_of(thinned(stop, config), as_plane) for stop in taken],
+                         as_plane, all_starts=True)
     if not fit.believable:
         return
     estimate, seen = fit.parts[0].estimate, np.isfinite(fit.q[0])
@@ -68,8 +68,8 @@ def require_one_surface(session: Session, config: Config) -> None:
     beside = np.abs(heights) > SMALLEST_DISTANCE
     if (beside & seen).sum() < FEWEST_STOPS:
         return
-    others = fit_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
-                     if other], config, all_starts=True)
+    others = explanation_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
+                             if other], config, all_starts=True)
     if others.agrees:  # as few as they may be: it is the plane that tells the surfaces apart
         raise OtherSurfaceError([taken[k] for k in np.flatnonzero(beside)],
                                 float(np.median(np.abs(heights[beside]))), int(seen.sum()),

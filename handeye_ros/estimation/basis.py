@@ -141,7 +141,7 @@ def pose_features(poses: Array) -> Array:
     return np.concatenate([poses[:, :3, 3] / POSITION_LENGTH, vectors / ROTATION_LENGTH], axis=1)
 
 
-def process_root(poses: Array, long_errors: bool = False) -> Array:
+def smooth_basis(poses: Array, long_errors: bool = False) -> Array:
     """
     Return a square root (n, k) of the kernel at poses (n, 4, 4): k <= 24 basis functions.
 
@@ -151,7 +151,7 @@ def process_root(poses: Array, long_errors: bool = False) -> Array:
     return _root(features, farthest_points(features, 24), long_errors)
 
 
-def process_in_time(times: Array) -> Array:
+def smooth_basis_in_time(times: Array) -> Array:
     """Return a square root (n, k) of the kernel at times (n,) in s, k <= 48."""
     count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)

@@ -29,7 +29,7 @@ SURE_ODDS = 100.0  # posterior odds of one station being wrong, from which it is
 SMALLEST_P = 0.2  # p-value of the other squares below which more than one is wrong
 
 
-def contaminated(solution: Solution, dropped: int) -> Solution:
+def with_contamination(solution: Solution, dropped: int) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self, TYPE_CHECKING
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
-from handeye_ros.estimation.basis import process_root
+from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import groups
 import numpy as np
 from numpy.typing import NDArray
@@ -333,7 +333,7 @@ class Problem:
         return self.target.ambiguous(self.observations)
 
     @property
-    def few(self) -> bool:
+    def needs_more_starts(self) -> bool:
         """Return whether the problem may have several solutions and needs more starts."""
         return len(self.poses) <= 12
 
@@ -350,7 +350,7 @@ class Problem:
     @cached_property
     def smooth(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
-        return process_root(self.robot_poses, self.long_errors)
+        return smooth_basis(self.robot_poses, self.long_errors)
 
     @property
     def tolerances(self) -> Array:

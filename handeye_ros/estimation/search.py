@@ -19,7 +19,7 @@ from itertools import chain, islice
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.covariance import contaminated
+from handeye_ros.estimation.covariance import with_contamination
 from handeye_ros.estimation.least_squares import (
     agreeing,
     graduated,
@@ -61,12 +61,12 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     only start to use, if given.
     """
     if start is not None:
-        return without_outliers(refined(problem, start))
+        return without_outliers(refined_robustly(problem, start))
     starts = chain(problem.target.guess(problem, rng),
                    subset_starts(problem, SUBSET_COUNT * subsets, rng))
-    best = refined(problem, next(starts))
+    best = refined_robustly(problem, next(starts))
     while not accepted(best) and (other := next(starts, None)):
-        best = min(best, refined(problem, other), key=loss)
+        best = min(best, refined_robustly(problem, other), key=loss)
     return without_outliers(best)
 
 
@@ -74,7 +74,7 @@ def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits."""
     try:
         for start in islice(problem.target.guess(problem, np.random.default_rng(0)), 2):
-            trial = refined(problem, start)
+            trial = refined_robustly(problem, start)
             if misfit(trial) < LARGEST_SQUARE:
                 return without_outliers(trial)
     except (HandeyeError, np.linalg.LinAlgError):
@@ -93,7 +93,7 @@ def without_outliers(solution: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(used)
-        return solution_at(part, fit(part, (before or near).estimate), LUMPED)
+        return solution_at(part, best_estimate(part, (before or near).estimate), LUMPED)
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
@@ -105,7 +105,7 @@ def without_outliers(solution: Solution) -> Solution:
     return replace(solution, whole=whole, used=used, dropped=gross | dropped)
 
 
-def with_blocks(solution: Solution) -> Solution:
+def with_all_blocks(solution: Solution) -> Solution:
     """
     Return the solution with all nuisance blocks, outliers dropped.
 
@@ -121,7 +121,7 @@ def with_blocks(solution: Solution) -> Solution:
             found = before.conservative  # a few of very many hardly move the solution
             start, noise = found.estimate, found.noise
             part = part.with_pose_values(found.problem.pose_values)
-        return contaminated(map_solution(part, start, noise), len(whole.poses) - len(used))
+        return with_contamination(map_solution(part, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = agreeing(
         near.used, len(whole.poses), whole.target.minimum, fitted,
@@ -129,7 +129,7 @@ def with_blocks(solution: Solution) -> Solution:
     return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
 
 
-def refined(problem: Problem, estimate: Estimate) -> Solution:
+def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
     """Return the solution that graduated non-convexity reaches from a start."""
     def refit(at: Linear, weights: Array) -> Linear:
         before = at.problem
@@ -227,11 +227,11 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.state for start in starts]))
     for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # iterations, and starts kept after them
-        kept = max(more * kept, 6 if problem.few else 0)
+        kept = max(more * kept, 6 if problem.needs_more_starts else 0)
         states, cost = many_least_squares(linear, retract, states, iterations)
         order = np.argsort(cost, kind='stable')
         # of few stations, many starts lead to the same estimate
-        best = (order[different(states[0][order])] if problem.few else order)[:kept]
+        best = (order[different(states[0][order])] if problem.needs_more_starts else order)[:kept]
         states = tuple(values[best] for values in states)
     return [Estimate(X, state) for X, state in zip(*states, strict=True)][:20]
 
@@ -269,6 +269,6 @@ def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
     return System(rows, retracted, problem.observations.station)
 
 
-def fit(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
+def best_estimate(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
     return _system(problem, noise).least_squares(linearise(problem, start)).estimate

@@ -96,13 +96,13 @@ class Advice:
 
 @single_threaded
 def advise(samples: Sequence[Sample], config: Config, found: Answer | None = None,
-           seen: Array | None = None, refused: Sequence[Array] = ()) -> Advice:
+           seen: Array | None = None, without_sample: Sequence[Array] = ()) -> Advice:
     """
     Return what to do next after samples, in the order of their stamps.
 
     found: their answer, None where there are no samples; seen: points (n, 2) of profiles, from
-    which the field of view is learnt; refused: poses of the flange (4, 4) at which stops gave no
-    sample. The limits of guidance.* are relative to the first sample.
+    which the field of view is learnt; without_sample: poses of the flange (4, 4) at which stops
+    gave no sample. The limits of guidance.* are relative to the first sample.
     """
     target = targets.target_for(config)
     what, sweeping = noun(target), config.sampling.moving
@@ -127,7 +127,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     proposal = None
     if not sweeping:
         surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
-        proposal = propose(solution, samples, config, surely, mapped, refused)
+        proposal = propose(solution, samples, config, surely, mapped, without_sample)
     enough, why = judged(sigmas, proposal.std if proposal else None, largest_cause(solution),
                          len(samples))
     if enough and found.refusal:

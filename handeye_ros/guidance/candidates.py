@@ -53,12 +53,12 @@ class Proposal:
 
 
 def propose(solution: Solution, samples: Sequence[Sample], config: Config, view: View,
-            mapped: MappedPoints, refused: Sequence[Array] = ()) -> Proposal | None:
+            mapped: MappedPoints, without_sample: Sequence[Array] = ()) -> Proposal | None:
     """
     Return the pose that helps most, None if none keeps the target in view.
 
-    The limits of guidance.* are relative to the first of samples; refused: poses of the flange
-    (4, 4) at which stops gave no sample.
+    The limits of guidance.* are relative to the first of samples; without_sample: poses of the
+    flange (4, 4) at which stops gave no sample.
     """
     rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
     taken = np.array([sample.T_base_flange for sample in samples])
@@ -68,7 +68,7 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
         sensors, places = _drawn(template.poses[0] @ X, in_mount(taken[0], config) @ X,
                                  anchor_of(template, 0), view, config, rng)
         poses = sensors @ se3.inverse(X)
-        allowed = _allowed(in_mount(poses, config), taken, refused, config)
+        allowed = _allowed(in_mount(poses, config), taken, without_sample, config)
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
@@ -125,13 +125,13 @@ def _drawn(T: Array, first: Array, anchor: Array, view: View, config: Config,
     return se3.transform(R, spot - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
 
 
-def _allowed(flange: Array, taken: Array, refused: Sequence[Array], config: Config
+def _allowed(flange: Array, taken: Array, without_sample: Sequence[Array], config: Config
              ) -> NDArray[np.bool_]:
     """Return which poses (n, 4, 4) of the flange are within reach and unlike those visited."""
     sampling = config.sampling
     allowed = np.asarray(np.linalg.norm(
         flange[:, :3, 3] - taken[0, :3, 3], axis=1) <= config.guidance.reach)
-    visited = [(T, REFUSED_DISTANCE) for T in refused]
+    visited = [(T, REFUSED_DISTANCE) for T in without_sample]
     if sampling.new_translation and sampling.new_rotation:  # if either is 0, every stop is used
         near = (sampling.new_translation + STOP_POSE_ERROR[0],
                 sampling.new_rotation + STOP_POSE_ERROR[1])

@@ -68,20 +68,20 @@ class Review:
         return self.answer.solution if self.answer else None
 
 
-def review_of(session: Session, config: Config, seen: Array, refused: Sequence[Array],
+def review_of(session: Session, config: Config, seen: Array, without_sample: Sequence[Array],
               asked: bool) -> Review:
     """
     Return what follows from the samples of a session.
 
-    seen, refused: see advise; asked: whether somebody waits for the answer, or has one: then the
-    cause of a refusal is searched in the stops.
+    seen, without_sample: see advise; asked: whether somebody waits for the answer, or has one:
+    then the cause of a refusal is searched in the stops.
     """
     answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
                              session if asked else None)
     samples = {one.number: one.sample for one in session.stops if one.sample}
     found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
-    return Review(advise(in_order, config, answer, seen, refused), answer,
+    return Review(advise(in_order, config, answer, seen, without_sample), answer,
                   {number: one for number, one in found.items() if one},
                   '' if answer.solution else str(answer.refusal), max(samples, default=0))
 
@@ -164,7 +164,7 @@ class LiveAnswer:
         live.store_rest()
         self.asked_with = values_of(live.config, ANSWER_KEYS)
         try:
-            live.evaluate_all()
+            live.process_all()
             live.copied().require_stops()
         except HandeyeError as error:
             self._refuse(error)
@@ -196,10 +196,11 @@ class LiveAnswer:
         session = Session(config)  # the messages of the streams stay here
         session.restore(now.stops, now.last_number, now.frame_id)
         sampled = {stop.began for stop in now.stops if stop.sample}
-        refused = [T for began, T in live.without_sample.items() if began not in sampled]
+        without_sample = [T for began, T in live.without_sample.items() if began not in sampled]
         return live.compute(
             COMPUTED if asked else '', partial(self._put, self._basis(), session, asked),
-            review_of, session, config, self.seen, refused, asked or self.calibration is not None)
+            review_of, session, config, self.seen, without_sample,
+            asked or self.calibration is not None)
 
     def _put(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
              ) -> str:

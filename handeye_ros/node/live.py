@@ -200,7 +200,7 @@ class LiveSession:
     def _go_on(self) -> None:
         """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
         self._woken = False
-        if self.evaluate_next():
+        if self.process_next():
             self.wake()
         else:
             self.answer.begin_review()
@@ -273,32 +273,32 @@ class LiveSession:
 
     # stops
 
-    def evaluate_next(self) -> bool:
+    def process_next(self) -> bool:
         """Evaluate the next stop that is due; return whether there was one."""
         with self.lock:
             over = bool(self.to_evaluate)
             stop = self.to_evaluate.popleft() if over else self.early
             self.early = self.early if over else None
         if stop:
-            self._evaluate(stop, over)
+            self._process(stop, over)
         elif self._stale:
-            self._evaluate_again(self._stale.popleft())
+            self._process_again(self._stale.popleft())
         else:
             return False
         return True
 
-    def evaluate_all(self) -> None:
+    def process_all(self) -> None:
         """Evaluate all stops, of which the current one counts as complete; raises InputError."""
         with self.lock:
             self.early = None  # it is part of the current stop
-        while self.evaluate_next():
+        while self.process_next():
             pass
         with self.lock:
             stops = self.session.copied().remaining()  # raises for mixed frames
         for stop in stops:
-            self._evaluate(stop, True)
+            self._process(stop, True)
 
-    def _evaluate(self, stop: Stop, over: bool) -> None:
+    def _process(self, stop: Stop, over: bool) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
         if not over and self.session.is_closed(stop):
             return
@@ -306,7 +306,7 @@ class LiveSession:
             with suppress(DataError):
                 self.verification.add_stop(stop, over)
             return
-        stop, remark = self._evaluated(stop)  # the remark refuses nothing, as in a recording
+        stop, remark = self._with_result(stop)  # the remark refuses nothing, as in a recording
         earlier = self._known(stop.number)
         try:
             stop = self._stored(stop)
@@ -322,12 +322,12 @@ class LiveSession:
             text = '; '.join(filter(None, (f'{verdict}: {sample_summary(stop.result)}', remark)))
             self.attempt = Attempt(text, stop)
 
-    def _evaluate_again(self, number: int) -> None:
+    def _process_again(self, number: int) -> None:
         """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
         stop = self._known(number)
         if stop and not stop.source:  # it could not be stored before
             with suppress(InputError):
-                self._put(self._stored(self._evaluated(stop)[0]), over=False)
+                self._put(self._stored(self._with_result(stop)[0]), over=False)
         elif stop and not stop.final_reason:
             result = self.result_elsewhere(stop, self.config)
             self._put(replace(stop, result=result), over=False)
@@ -339,17 +339,17 @@ class LiveSession:
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
             return Reject(stop.began, str(error))  # the stop itself will be stored
 
-    def _evaluated(self, stop: Stop) -> tuple[Stop, str]:
+    def _with_result(self, stop: Stop) -> tuple[Stop, str]:
         """
         Return a stop with its number and result, not yet in the session, and an objection or ''.
 
         The pose of a stop without a good sample is noted, so that it is not proposed again.
         """
-        result = self.session.numbered(stop, self.result_elsewhere(stop, self.config))
-        objection = self.answer.objection(result)
-        if objection or result.sample is None:
+        stop = self.session.numbered(stop, self.result_elsewhere(stop, self.config))
+        objection = self.answer.objection(stop)
+        if objection or stop.sample is None:
             self.without_sample[stop.began] = stop.pose(self.config)
-        return result, objection
+        return stop, objection
 
     def _known(self, number: int) -> Stop | None:
         """Return the stop of a number in the session."""
@@ -407,7 +407,7 @@ class LiveSession:
                 stop = self.session.current_stop()
             if self.verification.routine:
                 return self.verification.add_stop(stop, over=True)
-            stop, objection = self._evaluated(stop)
+            stop, objection = self._with_result(stop)
             if stop.final_reason:
                 raise DataError(f'{stop.final_reason}: move on, and turn the tool')
             if objection or stop.sample is None:

@@ -135,7 +135,7 @@ class LiveVerification:
         Raises InputError for the settings, DataError without a calibration.
         """
         live, parts = self._live, self._parts
-        while live.evaluate_next():  # what began before is a sample
+        while live.process_next():  # what began before is a sample
             pass
         routine, possible = self.routine, self._possible
         if routine is None or len(parts) == possible[-1] and not parts[-1].is_empty:
@@ -187,7 +187,7 @@ class LiveVerification:
         if self.routine is None:
             raise DataError('no verification was started: call ~/verify_start, and measure the '
                             'artefact')
-        live.evaluate_all()
+        live.process_all()
         calibration = self._calibration()
         with live.lock:
             parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),

@@ -41,7 +41,7 @@ EXPECTED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that need
 LARGEST_SLOW_SHARE = 0.5  # largest share of the normal points in the scatter
 SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
-SMALLEST_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
+SMALLEST_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
 LEAST_ROUNDNESS = 2.0  # smallest ratio of the squares of two lines to those of the circle
 LINE_POINTS = 4  # fewest points of each line
 JUDGED_POINTS = 128  # points of an arc, at most, that the corner test uses
@@ -188,7 +188,7 @@ def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config)
     chord = float(np.linalg.norm(arc.points[-1] - arc.points[0]))
     angle = 2 * math.asin(min(chord / (2 * arc.radius), 1.0))
     sagitta = arc.radius * (1 - math.cos(angle / 2))
-    if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ANGLE or (
+    if arc.radius < SMALLEST_RADIUS or angle < SMALLEST_ARC_ANGLE or (
             sagitta < LEAST_SAGITTA * TOLERANCE_SIGMAS * noise):
         raise FeatureError('the arc of the sphere in the profile is too short')
     if _is_corner(arc):

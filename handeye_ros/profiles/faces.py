@@ -28,7 +28,7 @@ HIDDEN_PER_HEIGHT = 0.4  # width that a nearer surface hides, over its height
 LARGEST_SPLINTER = 0.002  # largest piece that is no surface (m)
 MOST_SURFACES, SMALLEST_SURFACE = 3, 0.1  # surfaces that may be the plane; size over the longest
 MOST_CORNERS, SMALLEST_CORNER = 3, 0.25  # of a profile; of shorter faces, over the best
-SMALLEST_ANGLE = 0.26  # between two faces (rad): less is one bent face
+SMALLEST_CORNER_ANGLE = 0.26  # between two faces (rad): less is one bent face
 FAR_END = 0.75  # distance of a face's other end, over its length: faces that cross are no edge
 # largest distance of a face's end from the crossing, over its length: a groove can hide its own
 # bottom from the camera
@@ -113,7 +113,7 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     pairs = [pair for pair in combinations(segments, 2) if _meet(*pair, points)]
     if not pairs:
         raise FeatureError(f'no two of the {len(segments)} straight pieces in the profile meet in '
-                           f'an edge of more than {np.degrees(SMALLEST_ANGLE):.0f} degrees')
+                           f'an edge of more than {np.degrees(SMALLEST_CORNER_ANGLE):.0f} degrees')
     shorter = [min(len(segment.columns) for segment in pair) for pair in pairs]
     order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
     best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
@@ -124,7 +124,7 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
 
 def _meet(a: Segment, b: Segment, points: Array) -> bool:
     """Return whether two pieces form an angle and end near the crossing of their lines."""
-    if abs(math.atan(a.slope) - math.atan(b.slope)) < SMALLEST_ANGLE:
+    if abs(math.atan(a.slope) - math.atan(b.slope)) < SMALLEST_CORNER_ANGLE:
         return False
     x = a.crossing(b)
     for segment in (a, b):

@@ -14,7 +14,7 @@ from functools import cached_property
 from handeye_ros import se3
 from handeye_ros.arm import Arm
 from handeye_ros.data import Array, rms
-from handeye_ros.estimation.basis import process_root
+from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
     agreeing,
     covariance_of,
@@ -166,7 +166,7 @@ def reported_covariance(fit: ArmFit, chosen: ArmState) -> tuple[ArmFit, Array]:
     """
     wide = adjusted(fit, conservative=True)
     of_arm, noise = wide.variances, wide.noise
-    stops = replace(wide.stops, root=process_root(wide.state.arm.forward(wide.stops.q)))
+    stops = replace(wide.stops, root=smooth_basis(wide.state.arm.forward(wide.stops.q)))
     wide = replace(wide, stops=stops, state=replace(
         wide.state, smooth=np.zeros(3 * stops.root.shape[1])), variances=np.append(of_arm, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error

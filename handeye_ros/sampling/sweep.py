@@ -29,7 +29,7 @@ from itertools import islice
 from handeye_ros import targets
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
-from handeye_ros.estimation.basis import process_in_time
+from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.least_squares import graduated, Rows, System, typical
 from handeye_ros.estimation.noise import TURN_LENGTH
@@ -148,7 +148,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
     own = stamps if model.stations is None else stamps[model.stations]
-    functions = process_in_time((own - stamps[0]) * 1e-9)
+    functions = smooth_basis_in_time((own - stamps[0]) * 1e-9)
     for name, axes, std in (('tracking_position', slice(0, 3), size),
                             ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
         twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)

@@ -97,7 +97,7 @@ class Plane(FaceTarget):
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         problem = some_of(replace(whole, target=PLANE), rng)
         found: list[Estimate] = []
-        for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.few else (1,):
+        for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,):
             known = len(found)
             for part in one_surface(problem):
                 found += best_of(part, plane_candidates(part, more), more)

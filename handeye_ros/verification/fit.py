@@ -23,7 +23,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.basis import process_root
+from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.blocks import by_smooth
 from handeye_ros.estimation.least_squares import (
     agreeing,
@@ -138,7 +138,7 @@ class StationSet:
     def by_smooth(self, X: Array, by_p: Array, config: Config) -> Array:
         """Return derivatives (m, s) by the robot's smooth error of unit size (see basis.py)."""
         in_hand = config.calibration_type == 'eye_in_hand'
-        smooth = process_root(self.poses if in_hand else se3.inverse(self.poses), long_errors=True)
+        smooth = smooth_basis(self.poses if in_hand else se3.inverse(self.poses), long_errors=True)
         return by_smooth(self.by_pose(X, by_p, config), smooth[self.observations.station])
 
     def of_groups(self, groups: Numbers) -> StationSet:
@@ -314,7 +314,7 @@ class _Whitened:
         return np.asarray(values - self.J @ (self.gain @ values))
 
 
-def fit(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
+def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
     """
     Return the fit of a shape; raises InputError for an impossible covariance.
 
@@ -459,10 +459,10 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
             abs(float(worst @ shift @ error)), std)
 
 
-def refit(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
+def refit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
-        result = fit(shape, X, C, config, smooth)
+        result = fit_shape(shape, X, C, config, smooth)
         if not result.implied < LARGEST_SHIFT:
             break
         X = se3.perturb(X, -result.error)

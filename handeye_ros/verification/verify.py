@@ -35,10 +35,10 @@ from handeye_ros.verification.fit import (
     COVERAGE_FACTOR,
     DETECTION_SIGMAS,
     Fit,
-    fit,
+    fit_shape,
     Numbers,
     Quantity,
-    refit,
+    refit_shape,
     Scatter,
     Shape,
     StationSet,
@@ -145,12 +145,12 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
 
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
-        found = fit(shape, X, calibration.covariance, config, smooth)
+        found = fit_shape(shape, X, calibration.covariance, config, smooth)
         return (shape, found), found.residuals, found.by_unknowns, shape.stations.row_groups
 
     (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
     if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
-        freed = refit(shape, X, calibration.covariance, config, smooth)
+        freed = refit_shape(shape, X, calibration.covariance, config, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '

@@ -232,7 +232,7 @@ def test_one_pass_alone_has_a_review() -> None:
     end = bag.poses[0].stamp + 23 * 10**8
     live = fed(config, replace(SPHERE, profiles=tuple(p for p in bag.profiles if p.stamp < end),
                                poses=tuple(p for p in bag.poses if p.stamp < end)))
-    live.ask(live.evaluate_all)
+    live.ask(live.process_all)
     update(live)
     assert [sample['taken'] for sample in state_of(live)['samples']] == [True]
     assert not state_of(live)['review'] and not live.troubles

@@ -66,7 +66,7 @@ def feed(live: LiveSession, items) -> None:
 
 def update(live: LiveSession) -> None:
     """Let a session that was not started do what is due."""
-    while live.ask(live.evaluate_next):
+    while live.ask(live.process_next):
         pass
     live.ask(live.answer.begin_review)
     live.ask(lambda: None)  # the review has been put
