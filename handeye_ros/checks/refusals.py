@@ -175,12 +175,12 @@ def require_certain(covariance: Array, config: Config, advice: str) -> None:
             reason='uncertain')
 
 
-def require_certain_points(solution: Solution, config: Config) -> None:
+def require_certain_points(solution: Solution, config: Config, advice: str) -> None:
     """
     Raise DataError (uncertain) where the measured points are more uncertain than the limit.
 
     A rotation and a translation that make up for each other at the target are no uncertainty of
-    what the sensor measures; each alone may be large.
+    what the sensor measures; each alone may be large. advice: what to do, in words.
     """
     turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
     std, direction = worst_translation(mapped_covariance(turned, solution.reported[:6, :6]))
@@ -189,7 +189,7 @@ def require_certain_points(solution: Solution, config: Config) -> None:
         raise DataError(
             f'the points that the samples show are uncertain by {mm(std)} along '
             f'{name_direction(direction, frame)} (1 sigma; limits.points is {mm(limit)}): '
-            f'{missing_motion(solution, config)}', reason='uncertain')
+            f'{advice}', reason='uncertain')
 
 
 def missing_motion(solution: Solution, config: Config) -> str:
