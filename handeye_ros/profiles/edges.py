@@ -282,12 +282,6 @@ def _follows(end: FaceEnd, column: int, after: int) -> bool:
             and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
-def _leading(values: NDArray[np.bool_]) -> int:
-    """Return the number of true values before the first false one."""
-    first = int(values.argmin()) if len(values) else 0
-    return len(values) if not len(values) or values[first] else first
-
-
 def _wall(end: FaceEnd, further: NDArray[np.intp]) -> tuple[float, float] | None:
     """
     Return position and 1 sigma (m) where a wall in the further columns meets the face line.
@@ -315,7 +309,7 @@ def _wall(end: FaceEnd, further: NDArray[np.intp]) -> tuple[float, float] | None
 
 def _end_of_face(end: FaceEnd, u: Array, v: Array) -> float:
     """Return the end of the flat part of a face, with points at u along and v below it."""
-    flat = _leading(v <= FLAT_SIGMAS * end.segment.noise)
+    flat = int(np.append(v > FLAT_SIGMAS * end.segment.noise, True).argmax())
     return float(u[flat - 1]) if flat else 0.0
 
 
