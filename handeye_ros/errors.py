@@ -65,7 +65,8 @@ class FeatureError(DataError):
 
 def nearest(word: str, known: Sequence[str]) -> str:
     """Return a hint at a similar known word, or at a key that ends with the word; '' if none."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.65) or [
+    small = {other.lower(): other for other in known}
+    close = [small[name] for name in difflib.get_close_matches(word.lower(), small, 1, 0.7)] or [
         other for other in known if other.endswith(f'.{word}')]
     return f'; did you mean "{close[0]}"?' if close else ''
 

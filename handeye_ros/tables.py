@@ -86,7 +86,8 @@ class Table:
 
     def text(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""
-        return [value.strip() for value in self._column(name)]
+        self._require([name])
+        return [value.strip() for value in self._columns[name]]
 
     def values(self, names: Sequence[str], kind: str, unit: str | None = None) -> Array:
         """
@@ -94,11 +95,12 @@ class Table:
 
         unit: for columns without a unit in the header; None: such columns are refused.
         """
+        self._require(names)
         return np.column_stack([self._values(name, kind, unit) for name in names])
 
     def points(self, prefix: str) -> Array:
         """Return points, (n, 3) in metres, of the columns PREFIX_x, PREFIX_y, PREFIX_z."""
-        return self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH)
+        return self.values(_axes(prefix), LENGTH)
 
     def poses(self, prefix: str, angles: str = '') -> Array:
         """
@@ -115,6 +117,12 @@ class Table:
         elif self.has([f'{prefix}_{label}' for label in orientations.RPY.labels]):
             notation = orientations.RPY
         names = [f'{prefix}_{label}' for label in notation.labels]
+        fitting = [name for name, other in orientations.NOTATIONS.items()
+                   if self.has([f'{prefix}_{label}' for label in other.labels])]
+        if fitting and not self.has(names):
+            raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
+                             f'--angles {" or ".join(fitting)} reads, of the flange only')
+        self._require([*_axes(prefix), *names])
         if notation.angle:
             numbers = self.values(names, ANGLE, notation.angle if angles else None)
             numbers = numbers / UNITS[ANGLE][notation.angle]
@@ -124,18 +132,18 @@ class Table:
             if off.max() > QUATERNION_TOLERANCE:
                 raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
                                  'unit quaternion')
-        positions = self.values([f'{prefix}_{axis}' for axis in 'xyz'], LENGTH, length)
+        positions = self.values(_axes(prefix), LENGTH, length)
         return se3.transform(notation.rotation(numbers).as_matrix(), positions)
 
-    def _column(self, name: str) -> Sequence[str]:
-        if name not in self._columns:
-            raise TableError(self.path, f'has no column {name}'
-                             f'{nearest(name, list(self._columns))}')
-        column: Sequence[str] = self._columns[name]
-        return column
+    def _require(self, names: Sequence[str]) -> None:
+        """Raise TableError for a column that is missing; similar ones are none of the others."""
+        for name in names:
+            if name not in self._columns:
+                others = [other for other in self._columns if other not in names]
+                raise TableError(self.path, f'has no column {name}{nearest(name, others)}')
 
     def _values(self, name: str, kind: str, default: str | None) -> Array:
-        column = self._column(name)
+        column = self._columns[name]
         unit = self._units[name] or default
         factors: Mapping[Any, float] = UNITS.get(kind, {None: 1.0})
         if unit not in factors:
@@ -158,6 +166,10 @@ class Table:
         if not math.isfinite(number):
             raise TableError(self.path, f'row {row}: {name} is "{value}", expected a number')
         return number
+
+
+def _axes(prefix: str) -> list[str]:
+    return [f'{prefix}_{axis}' for axis in 'xyz']
 
 
 def _content(path: Path) -> tuple[list[str], list[list[str]]]:

@@ -67,6 +67,17 @@ def test_tables_that_cannot_be_read(tmp_path: Path, text: str, message: str) -> 
         Table(tmp_path / 'a.csv').values('xy', LENGTH)
 
 
+@pytest.mark.parametrize(('header', 'message'), [
+    ('f_x [m],f_y [m]', r'has no column f_z$'),
+    ('f_x [m],f_y [m],F_Z [m]', r'has no column f_z; did you mean "F_Z"'),
+    ('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz', r'has no column f_qw$'),
+    ('f_x,f_y,f_z,f_a,f_b,f_c', '; it has those that --angles kuka-abc reads, of the flange')])
+def test_a_missing_column_is_none_that_is_there(tmp_path: Path, header: str, message: str) -> None:
+    (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('0' for _ in header.split(',')))
+    with pytest.raises(TableError, match=message):
+        Table(tmp_path / 'a.csv').poses('f')
+
+
 def test_quaternions_have_unit_length(tmp_path: Path) -> None:
     (tmp_path / 'a.csv').write_text('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz,f_qw\n0,0,0,1,1,0,0')
     with pytest.raises(TableError, match=r'row 1: f_q... is no unit quaternion'):

@@ -302,7 +302,8 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
 
     near = graduated(start, squares, system.reweighted)
     current = squares(near)
-    good = np.flatnonzero(current <= GROSS_SQUARE * max(1.0, typical(current)))
+    good = np.flatnonzero(current <= max(GROSS_SQUARE * max(1.0, typical(current)),
+                                         np.sort(current)[:minimum][-1]))
     return agreeing(good, n, minimum, fitted, judged)[0]
 
 

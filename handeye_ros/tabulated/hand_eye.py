@@ -33,14 +33,14 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.frames import in_mount, mount_frame
 from handeye_ros.published.cn105021139a import solve_motions
-from handeye_ros.results.calibration_file import input_values, transform_values
+from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, scaled, TableAnswer
 import numpy as np
 
 MOST_PAIRS = 2000
 LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
-MINIMUM = 3
+MINIMUM = 5  # fewer do not show how large the noise is
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 
 
@@ -59,6 +59,7 @@ class Views(Lists):
     advice = 'take more poses, turned by 30 degrees or more about two axes'
     check = 'are both lists of the same moments, is no pose inverted, and which are the units?'
     over = 'the positions of the target in the file'
+    prefixes = ('target', 'flange')
 
     def require_determined(self) -> None:
         if len(self) < MINIMUM:
@@ -80,8 +81,9 @@ class Views(Lists):
         X, Z = state
         target = {'pose': transform_values(Z), 'residual_angle': angle,
                   'left_out_angle': holdout_angle}
-        return TableAnswer(X, fit.covariance[:6, :6], np.isin(np.arange(len(off)), used),
-                           off[:, 0], residual, holdout, angle, target)
+        return TableAnswer(X, self.stated(fit.covariance[:6, :6], used),
+                           np.isin(np.arange(len(off)), used), off[:, 0], residual, holdout,
+                           angle, target)
 
     def adjusted(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
         """Return the fit for variances (3,) of the causes, and what whitens the views."""
@@ -104,9 +106,10 @@ class Views(Lists):
         throughout. Raises SingularError, TooFewError.
         """
         T, seen = self.robot, self.seen
-        i, j = np.triu_indices(len(T), 1)
-        some = np.linspace(0, len(i) - 1, min(len(i), MOST_PAIRS)).astype(int)
-        i, j = i[some], j[some]
+        ends = np.cumsum(np.arange(len(T) - 1, 0, -1))  # of the pairs of each pose with later ones
+        pairs = np.linspace(0, ends[-1] - 1, min(ends[-1], MOST_PAIRS)).astype(int)
+        i = np.searchsorted(ends, pairs, side='right')
+        j = pairs - ends[i] + len(T)
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
         sure = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
         X = solve_motions(A[sure], B[sure])
@@ -199,10 +202,12 @@ def read(path: Path, config: Config) -> Input:
             'one of the two lists inverted', 'set calibration_type to the other one, or, if it is '
             'right, give the flange in the base and the target in the camera',
             views(se3.inverse(flange)))
-        yield from views(flange).in_other_units('target', 'flange')
+        yield from views(flange).in_other_units()
         order = 'name the columns in the order of their values'
         yield Misreading('flange quaternions as w x y z', order, views(_wxyz(flange)))
         yield Misreading('target quaternions as w x y z', order, views(flange, _wxyz(target)))
+        yield Misreading('the quaternions of both as w x y z', order,
+                         views(_wxyz(flange), _wxyz(target)))
         used = orientations.of(stated) if stated else orientations.RPY
         angles = [f'flange_{label}' for label in used.labels]
         if used.angle and table.has(angles):
@@ -220,7 +225,7 @@ def read(path: Path, config: Config) -> Input:
                 yield Misreading(f'{words}, in mm', f'{remedy}, and write the unit in the header, '
                                  'as in flange_x [mm]', views(scaled(other, 1e-3)))
 
-    return Input(views(flange), config.sensor_frame, (input_values(path),), tuple(otherwise()))
+    return views(flange).read_from(path, otherwise)
 
 
 def _wxyz(T: Array) -> Array:

@@ -3,7 +3,8 @@
 """Points in two frames from a file: the sensor is beside the robot (Wu 2017)."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handeye_ros import se3
@@ -11,13 +12,13 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.estimation.least_squares import adjust, Rows, System, TYPICAL_SHARE
-from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.values import Index, Input, Lists, TableAnswer
+from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, TableAnswer
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 MINIMUM = 4
+MOST_STARTS = 100
 SMALLEST_ANGLE = 0.05  # smallest spread across over spread along (rad)
 SMALLEST_SIGMA = 1e-9  # m; the noise is estimated, from this on
 
@@ -31,6 +32,7 @@ class Pairs(Lists):
     advice = 'take more points, spread over a larger volume'
     check = 'do both lists hold the same points in the same order, and which are their units?'
     over = 'the points of the file'
+    prefixes = ('camera', 'base')
 
     def require_determined(self) -> None:
         """Raise for few points, and for points that are (nearly) collinear."""
@@ -51,13 +53,13 @@ class Pairs(Lists):
 
         every = np.arange(len(self))
         # the best start leaves out one point: in a few points a wrong one bends that of all
-        start = min((self.subset(np.delete(every, k)).rigid() for k in every),
+        start = min((self.subset(np.delete(every, k)).rigid() for k in every[:MOST_STARTS]),
                     key=lambda T: np.quantile(self.residuals(T, every, every), TYPICAL_SHARE))
         fit = adjust(System(rows, se3.perturb, np.repeat(every, 3)), start, MINIMUM)
         off, left_out = (SMALLEST_SIGMA * np.linalg.norm(values, axis=1)
                          for values in (fit.residuals, fit.left_out))
-        return TableAnswer(fit.state, fit.covariance, np.isin(every, fit.used), off,
-                           rms(off[fit.used]), rms(left_out),
+        return TableAnswer(fit.state, self.stated(fit.covariance, fit.used),
+                           np.isin(every, fit.used), off, rms(off[fit.used]), rms(left_out),
                            target={'point_noise':
                                    SMALLEST_SIGMA * max(fit.variance_factor, 1.0) ** 0.5})
 
@@ -76,5 +78,11 @@ def read(path: Path, config: Config) -> Input:
     """Read the columns camera_x ... and base_x ..., each with its unit; raises TableError."""
     table = Table(path)
     values = Pairs(config, table.points('camera'), table.points('base'))
-    return Input(values, config.sensor_frame, (input_values(path),),
-                 tuple(values.in_other_units('camera', 'base')))
+
+    def otherwise() -> Iterator[Misreading]:
+        yield from values.in_other_units()
+        yield Misreading('one of the two lists mirrored', 'use right-handed frames: check the '
+                         'signs and the order of the axes of both lists',
+                         replace(values, seen=-values.seen))
+
+    return values.read_from(path, otherwise)

@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from handeye_ros import se3
@@ -24,12 +25,16 @@ from handeye_ros.checks.refusals import (
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, degrees, mm, TooFewError
-from handeye_ros.estimation.least_squares import single_threaded
+from handeye_ros.estimation.least_squares import chi2_isf, single_threaded
+from handeye_ros.results.calibration_file import input_values
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtri
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
 SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
+MOST_ROWS = 10000  # of both lists
+REGION = 0.99  # probability of the region that a covariance from few rows is to hold
 CLEAR_SHARE = 0.2  # of misfit and of spread: a misreading with more does not explain the values
 
 Index: TypeAlias = NDArray[np.intp]
@@ -92,10 +97,16 @@ class Values(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Lists(Values):
-    """Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row."""
+    """
+    Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row.
+
+    prefixes: of the columns of both
+    """
 
     seen: Array
     robot: Array
+
+    prefixes: ClassVar[tuple[str, str]]
 
     @property
     def samples(self) -> Sequence[tuple[int, str]]:
@@ -112,12 +123,43 @@ class Lists(Values):
         return float(min(np.std(_positions(values), axis=0).max()
                          for values in (self.seen, self.robot)))
 
-    def in_other_units(self, seen: str, robot: str) -> Iterator[Misreading]:
+    def read_from(self, path: Path, otherwise: Callable[[], Iterator[Misreading]]) -> Input:
+        """Return what was read; raises DataError for lists that no sensor and robot can give."""
+        if len(self) > MOST_ROWS:
+            raise DataError(f'{len(self)} rows are more than {MOST_ROWS}: keep one in '
+                            f'{math.ceil(len(self) / MOST_ROWS)}, evenly over the table')
+        rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
+        first = np.unique(rows, axis=0, return_index=True)[1]
+        if len(first) < len(self):
+            again = np.setdiff1d(np.arange(len(self)), first) + 1
+            raise DataError(f'{len(again)} rows repeat others to the last digit, first row '
+                            f'{again[0]}: the answer would seem more certain than it is; keep '
+                            'each row once')
+        reach = _reach(self.seen), _reach(self.robot)
+        if max(reach) < SHORTEST_REACH or min(reach) > LONGEST_REACH:
+            seen, robot = self.prefixes
+            raise DataError(f'the positions of the {seen} are typically {reach[0]:.3g} m from the '
+                            f'origin, those of the {robot} {reach[1]:.3g} m, as in no cell: '
+                            f'{_unit_of("and", seen, robot)}', reason='convention')
+        return Input(self, self.config.sensor_frame, (input_values(path),), tuple(otherwise()))
+
+    def stated(self, covariance: Array, used: Index) -> Array:
         """
-        Yield the values with the other ratio of units; seen, robot: prefixes of the columns.
+        Return a covariance (6, 6) with the region that holds, by Fisher's F.
+
+        Its noise is from the residuals of the rows that are used, three each of a kind, of which
+        the transform takes six.
+        """
+        freedom = 3 * len(used) - 6
+        return np.asarray(covariance * 6 * fdtri(6, freedom, REGION) / chi2_isf(1 - REGION, 6))
+
+    def in_other_units(self) -> Iterator[Misreading]:
+        """
+        Yield the values with the other ratio of units.
 
         The ratio does not say which list is wrong: the one is named that is nowhere in a cell.
         """
+        seen, robot = self.prefixes
         lists: dict[str, tuple[Array, Callable[[Array], Lists]]] = {
             seen: (self.seen, lambda values: replace(self, seen=values)),
             robot: (self.robot, lambda values: replace(self, robot=values))}
@@ -125,11 +167,11 @@ class Lists(Values):
             (values, with_values), (others, with_others) = lists[large], lists[small]
             if _reach(others) < SHORTEST_REACH and _reach(values) < LONGEST_REACH:
                 yield Misreading(f'the positions of the {small} 1000 times larger',
-                                 _unit_of(small), with_others(scaled(others, 1e3)))
+                                 _unit_of('or', small), with_others(scaled(others, 1e3)))
             else:
                 wrong = (large,) if _reach(values) > LONGEST_REACH else (large, small)
                 yield Misreading(f'the positions of the {large} 1000 times smaller',
-                                 _unit_of(*wrong), with_values(scaled(values, 1e-3)))
+                                 _unit_of('or', *wrong), with_values(scaled(values, 1e-3)))
 
 
 def _positions(values: Array) -> Array:
@@ -141,8 +183,8 @@ def _reach(values: Array) -> float:
     return float(np.median(np.linalg.norm(_positions(values), axis=1)))
 
 
-def _unit_of(*prefixes: str) -> str:
-    return 'correct the unit in the header of ' + ', or of '.join(
+def _unit_of(joined: str, *prefixes: str) -> str:
+    return 'correct the unit in the header of ' + f', {joined} of '.join(
         ', '.join(f'{prefix}_{axis}' for axis in 'xyz') for prefix in prefixes)
 
 
@@ -186,8 +228,12 @@ class TableAnswer:
     @property
     def agrees(self) -> bool:
         """Return whether few samples were dropped, and the others fit."""
-        return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE
-                    and self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE)
+        return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE) and self.fits
+
+    @property
+    def fits(self) -> bool:
+        """Return whether the used samples fit."""
+        return self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE
 
     @property
     def misfit(self) -> float:
@@ -243,9 +289,11 @@ def solve(values: Values, otherwise: Sequence[Misreading] = ()) -> TableAnswer:
         misfit = answer.misfit
         if not answer.agrees:
             turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
+            off, dropped = f'{mm(answer.residual_rms)}{turned} RMS', np.sum(~answer.used)
             raise DataError(
-                f'{np.sum(~answer.used)} of {len(values)} samples contradict the others, which '
-                f'agree to {mm(answer.residual_rms)}{turned} RMS: {values.check}',
+                (f'{dropped} of {len(values)} samples contradict the others, which agree to {off}'
+                 if answer.fits else f'no transform brings {len(values) - dropped} of '
+                 f'{len(values)} samples together better than {off}') + f': {values.check}',
                 reason='misfit')
         values.subset(np.flatnonzero(answer.used)).require_determined()
     except TooFewError:

@@ -21,6 +21,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tracker_session import session, T_flange_sensor
 
+REGION = 16.81 / 6  # holds 99 % of the squares
 IN_HAND = Config()
 ON_BASE = with_values(IN_HAND, {'calibration_type': 'eye_on_base'}, 'test')
 
@@ -41,14 +42,17 @@ def pairs(seed: int, count: int = 10, wrong: int = 0) -> tuple[Array, Pairs]:
     return T, Pairs(ON_BASE, camera, base)
 
 
-def test_points_are_as_sure_as_they_say() -> None:
+@pytest.mark.parametrize(('count', 'mean'), [(4, 0.6), (6, 0.7), (12, 0.85)])
+def test_points_are_as_sure_as_they_say(count: int, mean: float) -> None:
     squares, noise = [], []
     for seed in range(100):
-        T, points = pairs(seed)
+        T, points = pairs(seed, count)
         found = points.solve()
         squares.append(chi_squared(found, T))
         noise.append(found.target['point_noise'])
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+        assert found.used.sum() >= min(count, 4)
+    assert np.mean(squares) == pytest.approx(mean, abs=0.25)
+    assert np.mean(np.array(squares) < REGION) >= 0.95
     assert np.median(noise) == pytest.approx(3e-5, rel=0.1)
 
 
@@ -87,17 +91,18 @@ def disturbed(T: Array, noise: tuple[float, float], rng: np.random.Generator) ->
     return se3.perturb(T, np.repeat(noise, 3) * rng.normal(size=(len(T), 6)))
 
 
-@pytest.mark.parametrize('on_base', [False, True])
-def test_views_are_as_sure_as_they_say(on_base: bool) -> None:
+@pytest.mark.parametrize(('on_base', 'count'), [(False, 20), (True, 20), (False, 5)])
+def test_views_are_as_sure_as_they_say(on_base: bool, count: int) -> None:
     """The robot turns about its flange, which is elsewhere with the camera on the base."""
     squares = []
     for seed in range(40):
-        X, Z, poses = views(seed, (1e-4, 1e-3), 20, on_base)
+        X, Z, poses = views(seed, (1e-4, 1e-3), count, on_base)
         found = poses.solve()
         squares.append(chi_squared(found, X))
         assert list(found.target['pose']['translation'].values()) == pytest.approx(
-            Z[:3, 3], abs=2e-3)
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
+            Z[:3, 3], abs=2e-3 if count == 20 else 1e-2)
+    assert np.mean(squares) == pytest.approx(0.9, abs=0.3)
+    assert np.mean(np.array(squares) < REGION) >= 0.95
 
 
 def test_a_wrong_view_is_left_out() -> None:

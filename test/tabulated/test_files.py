@@ -57,7 +57,7 @@ PERFECT = SensorModel(columns=640, rate=10.0, noise=1e-9, mixed=0.0, lost=0.0, l
                       outliers=0.0, rim_bias=0.0)
 EXACT: dict[str, Callable[[np.random.Generator], measured.SimulatedFiles]] = {
     'points': lambda rng: measured.points(rng, 0.0, 4),
-    'hand_eye': lambda rng: measured.hand_eye(rng, noise=0.0, count=3),
+    'hand_eye': lambda rng: measured.hand_eye(rng, noise=0.0, count=5),
     'hand_eye_on_base': lambda rng: measured.hand_eye(rng, True, 0.0),
     'tracker': lambda rng: measured.laser_tracker(rng, PERFECT, 0.0, 0.0)}
 
@@ -189,8 +189,19 @@ def replaced(*pairs: tuple[str, str]) -> Callable[[str], str]:
     return changed
 
 
-def in_unit(prefix: str, unit: str) -> Callable[[str], str]:
-    return replaced(*((f'{prefix}_{axis} [mm]', f'{prefix}_{axis} [{unit}]') for axis in 'xyz'))
+def in_unit(prefix: str, unit: str, *others: str) -> Callable[[str], str]:
+    return replaced(*((f'{name}_{axis} [mm]', f'{name}_{axis} [{unit}]')
+                      for name in (prefix, *others) for axis in 'xyz'))
+
+
+def numbered(row: str, count: int = 6) -> list[str]:
+    return [row.format(k) for k in range(count)]
+
+
+def shifted(lines: list[str]) -> list[str]:
+    """Return rows with the points of the robot one row later."""
+    values = [line.split(',') for line in lines]
+    return [','.join(row[:3] + later[3:]) for row, later in zip(values, values[1:], strict=False)]
 
 
 def in_order(prefix: str, order: str) -> Callable[[str], str]:
@@ -207,17 +218,36 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
     ('small_tracker', replaced(('arc', 'arch')), 2, 'row 1: kind is "arch", expected arc'),
     ('small_tracker', replaced(('ball', 'line')), 2, 'holds 0 points of the kind ball'),
     ('points', rows(lambda lines: lines[:3]), 3, 'needs at least 4 points, got 3'),
-    ('points', rows(lambda lines: lines[:1] * 10), 3, 'the points lie in one line'),
+    ('points', rows(lambda lines: numbered(lines[0].rpartition(',')[0] + ',{}')), 3,
+     'the points lie in one line'),
+    ('points', rows(lambda lines: lines + lines[2:4]), 3,
+     '2 rows repeat others to the last digit, first row 11: the answer would seem'),
+    ('points', rows(lambda lines: numbered(lines[0].rpartition(',')[0] + ',{}', 10001)), 3,
+     '10001 rows are more than 10000: keep one in 2, evenly'),
+    ('points', in_unit('camera', 'm', 'base'), 3,
+     'correct the unit in the header of camera_x, camera_y, camera_z, and of base_x, base_y'),
+    ('points', in_unit('camera', 'um', 'base'), 3, 'from the origin, those of the '),
+    ('hand_eye', in_unit('target', 'm', 'flange'), 3, 'from the origin, those of the '),
+    ('hand_eye', in_unit('target', 'um', 'flange'), 3, 'target_z, and of flange_x, flange_y'),
+    ('points', replaced(('camera_x', 'camera_Y'), ('camera_y', 'camera_x'), ('_Y', '_y')), 3,
+     'with one of the two lists mirrored they agree to 0.0'),
+    ('points', rows(shifted), 3, 'of 9 samples together better than '),
     ('points', in_unit('base', 'm'), 3, 'of the base 1000 times smaller they agree'),
     ('points', in_unit('camera', 'm'), 3, 'of the camera 1000 times smaller they agree'),
-    ('hand_eye', rows(lambda lines: lines[:2]), 3, 'needs at least 3 poses, got 2'),
-    ('hand_eye', rows(lambda lines: lines[:1] * 5), 3, 'all poses share one orientation'),
+    ('hand_eye', rows(lambda lines: lines[:4]), 3, 'needs at least 5 poses, got 4'),
+    ('hand_eye', rows(lambda lines: numbered('{},' + lines[0].partition(',')[2])), 3,
+     'all poses share one orientation'),
     ('hand_eye', in_unit('flange', 'um'), 3, 'of the flange 1000 times larger they agree'),
     ('hand_eye', in_unit('flange', 'm'), 3, 'of the flange 1000 times smaller they agree'),
     ('hand_eye', in_unit('target', 'm'), 3, 'of the target 1000 times smaller they agree'),
     ('hand_eye', in_order('flange', 'yzwx'), 3, 'flange quaternions as w x y z they agree'),
     ('hand_eye_on_base', in_order('flange', 'yzwx'), 3, 'flange quaternions as w x y z'),
     ('hand_eye', in_order('target', 'yzwx'), 3, 'target quaternions as w x y z they agree'),
+    ('hand_eye', lambda text: in_order('flange', 'yzwx')(in_order('target', 'yzwx')(text)), 3,
+     'with the quaternions of both as w x y z they agree'),
+    ('hand_eye', replaced(*((f'flange_{old}', f'flange_{new}') for old, new in (
+        ('qx', 'rx'), ('qy', 'ry'), ('qz', 'rz')))), 2, '--angles ur-rotation-vector or '
+     'staubli-rxryrz or yaskawa-rxryrz reads'),
     ('small_tracker', rows(lambda lines: lines[:3] * 2 + lines[40:]), 3, 'arc spans 5.9 degrees'),
     ('small_tracker', rows(lambda lines: lines[:40] + lines[40:70][::-1] + lines[70:]), 3,
      'that the line was measured towards larger readings'),
@@ -300,6 +330,8 @@ def test_inputs_that_are_none_end_with_2(handeye: Run, tmp_path: Path) -> None:
     simulated.write('small_tracker', 1, tmp_path / 'cell')
     _, *settings = given('points', tmp_path)
     refused(handeye('solve', 'nowhere.csv', *settings), 2, 'nowhere.csv', 'cannot be read')
+    refused(handeye('solve', 'cell/tracker.csv', '--set', 'target.type=pointz'), 2,
+            "target.type is 'pointz', expected one of plate, line, ")
     refused(handeye('solve', 'cell', *settings), 2, 'is a folder; give the file in it')
     refused(handeye('solve', 'cell/small_tracker.mcap', *settings), 2, 'cannot be read')
     (tmp_path / 'cell' / 'tracker.csv').unlink()
