@@ -267,9 +267,8 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
     points, good = _points(cloud, config)
     across = points[good, 2]
     out_of_plane = 0.0
-    if len(across):  # mostly they are equal, and a median takes as long as all the rest
-        equal = (across == across[0]).all()
-        out_of_plane = float(across[0] if equal else np.nan_to_num(np.median(across)))
+    if len(across):
+        out_of_plane = float(np.nan_to_num(across.mean()))
     return replace(_empty(cloud, config), points=_ordered(points[:, :2], good, config),
                    out_of_plane=out_of_plane)
 

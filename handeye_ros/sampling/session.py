@@ -34,7 +34,7 @@ import numpy as np
 
 SILENCE_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
-FEWEST_TILTED, TILT_REST = 6, 0.1  # stops that show a tilted plane; what it leaves unexplained
+FEWEST_TILTED, TILT_REST = 8, 0.03  # stops that show a tilted plane; what it leaves unexplained
 MOST_REPEATS = 20  # of one stamp in a row: its clock stands still
 FARTHEST_FLANGE = 50.0  # m: no flange is there, it is another unit
 # of a stop without any profile, before it is said that it gives no sample

@@ -60,7 +60,7 @@ def test_messages_that_come_twice_are_not_late_but_a_clock_that_stands_still_is_
 
 @pytest.mark.parametrize(('tilt', 'refused'), [(0.1, True), (0.0, False)])
 def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool) -> None:
-    spans, rng = [(3.0 * k, 3.0 * k + 1) for k in range(8)], np.random.default_rng(0)
+    spans, rng = [(3.0 * k, 3.0 * k + 1) for k in range(10)], np.random.default_rng(0)
     seen = []
     for start, end in spans:
         height = rng.uniform(-0.01, 0.01)
@@ -73,7 +73,7 @@ def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool
             session.finish()
     else:
         session.finish()
-        assert len(session.samples) == 8
+        assert len(session.samples) == 10
 
 
 @pytest.mark.parametrize('config', [CONFIG, MANUAL])
