@@ -113,9 +113,9 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
         if counts[job.label] > 1:
             jobs[k] = replace(job, label=f'{job.label}-{counts[job.label]}')
     labels = [Path(job.label) for job in jobs]
-    inside = {folder for label in labels for folder in label.parents}
+    taken = Counter(folder for label in labels for folder in (label, *label.parents))
     for label in labels:  # results replace the folder of their label
-        if not label.parts or label in inside or label.is_absolute() or '..' in label.parts:
+        if not label.parts or taken[label] > 1 or label.is_absolute() or '..' in label.parts:
             raise InputError(f'the label "{label}" is no folder of its own inside that of the '
                              'results: give other labels in a CSV list (bag,label)')
     return jobs

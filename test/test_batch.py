@@ -133,7 +133,7 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
     (tmp_path / 'nights/metadata.yaml').touch()
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['nights']
-    for labels in (('../keep',), ('.',), (str(tmp_path),), ('a', 'a/b')):
+    for labels in (('../keep',), ('.',), (str(tmp_path),), ('a', 'a/b'), ('a', 'a', 'a-2')):
         (tmp_path / 'jobs.csv').write_text('bag,label\n' + ''.join(f'x,{a}\n' for a in labels))
         with pytest.raises(InputError, match='no folder of its own'):
             jobs_of([str(tmp_path / 'jobs.csv')], SOLVE)

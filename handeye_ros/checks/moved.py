@@ -102,11 +102,10 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     evidence = unmoved.deviance - moved.deviance
     shift, turn, size = _size(moved, kind)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-    # that error may be a smaller move, unless the evidence is decisive
-    least = LEAST_MOVE_SIGMAS * smooth
-    if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
-        least = max(least, config.noise.robot_smooth)
-    if evidence < (STRONG_EVIDENCE if (large := size >= least) else DECISIVE_EVIDENCE):
+    # in a sweep that error is smooth in time, as a move is
+    least = config.noise.robot_smooth if agreed.problem.pose_model is not None else 0.0
+    large = size >= max(LEAST_MOVE_SIGMAS * smooth, least)  # else it may stand for the move
+    if size < least or evidence < (STRONG_EVIDENCE if large else DECISIVE_EVIDENCE):
         return agreed, ''
     p_value = _steps_at(agreed, moved, changes).p_value
     if p_value >= (WARNING_P if large else REFUSAL_P):

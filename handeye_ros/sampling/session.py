@@ -81,7 +81,7 @@ class Session(Copyable):
         self._unseen = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         # of the first profile of each stop: beside the plane, and means along the line and range
-        self._out_of_plane: list[Array] = []
+        self._out_of_plane: dict[int, Array] = {}
         self._pose_stream: Stream[TimedPose] = Stream('pose')
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
 
@@ -167,8 +167,8 @@ class Session(Copyable):
         stop = stop.with_profiles(self._profiles.items, self._config)
         for profile in decoded(stop.profiles[:1], self._config):
             if np.isfinite(profile.points).all(axis=1).any():
-                self._out_of_plane.append(np.append(profile.out_of_plane, np.nanmean(
-                    profile.points, axis=0)))
+                self._out_of_plane[stop.began] = np.append(
+                    profile.out_of_plane, np.nanmean(profile.points, axis=0))
         return stop
 
     def is_closed(self, stop: Stop) -> bool:
@@ -282,7 +282,8 @@ class Session(Copyable):
         dropped = [self._profiles.warning] if self._profiles.warning else []
         if self._unseen:
             dropped.append(f'gave up {self._unseen} stops, the oldest that waited for profiles')
-        out_of_plane = max((abs(float(seen[0])) for seen in self._out_of_plane), default=0.0)
+        out_of_plane = max((abs(float(seen[0])) for seen in self._out_of_plane.values()),
+                           default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self._config))
 
@@ -294,7 +295,7 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        if beside := _tilted(self._out_of_plane):
+        if beside := _tilted([*self._out_of_plane.values()]):
             along, across = self._config.profile.axes
             return InputError(
                 f'the profiles lie between {beside[0] * 1e3:.1f} and {beside[1] * 1e3:.1f} mm '

@@ -10,7 +10,6 @@ from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.tabulated import hand_eye, points, tracker
 from handeye_ros.tabulated.values import Input, Values
-from handeye_ros.targets import target_for
 
 FILE_TARGETS: dict[str, tuple[type[Values], Callable[[Path, Config], Input]]] = {
     values.name: (values, read) for values, read in (
@@ -38,10 +37,9 @@ def is_solved_from_files(config: Config) -> bool:
 def read(path: Path, config: Config) -> Input:
     """Return the values of the configuration's target in a file; raises InputError, DataError."""
     if not is_solved_from_files(config):
-        target_for(config)  # for a name that does not exist
         fitting = list(FILE_TARGETS)
-        raise InputError(f'{path} is a table of measured values, but target.type '
-                         f'{config.target.type} is seen by the profiles of a recording: set '
+        raise InputError(f'{path} is a table of measured values, and target.type '
+                         f'{config.target.type} is not solved from one: set '
                          f'target.type to {" or ".join(fitting)}, as in --set '
                          f'target.type={fitting[0]}')
     return FILE_TARGETS[config.target.type][1](path, config)
