@@ -171,6 +171,7 @@ class Stream(Copyable, Generic[Stamped]):
             self._steps, self._last_step = self._steps + 1, self.set_back * 1e-9
         self._before = self.count
         self._held, self.latest, self.late = None, -1, False
+        self._strayed = -1  # strays before are of the past
         self.set_back, self._late_since = 0, -1
 
     def released(self, first: int, last: int) -> list[Stamped]:

@@ -144,6 +144,11 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
     for item in sorted([*stops((2, 6)), *profiles(2, 6)], key=lambda item: item.stamp):
         add(session, item)
     assert session.conflict is None, 'only the first frame has come for some seconds'
+    back = session.copied()
+    for item in sorted([*stops((-500, -498)), *profiles(-500, -498)], key=lambda i: i.stamp):
+        add(back, item)
+        collect(back)
+    assert back.conflict is None, 'nor does a clock that is set back bring the others back'
     add(session, stray(500))
     assert session.conflict is None, 'one more begins a new count'
 
