@@ -137,7 +137,7 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
     add(session, stray(0))
     session.copied().finish()
     assert 'map" (1 times)' in session.warnings[0] or 'other" (1 times)' in session.warnings[0]
-    for number in range(1, 4):
+    for number in range(1, 40):
         add(session, stray(number))
     with pytest.raises(InputError, match=f'{kind}.*two frames'):
         session.copied().finish()
@@ -148,7 +148,7 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
     for item in sorted([*stops((-500, -498)), *profiles(-500, -498)], key=lambda i: i.stamp):
         add(back, item)
         collect(back)
-    assert back.conflict is None, 'nor does a clock that is set back bring the others back'
+    assert back.conflict is None, 'a clock that is set back brings none of them back'
     add(session, stray(500))
     assert session.conflict is None, 'one more begins a new count'
 
