@@ -189,9 +189,8 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
-        advice = warning or missing_motion(solution, config)
-        require_certain(solution.reported, config, advice)
-        require_certain_points(solution, config, advice)
+        require_certain(solution.reported, config, missing_motion(solution, config))
+        require_certain_points(solution, config)
         require_edges(solution)
         # 9. Predict each sample from the others.
         warnings = session.warnings if session else warnings

@@ -102,13 +102,13 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     evidence = unmoved.deviance - moved.deviance
     shift, turn, size = _size(moved, kind)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-    # in a sweep that error is smooth in time, as a move is
-    least = config.noise.robot_smooth if agreed.problem.pose_model is not None else 0.0
-    large = size >= max(LEAST_MOVE_SIGMAS * smooth, least)  # else it may stand for the move
-    if size < least or evidence < (STRONG_EVIDENCE if large else DECISIVE_EVIDENCE):
+    least = LEAST_MOVE_SIGMAS * smooth  # a smaller move may be part of the robot's smooth error
+    if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
+        least = max(least, config.noise.robot_smooth)
+    if evidence < STRONG_EVIDENCE or size < least:
         return agreed, ''
     p_value = _steps_at(agreed, moved, changes).p_value
-    if p_value >= (WARNING_P if large else REFUSAL_P):
+    if p_value >= WARNING_P:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
@@ -116,7 +116,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or the '
         'tool or base of the robot was switched, or robot or sensor drift: check that it is fixed '
         'firmly, and take all samples again')
-    if large and evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
+    if evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
         raise DataError(sentence, reason='moved')
     away = se3.difference(moved.estimate.X, unmoved.estimate.X)
     with_move = moved.covariance[:6, :6] + np.outer(away, away)

@@ -175,12 +175,12 @@ def require_certain(covariance: Array, config: Config, advice: str) -> None:
             reason='uncertain')
 
 
-def require_certain_points(solution: Solution, config: Config, advice: str) -> None:
+def require_certain_points(solution: Solution, config: Config) -> None:
     """
     Raise DataError (uncertain) where the measured points are more uncertain than the limit.
 
     A rotation and a translation that make up for each other at the target are no uncertainty of
-    what the sensor measures; each alone may be large. advice: what to do, in words.
+    what the sensor measures; each alone may be large.
     """
     turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
     std, direction = worst_translation(mapped_covariance(turned, solution.reported[:6, :6]))
@@ -189,7 +189,7 @@ def require_certain_points(solution: Solution, config: Config, advice: str) -> N
         raise DataError(
             f'the points that the samples show are uncertain by {mm(std)} along '
             f'{name_direction(direction, frame)} (1 sigma; limits.points is {mm(limit)}): '
-            f'{advice}', reason='uncertain')
+            f'{missing_motion(solution, config)}', reason='uncertain')
 
 
 def missing_motion(solution: Solution, config: Config) -> str:
@@ -223,7 +223,8 @@ def require_edges(solution: Solution) -> None:
     if not target.essential:
         return
     factor = solution.noise.variance_factors[1]
-    if factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
+    at_rest = solution.problem.pose_model is None  # a robot on its way has errors of its own
+    if at_rest and factor > STRAY_EDGES and solution.residual_rms > solution.expected_rms:
         raise UnexplainedError(
             f'the edges of the target scatter {factor ** 0.5:.1f} times more than the profiles '
             'allow: check that the laser crosses the target alone, and no clamp, bar or second '
