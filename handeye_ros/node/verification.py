@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -192,10 +193,11 @@ class LiveVerification:
         with live.lock:
             parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
                              poses=part.poses.copy()) for part in self._parts]
-        return live.compute(VERIFIED, self._put, result_of_parts, self.routine, parts, calibration,
-                            live.config)
+        return live.compute(VERIFIED, partial(self._put, self._parts), result_of_parts,
+                            self.routine, parts, calibration, live.config)
 
-    def _put(self, job: Future[Verification]) -> str:
+    def _put(self, parts: list[Part], job: Future[Verification]) -> str:
+        """Write the verdict on parts, and end their verification; return the message."""
         live, result = self._live, result_or_ended(job)
         verified = live.config.verify.calibration
         name = f'verification_{result.routine}.yaml'
@@ -208,7 +210,8 @@ class LiveVerification:
         if result.verdict not in ('pass', 'fail'):
             raise DataError(f'{result.verdict}: ' + '; '.join((*result.reasons, text)))
         with live.lock:
-            self.end()
+            if self._parts is parts:  # no other one was begun meanwhile
+                self.end()
         return text
 
     def _calibration(self) -> Calibration:

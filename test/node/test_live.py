@@ -335,8 +335,10 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     assert 'verified' in live.working
     # the verification goes on until it has an answer, and stops count for it
     assert live.ask(live.take_sample).startswith('sphere: ')
+    live.ask(live.verification.verify_start)  # another one, which the result does not end
     gate.open.set()
     assert result.result(PATIENCE).startswith('sphere: PASS, ')
+    assert live.verification.text.startswith('sphere: 0 usable stops')
     gate.open.clear()
     answer = live.ask(live.answer.compute_calibration)
     live.ask(live.clear_samples)
