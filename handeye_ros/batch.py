@@ -269,7 +269,8 @@ def _figures_in(folder: Path) -> Row:
         if 'covariance' in content:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
                        for k, axis in enumerate(trend.AXES)}
-        if stamps := [sample['stamp'] for sample in content.get('samples', ())]:
+        if stamps := [one['stamp'] for one in content.get('samples', content.get(
+                'per_station', ()))]:
             values['stamp'] = min(stamps)
     return values
 

@@ -155,7 +155,7 @@ class HandeyeNode(Node):
         if path == self.live.files.path:
             return f'{path} is the current session'
         stored = read_session(path)
-        files, session = SessionFiles(self._folders.folder, stored), stored.session(config)
+        session, files = stored.session(config), SessionFiles(self._folders.folder, stored)
         text = self.live.ask(partial(self.live.open, files, session, stored.config))
         self.set_values({'samples.exclude': list(stored.config.samples.exclude)})
         return text

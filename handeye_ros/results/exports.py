@@ -150,7 +150,7 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
     names = ('x', 'y', 'z', *notation.labels)
     units = [notation.length] * 3 + [notation.angle] * len(angles)
     values = [*T[:3, 3] * (1e3 if notation.length == 'mm' else 1.0), *angles]
-    texts = [f'{value + 0.0:.{DIGITS_OF_UNIT[unit]}f}'
+    texts = [f'{round(value, DIGITS_OF_UNIT[unit]) + 0.0:.{DIGITS_OF_UNIT[unit]}f}'  # no -0
              for value, unit in zip(values, units, strict=True)]
     rows = [f'{mark}{name.upper():3} {text} {unit}'.rstrip()
             for name, text, unit in zip(names, texts, units, strict=True)]

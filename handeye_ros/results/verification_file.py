@@ -110,7 +110,8 @@ def read(path: Path) -> dict[str, Any]:
         raise unusable(path, 'it is no result of "handeye verify --out"')
     require_format(path, str(content.get('format')), FORMAT_PREFIX)
     try:
-        if not {'record', 'per_station', 'inputs'} <= content.keys():
+        if not {'record', 'per_station', 'inputs', 'reasons', 'surface',
+                'certificate'} <= content.keys():
             raise KeyError('record')
         title_of(content), [*rows_of(content)]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
