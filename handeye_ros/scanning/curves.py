@@ -4,7 +4,8 @@
 Space curves through noisy points, with position and tangent at t.
 
 The cubic is that of Wu 2017 (eqs. 7 and 8), a spline without inner knots. Where it does not fit, a
-spline with a knot every few centimetres is used.
+spline with a knot every few centimetres is used, or with more of them where cross validation finds
+that the points bend more.
 """
 from __future__ import annotations
 
@@ -16,6 +17,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
+PIECES = 1, 2, 4  # between these knots
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
 SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
 LENGTH_POINTS = 2000  # points of a curve for its length
@@ -27,12 +29,16 @@ class Curve:
     """
     A curve in space, over t from first to last, as a cubic B-spline.
 
-    covariance: of its coefficients, by the scatter of the points about it.
+    freedom: number of its points less that of its coefficients
+    variance: of the points about it (m^2)
+    covariance: of its coefficients
     """
 
     bspline: BSpline
     first: float
     last: float
+    freedom: int
+    variance: float
     covariance: Array
 
     @property
@@ -78,15 +84,18 @@ def unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def spline(t: Array, points: Array) -> Curve:
+def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES) -> Curve:
     """
     Return the smoothing spline through points (n, 3) at increasing t (n,).
 
-    Least squares over knots that lie KNOT_SPACING apart; outliers are left out.
+    Least squares, with the number of pieces that generalised cross validation finds, each
+    coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many); outliers are left out.
     """
     inliers = np.ones(len(t), dtype=bool)
-    for _ in range(4):
-        curve = _fitted(t[inliers], points[inliers], _knots(t[inliers], points[inliers]))
+    for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
+        curves = [_fitted(t[inliers], points[inliers], _knots(t[inliers], points[inliers], n))
+                  for n in pieces[:flexible]]
+        curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         scatter = float(np.sqrt((distance[inliers] ** 2).mean()))
         inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
@@ -97,14 +106,16 @@ def _fitted(t: Array, points: Array, knots: Array) -> Curve:
     """Return the least squares through points (n, 3) at increasing t (n,)."""
     bspline = make_lsq_spline(t, points, knots, k=3)
     B = BSpline.design_matrix(t, knots, 3).toarray()
-    variance = float(((bspline(t) - points) ** 2).sum()) / max(len(B) - B.shape[1], 1)
-    return Curve(bspline, float(t[0]), float(t[-1]), variance * np.linalg.pinv(B.T @ B))
+    freedom = max(len(B) - B.shape[1], 1)
+    variance = float(((bspline(t) - points) ** 2).sum()) / freedom
+    return Curve(bspline, float(t[0]), float(t[-1]), freedom, variance,
+                 variance * np.linalg.pinv(B.T @ B))
 
 
-def _knots(t: Array, points: Array) -> Array:
+def _knots(t: Array, points: Array, pieces: int) -> Array:
     """Return knots of a cubic spline with points between all of them."""
-    count = int(np.clip(np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
-                        / KNOT_SPACING, 1, max(len(t) // 8, 1)))
+    length = np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
+    count = int(np.clip(pieces * length / KNOT_SPACING, 1, max(len(t) // 8, 1)))
     # longer pieces at the ends, where no points beyond determine the direction
     inner = np.quantile(t, (np.arange(1, count - 1) + 0.5) / count)
     return np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4])

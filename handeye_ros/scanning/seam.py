@@ -22,7 +22,7 @@ from handeye_ros.output import csv_text, write_whole, yaml_text
 from handeye_ros.scanning.curves import Curve, spline, through, unit
 from handeye_ros.scanning.seam_course import course
 from handeye_ros.scanning.seam_sections import edges
-from handeye_ros.scanning.seam_sheets import sheets_of
+from handeye_ros.scanning.seam_sheets import FLAT_RATIO, sheets_of
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
@@ -134,11 +134,14 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
         curves['root'].position(np.clip(lengths, *ends)) - sections.lines['root'], axis=1)
     seam = Seam(rough.kind, line, lines, normals, np.interp(grid, lengths, distance),
                 through(lines[line]), sections.noise, sheets.spacing, rough.others, std)
-    scatter = max(seam.noise, seam.residual)
-    if scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
-        raise DataError(f'the sections of the seam scatter by {mm(scatter)}, and the points by '
-                        f'{mm(sheets.noise)}: this is not a uniform seam; cut it out with --box, '
-                        'or scan more densely')
+    if seam.residual > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
+        raise DataError(f'the sections of the seam scatter by {mm(seam.residual)}, and the points '
+                        f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
+                        '--box, or scan more densely')
+    if seam.noise > FLAT_RATIO * sheets.noise:
+        raise DataError(f'the sheets beside the seam are {mm(seam.noise)} thick, and the noise of '
+                        f'the points is {mm(sheets.noise)}: they bend, and the noise hides where; '
+                        'scan with less noise, or cut the seam out with --box')
     return seam
 
 

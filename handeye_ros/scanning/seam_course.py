@@ -34,6 +34,8 @@ LARGEST_LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spa
 SHORTEST_SEAM = 0.01  # m: smallest length of a seam
 HIGHEST_LAP = 8e-3  # m: a higher step is no lap
 NARROWEST_GAP = 4.0  # spacings: smallest gap
+CORNER_NOISE = 0.25  # spacings: noise up to which no corner looks round
+BESIDE = 1.2  # median over smallest distance of two edges of one gap
 TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
 V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
 SEAM_KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
@@ -71,8 +73,9 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
         raise DataError(
             f'no seam: nowhere do two edges face each other within {mm(widest)} (--widest). The '
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
-            f'{mm(NARROWEST_GAP * spacing)} to be seen: scan more densely, or check what was '
-            'scanned')
+            f'{mm(NARROWEST_GAP * spacing)} to be seen, and their noise is {mm(sheets.noise)}, '
+            f'which must be smaller than {mm(CORNER_NOISE * spacing)} for a corner: scan more '
+            'densely, with less noise, or check what was scanned')
     middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
     if kind == 'step':
         raise DataError(
@@ -83,10 +86,13 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
     if len(middles) > 1:
         listed = '; '.join(f'{mm(float(np.linalg.norm(np.ptp(p, axis=0))))} long at '
                            f'{position_text(p.mean(axis=0))}' for p in middles)
-        apart = float(cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0].min())
+        distance = cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0]
+        apart = float(distance.min())
+        is_wide = widest < apart and np.median(distance) < BESIDE * apart
         raise DataError(
             f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if it '
-            'is a single one, scan again what is not seen of it')
+            'is a single one, ' + ('with a gap between these edges, give a larger --widest'
+                                   if is_wide else 'scan again what is not seen of it'))
     return Course(kind, *seams[kind][0], sum(map(len, seams.values())) - 1)
 
 
@@ -186,14 +192,14 @@ def _is_v(sheets: Sheets, pairs: Pairs) -> bool:
     axis = -unit(sheets.outward[pairs].sum(axis=(0, 1)))
     label = sheets.label[sheets.rims]
     plates = sheets.rims[np.isin(label, sheets.label[pairs], invert=True)]
-    if not len(plates):
-        return False
     tree = cKDTree(sheets.points[plates])
     for sheet in np.unique(sheets.label[pairs]):
         rims = sheets.rims[label == sheet]
         upper = sheets.points[rims[sheets.outward[rims] @ axis > INWARD_COSINE]]
         distance, nearest = tree.query(upper, distance_upper_bound=LARGEST_LINK * sheets.spacing)
-        plate = plates[nearest[np.isfinite(distance)]]
+        steep = unit(sheets.normals[pairs[sheets.label[pairs] == sheet]].sum(axis=0))
+        joined = rims[np.abs(sheets.normals[rims] @ steep) < PARALLEL_COSINE]  # by the noise
+        plate = np.append(plates[nearest[np.isfinite(distance)]], joined)
         if (np.abs(sheets.normals[plate] @ axis) > V_AXIS_COSINE).sum() < len(pairs) / 8:
             return False
     return True

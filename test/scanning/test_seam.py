@@ -278,6 +278,35 @@ def test_what_is_no_single_seam_is_refused(values, words):
         find_seam(cloud_of(**values).points)
 
 
+@pytest.mark.parametrize(('joint', 'words'), [
+    (vee(6, 1.5, noise=0.15), r'sheets beside the seam are 0\.\d+ mm thick.* less noise'),
+    (lap(0.3), r'no seam.* noise is 0\.03\d* mm, .* for a corner'),
+    (butt(14, 5), '2 seams .*, 14 mm apart.* larger --widest')])
+def test_noise_that_hides_a_bend_and_a_gap_that_is_too_wide_are_named(joint, words):
+    with pytest.raises(DataError, match=words):
+        find_seam(scanned(replace(joint, length=40.0), np.random.default_rng(0)).points)
+
+
+def test_a_v_whose_plates_noise_joins_to_its_bevels_is_no_fillet():
+    truth = scanned(vee(8, 1.5, angle=45, noise=0.1, length=40.0), np.random.default_rng(0))
+    seam = find_seam(truth.points)
+    assert seam.kind == 'v'
+    assert off_line(truth, tool_frames(seam, 5e-3).T_base_tool[:, :3, 3]).max() < 1e-4
+
+
+def test_the_path_is_as_near_to_a_wavy_seam_as_it_says():
+    rng = np.random.default_rng(0)
+    x, u = rng.uniform(0, 0.15, 60000), rng.uniform(-0.02, 0.02, 60000)
+    x, u = x[np.abs(u) > 1e-3], u[np.abs(u) > 1e-3]
+    wave = 2 * np.pi / 0.15
+    points = np.column_stack([x, u + 3e-3 * np.sin(wave * x), 5e-5 * rng.normal(size=len(x))])
+    frames = tool_frames(find_seam(points), 5e-3)
+    x, y, z = frames.T_base_tool[:, :3, 3].T
+    away = np.hypot((y - 3e-3 * np.sin(wave * x)) / np.hypot(1, 3e-3 * wave * np.cos(wave * x)), z)
+    assert away.max() < 8e-5
+    assert (away < 3.44 * frames.measures[:, 3]).mean() > 0.95
+
+
 def test_clouds_of_other_things_are_refused():
     rng = np.random.default_rng(0)
     flat = rng.uniform(-0.03, 0.03, (12000, 2))
