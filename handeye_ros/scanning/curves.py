@@ -97,7 +97,9 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES) -> Curve:
                   for n in pieces[:flexible]]
         curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
-        scatter = float(np.sqrt((distance[inliers] ** 2).mean()))
+        # a flexible one would follow some wrong points in a row, which widen the mean square
+        scatter = (1.4826 * float(np.median(distance[inliers])) if len(pieces) > 1
+                   else float(np.sqrt((distance[inliers] ** 2).mean())))
         inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
     return curve
 
