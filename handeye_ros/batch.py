@@ -126,13 +126,19 @@ def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
     files = list(map(Path, files_of(source)))
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
     if Path() in {*files, *folders}:
-        yield source, source.resolve().stem
+        yield source, _label_of(source.resolve())
         return
     single = {file for file in files
               if file.name.endswith(SUFFIXES) and file.parent not in folders}
     for bag in sorted(folders | single):
-        label = bag.with_name(bag.name.removesuffix('.zstd')).with_suffix('')
+        label = bag.with_name(_label_of(bag))
         yield source / bag, str(source.resolve().name / label if several else label)
+
+
+def _label_of(bag: Path) -> str:
+    """Return the name of a bag, of a file without its suffix."""
+    suffix = next((s for s in reversed(SUFFIXES) if bag.name.endswith(s)), '')
+    return bag.name.removesuffix(suffix)
 
 
 def words_of(args: str, config: Path | str | None, settings: Iterable[str],
@@ -154,7 +160,7 @@ def _listed(path: Path, base: Job) -> Iterator[Job]:
         own = words_of(row.get('args', ''), row.get('config'), row.get('settings', '').split(),
                        folder)
         yield replace(base, bag=str(folder / row['bag']), words=(*base.words, *own),
-                      label=row.get('label') or Path(row['bag']).stem)
+                      label=row.get('label') or _label_of(Path(row['bag'])))
 
 
 @contextmanager

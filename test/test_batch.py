@@ -133,6 +133,11 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
     (tmp_path / 'nights/metadata.yaml').touch()
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['nights']
+    for folder in ('cells/cell.1', 'cells/cell.2'):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / 'metadata.yaml').touch()
+    assert [job.label for job in jobs_of([str(tmp_path / 'cells')], SOLVE)] == [
+        'cell.1', 'cell.2']
     for labels in (('../keep',), ('.',), (str(tmp_path),), ('a', 'a/b'), ('a', 'a', 'a-2')):
         (tmp_path / 'jobs.csv').write_text('bag,label\n' + ''.join(f'x,{a}\n' for a in labels))
         with pytest.raises(InputError, match='no folder of its own'):
