@@ -63,7 +63,7 @@ class Job:
         """Return the words after `handeye`; folder: of the results."""
         return [self.verb, *self.words, self.bag, '--out', str(folder / OUTPUTS[self.verb])]
 
-    def state(self) -> list[Any]:
+    def fingerprint(self) -> list[Any]:
         """Return what the result depends on: version, command, and size and time of all files."""
         return [__version__, self.command(Path()), *(
             files_of(Path(word)) for word in (self.bag, *self.words) if os.path.exists(word))]
@@ -187,8 +187,8 @@ def client_of(scheduler: str) -> Iterator[Any]:
             yield client
 
 
-def rows_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
-            ) -> Iterator[Row]:
+def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'local'
+               ) -> Iterator[Row]:
     """
     Yield the row of each job: of the unchanged at once, of the others when they are done.
 
@@ -223,7 +223,7 @@ def unchanged(job: Job, out: Path) -> Row | None:
     """Return the row of a job from its folder below out if it would be computed from the same."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
-        same = previous['state'] == job.state()
+        same = previous['state'] == job.fingerprint()
     except (OSError, ValueError, KeyError):
         return None
     return {**previous['row'], 'computed': False} if same else None
@@ -235,7 +235,7 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
     unfinished = folder.with_name(f'.{folder.name}.part')
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir(parents=True)
-    start, state = time.perf_counter(), job.state()
+    start, state = time.perf_counter(), job.fingerprint()
     printed, errors = io.StringIO(), io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(errors):

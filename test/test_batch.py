@@ -14,7 +14,15 @@ import time
 
 from calibrations import CALIBRATION
 from command import assert_refused, handeye, PATIENCE, ROOT
-from handeye_ros.batch import CRASH_EXIT_CODE, Job, jobs_of, rows_of, run, unchanged, write_table
+from handeye_ros.batch import (
+    CRASH_EXIT_CODE,
+    Job,
+    jobs_of,
+    results_of,
+    run,
+    unchanged,
+    write_table,
+)
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import write_calibration
 import numpy as np
@@ -50,7 +58,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
         (tmp_path / f'{name}.mcap').write_text(text)
     out, jobs = tmp_path / 'out', jobs_of([str(tmp_path)], SOLVE)
     assert [job.label for job in jobs] == sorted(texts)
-    rows = {row['label']: row for row in rows_of(jobs, out, pretended)}
+    rows = {row['label']: row for row in results_of(jobs, out, pretended)}
     assert {name: row['exit_code'] for name, row in rows.items() if row['exit_code']} == {
         'killing': CRASH_EXIT_CODE, 'crashing': CRASH_EXIT_CODE, 'refused': 3}
     assert rows['crashing']['cause'] == 'ZeroDivisionError: a fault'
@@ -79,9 +87,9 @@ def test_links_to_recordings_are_followed(tmp_path):
     (tmp_path / 'cell/wednesday.mcap.zstd').touch()
     jobs = jobs_of([str(tmp_path / 'cell')], SOLVE)
     assert [job.label for job in jobs] == ['monday', 'tuesday', 'wednesday']
-    state = jobs[0].state()
+    state = jobs[0].fingerprint()
     (tmp_path / 'store/night/metadata.yaml').write_text('changed')
-    assert jobs[0].state() != state
+    assert jobs[0].fingerprint() != state
 
 
 def test_only_answers_of_one_sensor_are_compared(tmp_path):
@@ -127,7 +135,7 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     (tmp_path / 'nights/plate/notes.txt').write_text('kept')
     jobs = jobs_of([str(tmp_path / 'nights')], SOLVE)
     with pytest.raises(InputError, match='holds no result of batch'):
-        list(rows_of(jobs, tmp_path / 'nights', pretended))
+        list(results_of(jobs, tmp_path / 'nights', pretended))
     assert (tmp_path / 'nights/plate/notes.txt').read_text() == 'kept'
     monkeypatch.chdir(tmp_path / 'nights')
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']

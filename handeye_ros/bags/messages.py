@@ -424,7 +424,7 @@ class ProfileReader:
         if cloud.height * cloud.width:
             for axis in self.config.axes:
                 cloud.view(axis[-1])
-        rows = rows_of(cloud, self.config)
+        rows = row_count(cloud, self.config)
         if not self._trusted or abs(cloud.stamp - self._probed) >= CHECK_PERIOD:
             self._trusted = False
             points = profile_from_cloud(cloud if rows == 1 else cloud.row(0), self.config).points
@@ -435,7 +435,7 @@ class ProfileReader:
                           rows)
 
 
-def rows_of(cloud: Cloud, config: ProfileConfig) -> int:
+def row_count(cloud: Cloud, config: ProfileConfig) -> int:
     """
     Return the number of profiles in a cloud: its rows, or 1 if rows are single points.
 

@@ -93,11 +93,11 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
         return agreed, ''
     margin = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
-    changes = np.unique(np.linspace(margin, n - margin, MOST_CHANGES).round().astype(int))
-    first = _Steps.of(conservative, changes).gains()
+    moments = np.unique(np.linspace(margin, n - margin, MOST_CHANGES).round().astype(int))
+    first = _Steps.of(conservative, moments).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
-    kind, k, moved = _likeliest(agreed, changes, first)
+    kind, k, moved = _likeliest(agreed, moments, first)
     unmoved = reestimated(conservative)
     evidence = unmoved.deviance - moved.deviance
     shift, turn, size = _size(moved, kind)
@@ -107,12 +107,12 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         least = max(least, config.noise.robot_smooth)
     if evidence < STRONG_EVIDENCE or size < least:
         return agreed, ''
-    p_value = _steps_at(agreed, moved, changes).p_value
+    p_value = _steps_at(agreed, moved, moments).p_value
     if p_value >= WARNING_P:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
-        f'after the first {agreed.used[changes[k]]} of {len(agreed.whole.poses)} samples the '
+        f'after the first {agreed.used[moments[k]]} of {len(agreed.whole.poses)} samples the '
         f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or the '
         'tool or base of the robot was switched, or robot or sensor drift: check that it is fixed '
         'firmly, and take all samples again')
@@ -125,27 +125,27 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     return replace(agreed, added_covariances=added), sentence
 
 
-def _likeliest(agreed: Solution, changes: NDArray[np.intp], first: Array
+def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
                ) -> tuple[int, int, Solution]:
     """
-    Return what moved, see _blocks, before which of the changes, and the solution with that move.
+    Return what moved, see _blocks, before which of the moments, and the solution with that move.
 
     first: (2, k) gains of moves with the noise as it is without one.
     """
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
     for kind, gains in enumerate(first):
         while (one := (kind, int(np.argmax(gains)))) not in tried:
-            further = _blocks(conservative, kind, int(changes[one[1]]))
+            further = _blocks(conservative, kind, int(moments[one[1]]))
             tried[one] = reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _steps_at(agreed, tried[one], changes).gains()[kind]
+            gains = _steps_at(agreed, tried[one], moments).gains()[kind]
     (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
     return kind, k, moved
 
 
-def _steps_at(agreed: Solution, moved: Solution, changes: NDArray[np.intp]) -> _Steps:
+def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _Steps:
     """Return the sums for moves of a solution, with the noise of that with a move."""
-    return _Steps.of(solution_at(agreed.problem, agreed.estimate, moved.noise), changes)
+    return _Steps.of(solution_at(agreed.problem, agreed.estimate, moved.noise), moments)
 
 
 def _size(moved: Solution, kind: int) -> tuple[float, float, float]:
@@ -200,12 +200,12 @@ class _Steps:
     slope: Array
 
     @classmethod
-    def of(cls, solution: Solution, changes: NDArray[np.intp]) -> _Steps:
+    def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _Steps:
         """Return the sums at a solution."""
         white = whitening(solution.linear, solution.noise)
         D, J = white(_by_steps(solution)), solution.derivatives
         rows = np.split(np.arange(len(D)), np.searchsorted(
-            solution.problem.observations.station, changes))
+            solution.problem.observations.station, moments))
         scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
         values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
         root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T

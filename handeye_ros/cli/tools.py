@@ -136,7 +136,7 @@ def batch(
         out.mkdir(parents=True, exist_ok=True)
     try:
         with doing(f'{len(jobs)} recordings') as progress:
-            for row in batches.rows_of(jobs, out, run_verb, scheduler):
+            for row in batches.results_of(jobs, out, run_verb, scheduler):
                 rows.append(row)
                 progress(len(rows) / len(jobs))
         batches.write_table(rows, out)

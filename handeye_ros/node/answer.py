@@ -91,7 +91,7 @@ class LiveAnswer:
     The answer of a running session; its methods are for the worker (see live.py).
 
     calibration: the last answer that was not refused
-    missing: why there is none
+    why_missing: why there is none
     asked_with: the settings of the last attempt to compute it, None before the first
     seen: visible points (k, 2) at the ends of the field of view
     """
@@ -102,11 +102,11 @@ class LiveAnswer:
         self.review = Review(advise((), live.config))
         self.seen = np.zeros((0, 2))
         self.calibration: Calibration | None = None
-        self.missing = ''
+        self.why_missing = ''
         self.asked_with: dict[str, Any] | None = None
         self._solved: set[int] = set()  # numbers of the samples of the last answer
         self._saved: exports.Saved | None = None  # the files of this answer
-        self._wanted: tuple[Any, ...] = ()  # their folder, formats, record and times
+        self._saved_as: tuple[Any, ...] = ()  # their folder, formats, record and times
 
     @property
     def withdrawn(self) -> bool:
@@ -118,7 +118,7 @@ class LiveAnswer:
         """Return the file of the current answer, empty before it is saved."""
         return str(self._saved.files[0]) if self._saved else ''
 
-    def changes(self, session: Session) -> str:
+    def difference(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
         now, before = _numbers(session), self._solved
         differences = ' and '.join(
@@ -151,7 +151,7 @@ class LiveAnswer:
     def forget(self, why: str) -> None:
         """Begin anew with other samples."""
         self.review, self.asked_with = Review(advise((), self._live.config)), None
-        self.seen, self.calibration, self.missing = np.zeros((0, 2)), None, why
+        self.seen, self.calibration, self.why_missing = np.zeros((0, 2)), None, why
 
     def compute_calibration(self) -> Future[str]:
         """
@@ -228,7 +228,7 @@ class LiveAnswer:
                   {'session': live.path}]
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})
-        self._solved, self.missing, self._saved = _numbers(session), '', None
+        self._solved, self.why_missing, self._saved = _numbers(session), '', None
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
@@ -236,7 +236,7 @@ class LiveAnswer:
         if isinstance(error, DataError):
             self.calibration = None
         if self.calibration is None:
-            self.missing = f'the last attempt to compute it was refused ({error})'
+            self.why_missing = f'the last attempt to compute it was refused ({error})'
 
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
@@ -244,14 +244,14 @@ class LiveAnswer:
         live.store_rest()
         folder, formats = live.folders.own(live.config), live.config.save.formats
         wanted = folder, formats, live.config.record
-        if self._saved and self._wanted == (*wanted, _times(self._saved)):
+        if self._saved and self._saved_as == (*wanted, _times(self._saved)):
             text = f'saved already: {", ".join(map(str, self._saved.files))}'
         else:
             self._saved = exports.save_all(calibration, folder, formats)
-            self._wanted, text = (*wanted, _times(self._saved)), str(self._saved)
+            self._saved_as, text = (*wanted, _times(self._saved)), str(self._saved)
         note = (f'; {COMPUTED} again: save it again after that'
                 if COMPUTED in live.running else '')
-        return f'{text}{self.changes(live.copied())}{note}'
+        return f'{text}{self.difference(live.copied())}{note}'
 
 
 def summary(calibration: Calibration) -> str:

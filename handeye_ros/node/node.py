@@ -185,16 +185,16 @@ class HandeyeNode(Node):
 
     def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
         try:
-            self._changed(changes)
+            self._checked_settings(changes)
         except HandeyeError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _changed(self, changes: Iterable[RosParameter]) -> tuple[Config, bool]:
+    def _checked_settings(self, changes: Iterable[RosParameter]) -> tuple[Config, bool]:
         """Return the changed settings, and whether they name other topics; raises InputError."""
         config = configuration.with_values(self.live.config, _values(changes), PARAMETERS)
         _check_names(config)
-        other_topics = self._streams.changes(config)
+        other_topics = self._streams.names_other_topics(config)
         if other_topics and any(stop.sample for stop in self.live.copied().stops):
             raise InputError('the topics cannot change while there are samples from them: call '
                              '~/clear_samples first, which begins a new session')
@@ -204,7 +204,7 @@ class HandeyeNode(Node):
         if not _values(changes):
             return  # of ROS, such as use_sim_time
         with self._changing:
-            config, other_topics = self._changed(changes)
+            config, other_topics = self._checked_settings(changes)
             self.live.ask(partial(self.live.configure, config))
             if other_topics:
                 self._streams.stop()

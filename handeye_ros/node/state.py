@@ -245,14 +245,15 @@ def _calibration(answer: LiveAnswer, session: Session) -> State:
     """
     calibration = answer.calibration
     if calibration is None:
-        text = (f'{answer.missing}; the transform that was published before is not the answer'
+        text = (f'{answer.why_missing}; the transform that was published before is not the answer'
                 if answer.withdrawn else
-                ': '.join(filter(None, ('no calibration has been computed yet', answer.missing))))
+                ': '.join(filter(None, ('no calibration has been computed yet',
+                                        answer.why_missing))))
         return {'state': WITHDRAWN if answer.withdrawn else NONE, 'text': text, 'parent': '',
                 'child': '', **_pose(None), 'rpy': None, 'std': None, 'residual_rms': None,
                 'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
     T, quality = calibration.T_flange_sensor, calibration.quality
-    changes = answer.changes(session)
+    changes = answer.difference(session)
     return {
         'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
         'parent': calibration.parent_frame, 'child': calibration.child_frame,

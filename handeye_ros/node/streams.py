@@ -172,7 +172,7 @@ class Streams:
             topic.message, topic.name, topic.receive, topic.qos, callback_group=self._group,
             raw=True, event_callbacks=NO_CALLBACKS)
 
-    def changes(self, config: Config) -> bool:
+    def names_other_topics(self, config: Config) -> bool:
         """Return whether settings name other topics than these; raises InputError."""
         if _topics_named(config) == self._named:
             return False

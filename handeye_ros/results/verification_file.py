@@ -61,7 +61,7 @@ def look_of(verdict: str) -> str:
     return {'pass': 'good', 'fail': 'bad'}.get(verdict, 'open')
 
 
-def rows_of(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield the measured values: a name, and the texts of TABLE_COLUMNS."""
     for q in content['quantities']:
         nominal = q['nominal']
@@ -80,7 +80,7 @@ def table(content: Mapping[str, Any]) -> Table:
     result = Table(title=title_of(content), title_justify='left')
     for column in ('', *TABLE_COLUMNS):
         result.add_column(column, justify='left' if not column else 'right')
-    for name, texts in rows_of(content):
+    for name, texts in table_rows(content):
         result.add_row(name, *texts)
     return result
 
@@ -88,7 +88,7 @@ def table(content: Mapping[str, Any]) -> Table:
 def sentence(content: Mapping[str, Any]) -> str:
     """Return a verification as one sentence: verdict, reasons, figures with units."""
     figures = []
-    for name, (measured, nominal, deviation, U, claimed) in rows_of(content):
+    for name, (measured, nominal, deviation, U, claimed) in table_rows(content):
         claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
         figures.append(f'{name} {measured}'
                        + (f' ± {U} (k = {content["k"]:g}{claims})' if U else '')
@@ -113,7 +113,7 @@ def read(path: Path) -> dict[str, Any]:
         if not {'record', 'per_station', 'inputs', 'reasons', 'surface',
                 'certificate'} <= content.keys():
             raise KeyError('record')
-        title_of(content), [*rows_of(content)]
+        title_of(content), [*table_rows(content)]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise unusable(path, 'it is not the whole result of a verification: verify again'
                        ) from error
@@ -132,7 +132,7 @@ def protocol(content: Mapping[str, Any]) -> str:
     digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
     return page(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
-        look=look_of(content['verdict']), columns=TABLE_COLUMNS, rows=list(rows_of(content)),
+        look=look_of(content['verdict']), columns=TABLE_COLUMNS, rows=list(table_rows(content)),
         characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
         formatted=formatted)
 

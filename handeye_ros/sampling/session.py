@@ -32,7 +32,7 @@ from handeye_ros.sampling.stream import Copyable, LARGEST_STEP, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
-SILENCE_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
+POSES_MISSING_TIME = 0.25  # s without a pose, while profiles come: then the robot may be anywhere
 SAME_PLANE = 5e-4  # m: largest difference across the light plane between profiles of one plane
 FEWEST_TILTED, TILT_REST = 8, 0.03  # stops that show a tilted plane; what it leaves unexplained
 MOST_REPEATS = 20  # of one stamp in a row: its clock stands still
@@ -217,7 +217,7 @@ class Session(Copyable):
                             'the sample again; otherwise let only one node publish poses',
                             reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
-        if max(SILENCE_TIME, 5 * poses.period) < silence < LARGEST_STEP / NS:
+        if max(POSES_MISSING_TIME, 5 * poses.period) < silence < LARGEST_STEP / NS:
             raise silent_poses(silence)
 
     @property

@@ -263,10 +263,10 @@ class Fit:
     smallest_error: the smallest detectable error of the calibration in the direction in which it
         shows least, as RMS displacement of the points (m)
     weakest_direction: in words
-    along, along_std: the estimated error in this direction
+    weakest_error, weakest_error_std: the estimated error in this direction
     error (6,): estimated error of the calibration
     p_error, p_no_error: p-values of the distances with and without it
-    implied, implied_std: its largest displacement of a point (m)
+    largest_error, largest_error_std: its largest displacement of a point (m)
     residuals (m,): whitened, of the shape as expected
     by_unknowns (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if
         free
@@ -276,8 +276,8 @@ class Fit:
     scatter: Scatter
     smallest_error: float
     weakest_direction: str
-    along: float
-    along_std: float
+    weakest_error: float
+    weakest_error_std: float
     distances: Array
     distance_std: Array
     region: float
@@ -286,8 +286,8 @@ class Fit:
     error: Array
     p_error: float
     p_no_error: float
-    implied: float
-    implied_std: float
+    largest_error: float
+    largest_error_std: float
     residuals: Array
     by_unknowns: Array
 
@@ -354,15 +354,16 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
     freedom = max(max(len(r) - len(q), 1) + known - 6, 1)
     scale = max(left / freedom, 1.0)
     of_calibration = inverse[:6, :6]
-    smallest_error, weakest_direction, along, along_std = _weakest(
+    smallest_error, weakest_direction, weakest_error, weakest_error_std = _weakest(
         np.linalg.inv(of_calibration) - np.diag(prior[:6]), lever, error[:6], mount_frame(config))
-    implied, implied_std = largest_displacement(lever, error[:6], scale * of_calibration)
+    largest_error, largest_error_std = largest_displacement(
+        lever, error[:6], scale * of_calibration)
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
         quantities=measured.quantities, scatter=_scatter(at, root, distances),
-        smallest_error=smallest_error, weakest_direction=weakest_direction, along=along,
-        along_std=along_std, distances=distances,
+        smallest_error=smallest_error, weakest_direction=weakest_direction,
+        weakest_error=weakest_error, weakest_error_std=weakest_error_std, distances=distances,
         distance_std=np.hypot(np.concatenate([np.linalg.norm(factor, axis=1)
                                               for factor in factors]),
                               np.linalg.norm(by_errors[:, 6:], axis=1)),
@@ -370,7 +371,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
         error=error[:6], p_error=float(chi2_sf(left, freedom)),
         p_no_error=float(chi2_sf((without - left) / scale, 6)),
-        implied=implied, implied_std=implied_std, residuals=r,
+        largest_error=largest_error, largest_error_std=largest_error_std, residuals=r,
         by_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
@@ -442,7 +443,7 @@ def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, fl
 def _weakest(information: Array, lever: Array, error: Array, mount: str
              ) -> tuple[float, str, float, float]:
     """
-    Return smallest_error, weakest_direction, along and along_std of a Fit.
+    Return smallest_error, weakest_direction, weakest_error and its std of a Fit.
 
     information (6, 6): about the calibration's error in its mount; error (6,): the estimated one.
     """
@@ -463,7 +464,7 @@ def refit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float 
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
         result = fit_shape(shape, X, C, config, smooth)
-        if not result.implied < LARGEST_SHIFT:
+        if not result.largest_error < LARGEST_SHIFT:
             break
         X = se3.perturb(X, -result.error)
     return result

@@ -39,7 +39,7 @@ import numpy as np
 
 SURE_CHANGE = 4.0  # sigmas of a change
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
-MOST_SAMPLES = 60  # samples of a sweep
+SWEEP_SAMPLES = 60  # samples of a sweep
 # robust sigmas of a point that is left out, of one that is of another surface
 OUTLIER_SIGMAS, OTHER_SURFACE_SIGMAS = 4.0, 20.0
 GAUSS_NEWTON_STEPS, STEPS_WITH_ALL = 16, 6  # of which the first are with all points
@@ -49,7 +49,7 @@ FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the c
 LEAST_SEEN = 0.5  # of the stops must see the nearest surface
 LEAST_STOPS = 4
 TRIAL_COUNT = 300  # pairs of features that define a trial point, line or plane
-MOST_OF_PASS, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
+PASS_PROFILES, POINTS_OF_PROFILE = 12, 80  # of a pass that are used, and of each of them
 
 
 def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibration: Calibration,
@@ -103,7 +103,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     for profiles, track in passes:
         flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
         seen = np.flatnonzero(flange.inside)
-        seen = seen[evenly_chosen(len(seen), MOST_OF_PASS)]
+        seen = seen[evenly_chosen(len(seen), PASS_PROFILES)]
         for number, index in enumerate(seen.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
             some = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
@@ -227,7 +227,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     moved, it stays near it. X: (4, 4) sensor plane in the mount. Samples that show another surface
     or edge are left out.
     """
-    samples = evenly(passes_expanded(samples), MOST_SAMPLES)
+    samples = evenly(passes_expanded(samples), SWEEP_SAMPLES)
     clocked = ClockedPoses.of(samples)
     stations = _stations(routine, [samples], X, config)
     one = replace(config.verify, lengths=())  # face or ball, of an artefact of several

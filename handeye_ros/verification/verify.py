@@ -227,10 +227,11 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
         failed.append(f'points of {len(outside)} of {len(stations)} stops lie up to '
                       f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
     if fit.p_no_error <= SIGNIFICANCE and not other_size and (
-            fit.implied - ONE_SIDED_95 * fit.implied_std > limits.tolerance):
+            fit.largest_error - ONE_SIDED_95 * fit.largest_error_std > limits.tolerance):
         failed.append(
-            f'the pattern of the distances matches a calibration error of {mm(fit.implied)} ± '
-            f'{mm(COVERAGE_FACTOR * fit.implied_std)} (k = {COVERAGE_FACTOR:g}) at the points')
+            'the pattern of the distances matches a calibration error of '
+            f'{mm(fit.largest_error)} ± {mm(COVERAGE_FACTOR * fit.largest_error_std)} '
+            f'(k = {COVERAGE_FACTOR:g}) at the points')
     if failed:
         return 'fail', (*failed, *notes)
     if fit.smallest_error > limits.tolerance:
@@ -244,8 +245,9 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
         f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the tolerance: '
         'measure at more stops'
         for size, std, is_seen in (
-            (fit.implied, fit.implied_std, fit.p_no_error < SIGNIFICANCE),
-            (fit.along, fit.along_std, fit.along > NORMAL_95 * fit.along_std))
+            (fit.largest_error, fit.largest_error_std, fit.p_no_error < SIGNIFICANCE),
+            (fit.weakest_error, fit.weakest_error_std,
+             fit.weakest_error > NORMAL_95 * fit.weakest_error_std))
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
     return 'undecided' if undecided else 'pass', tuple(dict.fromkeys((*undecided, *notes)))
 

@@ -13,7 +13,7 @@ from handeye_ros.bags.messages import (
     pose_from_cdr,
     profile_from_cdr,
     ProfileReader,
-    rows_of,
+    row_count,
     transforms_from_cdr,
 )
 from handeye_ros.config import ProfileConfig
@@ -334,4 +334,4 @@ def test_the_edge_is_found_in_the_messages_of_a_driver(name: str, tmp_path: Path
     assert min(abs(x - 0.004) for x in edges) < 2e-4
     if name == 'Mech-Mind':  # which sends batches, stamped when they are complete
         batch = cloud({key: np.tile(v, 5) for key, v in columns.items()}, layout, step, height=5)
-        assert (rows_of(read(batch), config.profile), config.profile.stamp) == (5, 'last')
+        assert (row_count(read(batch), config.profile), config.profile.stamp) == (5, 'last')

@@ -8,7 +8,7 @@ from functools import partial
 
 from handeye_ros.bags import bag
 from handeye_ros.bags.bag_write import pose_cdr
-from handeye_ros.bags.messages import ProfileReader, rows_of, split
+from handeye_ros.bags.messages import ProfileReader, row_count, split
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, Raw
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
@@ -69,8 +69,8 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
 
 def test_rows_that_part_the_line_are_points() -> None:
     made = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
-    assert rows_of(read(made), ProfileConfig()) == 1
-    assert rows_of(read(made), ProfileConfig(rows='profiles')) == 4
+    assert row_count(read(made), ProfileConfig()) == 1
+    assert row_count(read(made), ProfileConfig(rows='profiles')) == 4
     assert points(made, ProfileConfig()).shape == (60, 2)
     one, = profiles([batch(START, 1, gocator=True)], ProfileConfig())
     assert one.read().points.shape == (60, 2)

@@ -91,7 +91,7 @@ def reported(folder, result):
     page = (folder / 'r.html').read_text()
     assert f'sphere: FAIL, {result["stations"]} stations' in page
     assert all(reason in page for reason in result['reasons'])
-    assert dict(verification_file.rows_of(found))['radius'][0] in page
+    assert dict(verification_file.table_rows(found))['radius'][0] in page
     said('report', folder / 'told.yaml')
     assert 'ISO 14253-1' in (folder / 'told.html').read_text()
 
