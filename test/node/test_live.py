@@ -254,7 +254,8 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
     assert 'A. Nother' in (folder / 'calibration.yaml').read_text()
     (folder / 'calibration.yaml').write_text('of another')
     assert live.answer.save_calibration().startswith('wrote ')
-    assert (next((folder / 'history').glob('*/calibration.yaml'))).read_text() == 'of another'
+    assert 'of another' in [
+        file.read_text() for file in (folder / 'history').glob('*/calibration.yaml')]
     other = new(config)
     other.answer.calibration = live.answer.calibration
     before = (folder / 'calibration.yaml').read_bytes()
