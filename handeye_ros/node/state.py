@@ -171,7 +171,8 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     trouble = '; '.join(filter(None, (*told, state['session']['trouble'])))
     if trouble in text:
         return text
-    unusable = any(stream['malformed'] and not stream['count'] for stream in streams)
+    unusable = service in ('take_sample', 'compute_calibration') and any(
+        stream['malformed'] and not stream['count'] for stream in streams)
     if not success and (text in trouble or unusable):
         return trouble
     return f'{text}; {trouble}' if success else f'{trouble}; {text}'
