@@ -3,7 +3,9 @@
 """Every command line of the README and the docs is run, or its names are looked up."""
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
+import importlib.util
 from pathlib import Path
 import re
 import shlex
@@ -119,3 +121,14 @@ def test_the_site_builds(tmp_path: Path) -> None:
     pages = {path.stem for path in (ROOT / 'docs').glob('*.md')} - {'index'}
     assert all((tmp_path / page / 'index.html').is_file() for page in pages)
     assert 'start' in (tmp_path / 'index.html').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize('file', sorted([*ROOT.glob('bench/*.py'), *ROOT.glob('tools/*.py')]),
+                         ids=lambda file: file.name)
+def test_what_a_bench_or_tool_imports_is_there(file: Path) -> None:
+    for node in ast.walk(ast.parse(file.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('handeye_ros'):
+            room = importlib.import_module(node.module)
+            for name in node.names:
+                assert hasattr(room, name.name) or importlib.util.find_spec(
+                    f'{node.module}.{name.name}'), f'{node.module}: {name.name}'
