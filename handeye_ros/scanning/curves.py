@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
-PIECES = 1, 2, 4  # between these knots
+PIECES_TRIED = 1, 2, 4  # between these knots
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
 SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
 LENGTH_POINTS = 2000  # points of a curve for its length
@@ -84,7 +84,7 @@ def unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES) -> Curve:
+def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> Curve:
     """
     Return the smoothing spline through points (n, 3) at increasing t (n,).
 
@@ -95,6 +95,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES) -> Curve:
     for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
         curves = [_fitted(t[inliers], points[inliers], _knots(t[inliers], points[inliers], n))
                   for n in pieces[:flexible]]
+        # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
         curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square

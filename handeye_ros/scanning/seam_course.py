@@ -35,7 +35,7 @@ SHORTEST_SEAM = 0.01  # m: smallest length of a seam
 HIGHEST_LAP = 8e-3  # m: a higher step is no lap
 NARROWEST_GAP = 4.0  # spacings: smallest gap
 CORNER_NOISE = 0.25  # spacings: noise up to which no corner looks round
-BESIDE = 1.2  # median over smallest distance of two edges of one gap
+WIDE_GAP_RATIO = 1.2  # median over smallest distance of two edges of one gap
 TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
 V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
 SEAM_KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
@@ -88,7 +88,7 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
                            f'{position_text(p.mean(axis=0))}' for p in middles)
         distance = cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0]
         apart = float(distance.min())
-        is_wide = widest < apart and np.median(distance) < BESIDE * apart
+        is_wide = widest < apart and np.median(distance) < WIDE_GAP_RATIO * apart
         raise DataError(
             f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if it '
             'is a single one, ' + ('with a gap between these edges, give a larger --widest'

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import Curve, PIECES, spline, unit
+from handeye_ros.scanning.curves import Curve, PIECES_TRIED, spline, unit
 from handeye_ros.scanning.seam_course import Course, position_text
 from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
@@ -91,7 +91,7 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     """Return the edges of the seam along a rough course; raises DataError."""
     is_corner = rough.kind in ('v', 'fillet')
     middle, (i, j) = sheets.points[rough.pairs].mean(axis=1), rough.pairs.T
-    curve = spline(rough.t, middle, PIECES[:1])
+    curve = spline(rough.t, middle, PIECES_TRIED[:1])
     distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
     if widest > WIDEST_LINE * sheets.spacing:
@@ -106,7 +106,7 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
     found = _edges_along(sheets, rough, curve)
     if is_corner:  # out of it the rough course may bend at its ends
-        stiff = spline(found.lengths, found.lines['root'], PIECES[:1])
+        stiff = spline(found.lengths, found.lines['root'], PIECES_TRIED[:1])
         found = _edges_along(sheets, rough, stiff)
     return found
 

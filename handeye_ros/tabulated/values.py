@@ -34,7 +34,7 @@ from scipy.special import fdtri
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
 SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
 MOST_ROWS = 10000  # of both lists
-REGION = 0.99  # probability of the region that a covariance from few rows is to hold
+REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
 CLEAR_SHARE = 0.2  # of misfit and of spread: a misreading with more does not explain the values
 
 Index: TypeAlias = NDArray[np.intp]
@@ -151,7 +151,8 @@ class Lists(Values):
         the transform takes six.
         """
         freedom = 3 * len(used) - 6
-        return np.asarray(covariance * 6 * fdtri(6, freedom, REGION) / chi2_isf(1 - REGION, 6))
+        return np.asarray(covariance * 6 * fdtri(6, freedom, REGION_PROBABILITY)
+                          / chi2_isf(1 - REGION_PROBABILITY, 6))
 
     def in_other_units(self) -> Iterator[Misreading]:
         """

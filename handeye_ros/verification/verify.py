@@ -200,12 +200,11 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
               'less' if DETECTION_SIGMAS * smooth > limits.tolerance else '')
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     notes = _notes(fit, other_size, stations, limits)
-    failed, undecided, used = list[str](), list[str](), sum(station.used for station in stations)
-    contradict = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
-    if contradict:
-        undecided.append(f'{", ".join(contradict)} contradict the others under every possible '
-                         'calibration, and without them too little would be left: measure again')
-        notes = [*undecided, *notes]
+    failed, used = list[str](), sum(station.used for station in stations)
+    names = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
+    contradiction = [f'{", ".join(names)} contradict the others under every possible calibration, '
+                     'and without them too little would be left: measure again'] if names else []
+    undecided = list(contradiction)
     for q in quantities:
         if q.error is None:
             continue
@@ -233,13 +232,13 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             f'{mm(fit.largest_error)} ± {mm(COVERAGE_FACTOR * fit.largest_error_std)} '
             f'(k = {COVERAGE_FACTOR:g}) at the points')
     if failed:
-        return 'fail', (*failed, *notes)
+        return 'fail', (*failed, *contradiction, *notes)
     if fit.smallest_error > limits.tolerance:
         return 'insensitive', (
             f'an error of the calibration would show only from {mm(fit.smallest_error)} on '
             f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}' + (
                 hidden or ': turn the sensor more between the stops' + _or_measure(
-                    used, fit.smallest_error, limits.tolerance, ', or')), *notes)
+                    used, fit.smallest_error, limits.tolerance, ', or')), *contradiction, *notes)
     undecided += [
         f'the points suggest an error of the calibration of {mm(size)} ± '
         f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the tolerance: '
@@ -249,7 +248,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             (fit.weakest_error, fit.weakest_error_std,
              fit.weakest_error > NORMAL_95 * fit.weakest_error_std))
         if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
-    return 'undecided' if undecided else 'pass', tuple(dict.fromkeys((*undecided, *notes)))
+    return 'undecided' if undecided else 'pass', (*undecided, *notes)
 
 
 def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str:
