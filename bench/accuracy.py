@@ -110,12 +110,13 @@ def trial(job: tuple[Case, int]) -> np.ndarray:
     samples, truth = simulate_samples(case.scenario, np.random.default_rng(seed))
     samples = tuple(misjudged(sample, case.sensor_factor) for sample in samples)
     config = configured(case, case.robot_factor)
-    solution = pipeline.answer(samples, (), config).required_solution()
+    solution = pipeline.answer_samples(samples, (), config).require_solution()
     X, X_true = solution.estimate.X, truth.T_flange_sensor
     delta, points = se3.difference(X, X_true), field_of_view()
     off = se3.apply(X, points) - se3.apply(X_true, points)
     return np.array([delta[:3] @ delta[:3], delta[3:] @ delta[3:], (off ** 2).sum() / len(points),
-                     *bound(case, solution), trials.nees(X, solution.reported[:6, :6], X_true)])
+                     *bound(case, solution),
+                     trials.nees(X, solution.transform_covariance, X_true)])
 
 
 def main() -> None:

@@ -280,7 +280,8 @@ def session(cell: World, operator: str, stations: int) -> np.ndarray:
         count = len(cell.samples)
         solution = solved(cell)
         if solution is not None:
-            sigma = mapped_points(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
+            mapped = mapped_points(solution.estimate.X, cell.view)
+            sigma = mapped.std(solution.transform_covariance)
             found[count - 1] = error_of(solution, cell), sigma
         if count == stations:
             return found
@@ -328,7 +329,7 @@ def followed(cell: World, away: float, stations: int) -> Followed:
             cell.refused.append(T)
     known = solved(cell)
     std, off = (math.inf, math.inf) if known is None else (
-        mapped_points(known.estimate.X, cell.view).std(known.reported[:6, :6]),
+        mapped_points(known.estimate.X, cell.view).std(known.transform_covariance),
         error_of(known, cell))
     return Followed(len(cell.samples) - 1 + len(why), tuple(why), enough, std, off)
 
@@ -374,7 +375,7 @@ def solved(cell: World) -> Solution | None:
     From the last one, once it is known to KNOWN_WELL; without the search for other answers.
     """
     target, samples = targets.target_for(cell.config), with_common_shape(cell.samples)
-    if len(samples) < target.minimum:
+    if len(samples) < target.min_samples:
         return None
     problem = Problem(target, mounted(samples, cell.config), target.observe(samples),
                       cell.config)
@@ -384,7 +385,7 @@ def solved(cell: World) -> Solution | None:
         found = with_all_blocks(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
-    std = mapped_points(found.estimate.X, cell.view).std(found.reported[:6, :6])
+    std = mapped_points(found.estimate.X, cell.view).std(found.transform_covariance)
     cell.last = found if std < KNOWN_WELL else None
     return found
 

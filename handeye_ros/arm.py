@@ -224,7 +224,7 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
                          'kinematics"')
     twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
     by_arm = whitening(solution.linear, solution.noise)(solution.linear.by_twists(twists))
-    G = solution.covariance[:6] @ solution.derivatives.T @ by_arm
+    G = solution.covariance[:6] @ solution.jacobian.T @ by_arm
     return replace(solution, added_covariances={
         **solution.added_covariances, CORRECTED_ARM: G @ arm.covariance @ G.T})
 

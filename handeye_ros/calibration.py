@@ -47,19 +47,19 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     reports = [*_used_reports(used, problem, rms_by(measured.station, residuals, len(used))),
                *_dropped_reports(samples, solution),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
-    return assembled(
+    return assemble_calibration(
         config, problem.target.name, frame_id or 'laser',
-        solution.estimate.X @ se3.inverse(sensor_axes(config)), solution.reported[:6, :6],
+        solution.estimate.X @ se3.inverse(sensor_axes(config)), solution.transform_covariance,
         rms(residuals), rms(predicted), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
         {'warnings': list(warnings)} if warnings else {}, time_offset_of(solution))
 
 
-def assembled(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
-              covariance: Array, residual_rms: float, holdout_rms: float,
-              target: Mapping[str, Any], reports: Sequence[SampleReport],
-              provenance: Mapping[str, Any], time_offset: ClockEstimate | None = None
-              ) -> Calibration:
+def assemble_calibration(config: Config, method: str, sensor_frame: str, T_flange_sensor: Array,
+                         covariance: Array, residual_rms: float, holdout_rms: float,
+                         target: Mapping[str, Any], reports: Sequence[SampleReport],
+                         provenance: Mapping[str, Any], time_offset: ClockEstimate | None = None
+                         ) -> Calibration:
     """
     Return a calibration with its quality, by its statistics and the reports of all samples.
 
@@ -76,7 +76,7 @@ def assembled(config: Config, method: str, sensor_frame: str, T_flange_sensor: A
         {'version': __version__, **provenance, 'config': flatten(config)}, time_offset)
 
 
-def report_of(number: int, kind: str, used: bool, off: float) -> SampleReport:
+def report_of_row(number: int, kind: str, used: bool, off: float) -> SampleReport:
     """Return the report of a sample of a table; number: of its row, or its stamp."""
     return SampleReport(int(number), bool(used), kind, float(off),
                         '' if used else 'contradicts the others')
@@ -93,7 +93,7 @@ def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
 
 def _other_surfaces(solution: Solution) -> str:
     """Return in words which of several visible surfaces is the target, '' with one surface."""
-    observed, problem = solution.whole.subset(solution.used), solution.problem
+    observed, problem = solution.full_problem.subset(solution.used), solution.problem
     several = len(observed.observations) > len(problem.observations)
     if problem.target.essential or not several:
         return ''
@@ -147,7 +147,7 @@ def edges_used(problem: Problem) -> list[str]:
 def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[SampleReport]:
     return [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
                          f'residual is {square ** 0.5:.1f} times what its noise explains')
-            for i, square in solution.dropped.items()]
+            for i, square in solution.dropped_squares.items()]
 
 
 def tested_points(used: Sequence[Sample], solution: Solution, fold: NDArray[np.intp] | None = None

@@ -127,8 +127,8 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
     """Return the fit by one of the own methods."""
     def fit(stations: Stations) -> Array:
         config = replace(stations.config, method=name)
-        solution = pipeline.answer(stations.samples, (), config).required_solution()
-        require_certain(solution.reported, config, missing_motion(solution, config))
+        solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
+        require_certain(solution.reported_covariance, config, missing_motion(solution, config))
         return solution.estimate.X
     return fit
 
@@ -280,16 +280,16 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
 
     rejects: stations that gave no sample; T_true: T_flange_sensor (4, 4), where it is known;
     folds: how many parts of the stations are left out in turn, 0 for none; progress: receives
-    what is being done; session: as in pipeline.answer. All estimators are given the stations
-    that the target's own method believes. Raises DataError where it believes none, BadValueError
-    for a target or method that does not exist.
+    what is being done; session: as in pipeline.answer_samples. All estimators are given the
+    stations that the target's own method believes. Raises DataError where it believes none,
+    BadValueError for a target or method that does not exist.
     """
     targets.target_for(config)
     config = replace(config, method='auto')
     progress(config.target.type)
     start = time.perf_counter()
-    answer = pipeline.answer(samples, rejects, config, session=session)
-    solution = answer.required_solution()
+    answer = pipeline.answer_samples(samples, rejects, config, session=session)
+    solution = answer.require_solution()
     seconds = time.perf_counter() - start
     # the others know no motion
     used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)

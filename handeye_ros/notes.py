@@ -36,7 +36,7 @@ class BlockEstimate:
     significance: float
 
 
-def parameters(solution: Solution) -> dict[str, BlockEstimate]:
+def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     """Return the first parameter of each block of a solution, by the name of the block."""
     found = dict[str, BlockEstimate]()
     variances = np.diag(solution.covariance)[solution.unknowns:]
@@ -54,7 +54,7 @@ def parameters(solution: Solution) -> dict[str, BlockEstimate]:
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
-    every = parameters(solution.conservative).values()
+    every = block_estimates(solution.conservative).values()
     for one in every:
         if one.block.report and one.block.count == 1:
             report |= {one.block.report: one.block.origin + one.value,
@@ -73,10 +73,10 @@ def time_offset_of(solution: Solution) -> ClockEstimate | None:
 
 def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     """Return value and 1 sigma of a parameter of the clocks, None without it."""
-    best = parameters(solution).get(name)
+    best = block_estimates(solution).get(name)
     if best is None:
         return None
-    conservative = parameters(solution.conservative)[name]
+    conservative = block_estimates(solution.conservative)[name]
     return ClockEstimate(best.value, math.hypot(conservative.std, conservative.value - best.value))
 
 
@@ -111,7 +111,7 @@ def offset_notes(solution: Solution) -> list[str]:
 
 def _bend_notes(solution: Solution) -> Iterator[str]:
     """Yield the note on a laser line that is bent out of its plane, if the data show that."""
-    bend = parameters(solution.conservative).get(LINE_BEND)
+    bend = block_estimates(solution.conservative).get(LINE_BEND)
     if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
@@ -121,13 +121,13 @@ def _bend_notes(solution: Solution) -> Iterator[str]:
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target, state = solution.problem.target, solution.estimate.state
-    stated, used = target.stated(config), target.stated(solution.problem.config)
-    best = parameters(solution)
+    stated, used = target.stated_values(config), target.stated_values(solution.problem.config)
+    best = block_estimates(solution)
     values = dict(zip(target.labels, state[-len(target.labels):].tolist(), strict=True))
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
         abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))
-    for name, one in parameters(solution.conservative).items():
+    for name, one in block_estimates(solution.conservative).items():
         if one.block.parameter is None or one.block.count > 1:
             continue
         first = values[name] - best[name].value
@@ -170,9 +170,9 @@ def lost_edges(solution: Solution) -> str:
     """Return in words the edges that an answer does not use, '' if it uses all."""
     if not len(solution.without_edges):
         return ''
-    shown = int(solution.whole.subset(solution.used).shows_essential.sum())
-    part, estimate = solution.whole.subset(solution.without_edges), solution.estimate
-    where = part.target.elsewhere(part.observations, part.points_in_base(estimate.X),
-                                  estimate.state, part.config)
+    shown = int(solution.full_problem.subset(solution.used).shows_essential.sum())
+    part, estimate = solution.full_problem.subset(solution.without_edges), solution.estimate
+    where = part.target.describe_strays(part.observations, part.points_in_base(estimate.X),
+                                        estimate.state, part.config)
     return (f'the edges of {len(solution.without_edges)} of the {shown} samples that show one lie '
             'on none of the target' + (f': {where}' if where else ''))

@@ -3,8 +3,9 @@
 """
 From profiles and poses to the hand-eye transform: the whole way.
 
-`gather` turns a recording into samples, `answer` the samples into a calibration or a refusal. The
-command line, the node, the review of samples, the guidance and the report all read that answer.
+`gather` turns a recording into samples, `answer_samples` the samples into a calibration or a
+refusal. The command line, the node, the review of samples, the guidance and the report all read
+that answer.
 """
 from __future__ import annotations
 
@@ -79,14 +80,14 @@ class Answer:
     calibration: Calibration | None
     refusal: DataError | None
 
-    def required(self) -> Calibration:
+    def require_calibration(self) -> Calibration:
         """Return the calibration; raises the refusal."""
         if self.calibration is None:
             assert self.refusal is not None
             raise self.refusal
         return self.calibration
 
-    def required_solution(self) -> Solution:
+    def require_solution(self) -> Solution:
         """Return the solution, however uncertain; raises DataError where samples contradict it."""
         if self.solution is None or not self.samples_agree:
             assert self.refusal is not None
@@ -126,14 +127,14 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
 
 def calibrate_session(session: Session, config: Config) -> Calibration:
     """Return the calibration from the samples of a session; raises DataError without one."""
-    return answer_of(session, config).required()
+    return answer_session(session, config).require_calibration()
 
 
-def answer_of(session: Session, config: Config) -> Answer:
+def answer_session(session: Session, config: Config) -> Answer:
     """Return the answer of a session; raises DataError when it holds no stops."""
     session.require_stops()
-    return answer(session.samples, session.rejects, session.with_base(config), session.frame_id,
-                  session)
+    return answer_samples(session.samples, session.rejects, session.with_base(config),
+                          session.frame_id, session)
 
 
 def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str
@@ -144,13 +145,13 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     rejects: stops that gave no sample, for the report; frame_id: of the profiles.
     Raises DataError when the samples cannot carry an answer.
     """
-    return answer(samples, rejects, config, frame_id).required()
+    return answer_samples(samples, rejects, config, frame_id).require_calibration()
 
 
 @single_threaded
-def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
-           frame_id: str = '', session: Session | None = None, warnings: Sequence[str] = ()
-           ) -> Answer:
+def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
+                   frame_id: str = '', session: Session | None = None, warnings: Sequence[str] = ()
+                   ) -> Answer:
     """
     Return what samples say, in any order; see solve.
 
@@ -189,7 +190,7 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
-        require_certain(solution.reported, config, missing_motion(solution, config))
+        require_certain(solution.reported_covariance, config, missing_motion(solution, config))
         require_certain_points(solution, config)
         require_edges(solution)
         # 9. Predict each sample from the others.
@@ -204,15 +205,15 @@ def answer(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
         # those that show another surface are left out.
         refusal = with_known_cause(error, session, config) if session else error
         if session and isinstance(refusal, OtherSurfaceError):
-            others = _without(refusal, session, config)
+            others = _answer_without(refusal, session, config)
             if others.calibration:
                 return others
     return Answer(ordered, solution, agree, calibration, refusal)
 
 
-def _without(found: OtherSurfaceError, session: Session, config: Config) -> Answer:
+def _answer_without(found: OtherSurfaceError, session: Session, config: Config) -> Answer:
     """Return the answer from the stops of a session that do not show another surface."""
     rejects = [Reject(stamp, f'shows {found.why}') for stamp in found.stamps]
-    return answer([sample for sample in session.samples if sample.stamp not in found.stamps],
-                  [*session.rejects, *rejects], config, session.frame_id,
-                  warnings=[*session.warnings, found.warning])
+    others = [sample for sample in session.samples if sample.stamp not in found.stamps]
+    return answer_samples(others, [*session.rejects, *rejects], config, session.frame_id,
+                          warnings=[*session.warnings, found.warning])

@@ -70,7 +70,7 @@ def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = 
     if bag is None:
         return SolvedRecording(missing=missing)
     session = session_of(bag, config)
-    return solved_session(session, pipeline.answer_of(session, config), config)
+    return solved_session(session, pipeline.answer_session(session, config), config)
 
 
 def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, str]:

@@ -56,7 +56,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
     if refusal and turning(problem.poses)[0][1] < FEW_TURNS:
-        require_certain(solution.reported, problem.config,
+        require_certain(solution.reported_covariance, problem.config,
                         missing_motion(solution, problem.config))
     scales = other_scale(solution)
     try:

@@ -66,7 +66,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     found = [(stop, part) for stop in session.stops if not stop.final_reason
              and not session.excludes(stop) and (part := _profiles(stop, config))]
     seen = [part for _, part in found]
-    if len(seen) < targets.target_for(config).minimum:
+    if len(seen) < targets.target_for(config).min_samples:
         return
     changes = np.concatenate([_differences(profiles) for profiles, *_ in seen])
     limit = max(LARGEST_REST_RATIO * float(np.quantile(changes, STILL_SHARE)), SMALLEST_CHANGE)

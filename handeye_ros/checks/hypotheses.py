@@ -70,7 +70,7 @@ class Explanation:
     def variance_factor(self) -> float:
         """Return the squared whitened residual of all parts per degree of freedom."""
         freedom = sum(part.degrees_of_freedom for part in self.parts)
-        return sum(part.squares for part in self.parts) / max(freedom, 1)
+        return sum(part.sum_of_squares for part in self.parts) / max(freedom, 1)
 
     @property
     def redundancy(self) -> int:
@@ -113,7 +113,7 @@ class Explanation:
         if not self.parts:
             return 'no stop fits'
         rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
-        what = 'profiles' if self.parts[0].whole.config.sampling.moving else 'stops'
+        what = 'profiles' if self.parts[0].full_problem.config.sampling.moving else 'stops'
         return f'{self.fitting} of {self.q.shape[1]} {what} fit ({mm(rms)} RMS)'
 
 
@@ -121,11 +121,11 @@ def _squares(found: Solution) -> Array:
     """Return q of (13), (2, n), of all stations of a solution."""
     station, n = found.problem.observations.station, len(found.used)
     white, metres = (np.bincount(station, r ** 2, minlength=n)
-                     for r in (found.whitened, found.linear.residuals))
-    q = np.full((2, len(found.whole.poses)), np.inf)
+                     for r in (found.postfit_residuals, found.linear.residuals))
+    q = np.full((2, len(found.full_problem.poses)), np.inf)
     q[:, found.used] = found.left_out_squares()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])
-    q[:, found.without_edges] = q[:, found.used[found.alone]] = np.inf
+    q[:, found.without_edges] = q[:, found.used[found.is_indispensable]] = np.inf
     return q
 
 
@@ -151,7 +151,7 @@ def explanation_of(results: Sequence[Sample | Reject | None], config: Config,
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
     every = Explanation.nothing(len(results))
-    if len(ordered) < target_for(config).minimum:
+    if len(ordered) < target_for(config).min_samples:
         return every
     if clocks:
         ordered = synchronised(ordered, config).samples

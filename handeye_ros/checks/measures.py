@@ -14,7 +14,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import in_mount
-from handeye_ros.notes import CONTRADICTION_SIGMAS, parameters, PLATE_LENGTHS
+from handeye_ros.notes import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
 import numpy as np
 
 VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
@@ -28,12 +28,12 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     """Return the consensus, with free target measures if only these make the stations agree."""
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
-    poor = (agreed.dropped or len(agreed.without_edges)
+    poor = (agreed.dropped_squares or len(agreed.without_edges)
             or agreed.variance_factor > CONVINCING_SQUARE)
     if config == stated_config or not poor:
         return agreed
     other = robust_solution(replace(problem, config=config), rng)
-    stated, _ = target.stated(stated_config)[target.labels[-1]]
+    stated, _ = target.stated_values(stated_config)[target.labels[-1]]
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
@@ -49,15 +49,15 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     Otherwise the scale of the robot, which is stated less exactly, stands for a wrong length: they
     are estimated too where such a scale is seen with the stated lengths alone.
     """
-    config, problem = agreed.whole.config, agreed.problem
+    config, problem = agreed.full_problem.config, agreed.problem
     stated = config.target.size_std
     if not config.target.size or stated >= FREED_SIZE:
         return agreed
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
     other = with_all_blocks(replace(
-        agreed, whole=replace(agreed.whole, config=free),
+        agreed, full_problem=replace(agreed.full_problem, config=free),
         linear=replace(agreed.linear, problem=replace(problem, config=free))))
-    found, before = (parameters(one.conservative) for one in (other, agreed))
+    found, before = (block_estimates(one.conservative) for one in (other, agreed))
     lengths = [found[name] for name in PLATE_LENGTHS if name in found]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
     scales = [each['scale'] for each in (before, found) if 'scale' in each]
@@ -72,14 +72,15 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     One more unknown is solved for at the solution, to first order. The target's stated measures
     are unknown too, so that a wrong measure is not taken for a scale error.
     """
-    problem, white = solution.problem, whitening(solution.linear, solution.noise)
+    problem, whiten = solution.problem, whitening(solution.linear, solution.noise)
     positions = problem.robot_poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
     by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
     measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    J = np.column_stack([white(np.column_stack([by_scale, measures])), solution.derivatives])
+    J = np.column_stack([whiten(np.column_stack([by_scale, measures])), solution.jacobian])
     covariance = covariance_of(J)
-    return float(covariance[0] @ (J.T @ solution.whitened)), float(covariance[0, 0]) ** 0.5
+    scale = covariance[0] @ (J.T @ solution.postfit_residuals)
+    return float(scale), float(covariance[0, 0]) ** 0.5
 
 
 def other_scale(agreed: Solution) -> list[Hypothesis]:
@@ -87,7 +88,7 @@ def other_scale(agreed: Solution) -> list[Hypothesis]:
     scale, std = scale_error(agreed)
     if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return []
-    problem, T = agreed.whole, agreed.whole.robot_poses.copy()
+    problem, T = agreed.full_problem, agreed.full_problem.robot_poses.copy()
     T[:, :3, 3] /= 1 + scale
 
     def refit() -> Explanation:
@@ -104,7 +105,7 @@ def require_one_scale(agreed: Solution) -> None:
 
     Raises DataError: scale, or moved where the evidence for a move is decisive.
     """
-    scale = parameters(agreed.conservative).get('scale')
+    scale = block_estimates(agreed.conservative).get('scale')
     if scale and abs(scale.contradiction) > CONTRADICTION_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, CONTRADICTION_SIGMAS * scale.std):
         with_possible_move(agreed)  # raises where something surely moved

@@ -28,7 +28,12 @@ from handeye_ros.estimation.least_squares import chi2_isf
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import quick_solution
-from handeye_ros.estimation.solve import covering, reestimated, Solution, solution_at
+from handeye_ros.estimation.solve import (
+    cover_both,
+    reestimated,
+    Solution,
+    solution_at,
+)
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +50,7 @@ WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to 
 
 def moved_between(problem: Problem) -> list[Hypothesis]:
     """Return the hypotheses that something moved between two parts of a recording."""
-    n, fewest = len(problem.poses), problem.target.minimum
+    n, fewest = len(problem.poses), problem.target.min_samples
     if n < 2 * fewest:
         return []
     stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
@@ -63,7 +68,7 @@ def _parted(problem: Problem, k: int) -> Hypothesis:
 
     def refusal(fit: Explanation) -> DataError:
         first, second = (part.estimate.X for part in fit.parts)
-        covariance = sum(part.reported[:6, :6] * max(part.variance_factor, 1.0)
+        covariance = sum(part.transform_covariance * max(part.variance_factor, 1.0)
                          for part in fit.parts)
         delta = se3.difference(second, first)
         agree = (f'the first {k} samples agree among themselves, and so do the other {n - k}, but '
@@ -89,8 +94,8 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
     where the evidence is decisive.
     """
-    n, conservative, config = len(agreed.used), agreed.conservative, agreed.whole.config
-    if n < agreed.problem.target.minimum + 4:  # too few to tell a move from an outlier
+    n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
+    if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return agreed, ''
     margin = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     moments = np.unique(np.linspace(margin, n - margin, MOST_CHANGES).round().astype(int))
@@ -112,15 +117,15 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
     sentence = (
-        f'after the first {agreed.used[moments[k]]} of {len(agreed.whole.poses)} samples the '
-        f'{what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or the '
-        'tool or base of the robot was switched, or robot or sensor drift: check that it is fixed '
-        'firmly, and take all samples again')
+        f'after the first {agreed.used[moments[k]]} of {len(agreed.full_problem.poses)} samples '
+        f'the {what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or '
+        'the tool or base of the robot was switched, or robot or sensor drift: check that it is '
+        'fixed firmly, and take all samples again')
     if evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
         raise DataError(sentence, reason='moved')
     away = se3.difference(moved.estimate.X, unmoved.estimate.X)
     with_move = moved.covariance[:6, :6] + np.outer(away, away)
-    more = covering(agreed.reported[:6, :6], with_move) - agreed.reported[:6, :6]
+    more = cover_both(agreed.transform_covariance, with_move) - agreed.transform_covariance
     added = {**agreed.added_covariances, POSSIBLE_MOVE: more}
     return replace(agreed, added_covariances=added), sentence
 
@@ -202,8 +207,8 @@ class _Steps:
     @classmethod
     def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _Steps:
         """Return the sums at a solution."""
-        white = whitening(solution.linear, solution.noise)
-        D, J = white(_by_steps(solution)), solution.derivatives
+        whiten = whitening(solution.linear, solution.noise)
+        D, J = whiten(_by_steps(solution)), solution.jacobian
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, moments))
         scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
@@ -211,7 +216,7 @@ class _Steps:
         root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T
         return cls(np.array([D[part].T @ D[part] for part in rows]),
                    np.array([root @ (J[part].T @ D[part]) for part in rows]),
-                   np.array([solution.whitened[part] @ D[part] for part in rows]))
+                   np.array([solution.postfit_residuals[part] @ D[part] for part in rows]))
 
     def gains(self, order: NDArray[np.intp] | None = None) -> Array:
         """

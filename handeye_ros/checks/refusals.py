@@ -57,14 +57,14 @@ def require_samples(samples: Sequence[Sample], rejects: Sequence[Reject], target
 
     Another setting may explain that (UnexplainedError) only where there were stops enough.
     """
-    if len(samples) < target.minimum:
+    if len(samples) < target.min_samples:
         reasons = Counter(reject.reason for reject in rejects).most_common(1)
         why = (f' ({len(rejects)} stops gave none, most often: {reasons[0][0]})' if reasons
                else '')
-        enough = len(samples) + len(rejects) >= target.minimum
+        enough = len(samples) + len(rejects) >= target.min_samples
         raise (UnexplainedError if enough else DataError)(
-            f'{len(samples)} usable samples{why}; {target.name} needs at least {target.minimum}: '
-            'take more, with the laser across the target', reason='few')
+            f'{len(samples)} usable samples{why}; {target.name} needs at least '
+            f'{target.min_samples}: take more, with the laser across the target', reason='few')
 
 
 def require_rotations(poses: Array, frame: str, lost: str) -> None:
@@ -102,7 +102,8 @@ def turning(poses: Array) -> tuple[Array, Array]:
 
 def contradiction(solution: Solution) -> UnexplainedError | None:
     """Return the refusal of a solution that its samples contradict, None where they agree."""
-    limits, rms, dropped = solution.whole.config.limits, solution.residual_rms, solution.dropped
+    limits, rms = solution.full_problem.config.limits, solution.residual_rms
+    dropped = solution.dropped_squares
     if rms > limits.residual:
         return UnexplainedError(
             f'samples and poses contradict each other by {mm(rms)} RMS (limits.residual is '
@@ -110,7 +111,7 @@ def contradiction(solution: Solution) -> UnexplainedError | None:
             '(frames, convention, units), whether the clocks of sensor and robot agree, whether '
             'every sample shows the target itself and no clamp or second plate, target.type, '
             'profile.unit, profile.axes and profile.range_sign', reason='misfit')
-    total = len(solution.whole.poses)
+    total = len(solution.full_problem.poses)
     if len(dropped) > LARGEST_DROPPED_SHARE * total:
         return UnexplainedError(
             f'{len(dropped)} of {total} samples contradict the others, so no answer can be '
@@ -134,7 +135,7 @@ def require_tested(solution: Solution) -> None:
     Also if a sample is probably wrong, and without it too few conditions would remain or others
     may be wrong too.
     """
-    used, dropped, left = len(solution.used), len(solution.dropped), solution.redundancy
+    used, dropped, left = len(solution.used), len(solution.dropped_squares), solution.redundancy
     needed = FEWEST_REDUNDANT * (1 + dropped) + bool(dropped)
     if left < needed:
         lost = f' ({dropped} of them contradict the others)' if dropped else ''
@@ -143,8 +144,8 @@ def require_tested(solution: Solution) -> None:
             f'least {needed} are needed: take more samples at new poses', reason='few')
     each = int(solution.ranks.max())
     missing = FEWEST_REDUNDANT * (2 + dropped) + 1 - (left - each)
-    not_all_found = (
-        solution.probability_wrong > SURELY_WRONG_P and dropped > 1 and solution.whole.ambiguous)
+    not_all_found = (solution.probability_wrong > SURELY_WRONG_P and dropped > 1
+                     and solution.full_problem.ambiguous)
     if not_all_found or (solution.probability_wrong > LARGEST_P_WRONG and missing > 0):
         raise UnexplainedError(
             f'these {used} samples contradict each other: either the robot is less accurate than '
@@ -183,7 +184,7 @@ def require_certain_points(solution: Solution, config: Config) -> None:
     what the sensor measures; each alone may be large.
     """
     turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
-    std, direction = worst_translation(mapped_covariance(turned, solution.reported[:6, :6]))
+    std, direction = worst_translation(mapped_covariance(turned, solution.transform_covariance))
     limit, frame = config.limits.points, mount_frame(config)
     if std > limit:
         raise DataError(
@@ -194,16 +195,16 @@ def require_certain_points(solution: Solution, config: Config) -> None:
 
 def missing_motion(solution: Solution, config: Config) -> str:
     """Return in words the motion that the samples lack, or that a corrected arm limits them."""
-    reported, arm = solution.reported[:6, :6], solution.added_covariances.get(CORRECTED_ARM)
+    reported, arm = solution.transform_covariance, solution.added_covariances.get(CORRECTED_ARM)
     whole = worst_translation(reported)[0]
     if arm is not None and worst_translation(reported - arm)[0] < whole / 2:
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
     problem, frame = solution.problem, mount_frame(config)
-    known = worst_rotation(solution.reported)[0] <= config.limits.rotation
-    if known and (one_view := problem.target.one_view(problem, solution.estimate)):
-        return one_view
-    turns, axes = turning(solution.whole.poses)
+    known = worst_rotation(solution.reported_covariance)[0] <= config.limits.rotation
+    if known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
+        return views_alike
+    turns, axes = turning(solution.full_problem.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
         return ('take more samples with the target in all parts of the field of view (near, far, '
                 'left, right), each with another tilt')
@@ -219,7 +220,7 @@ def require_edges(solution: Solution) -> None:
     Also if those used scatter, as the ends of a floor beside the target do, and the residuals are
     larger than the noise (m): of worn edges only the first is true.
     """
-    target = solution.whole.target
+    target = solution.full_problem.target
     if not target.essential:
         return
     factor = solution.noise.variance_factors[1]
@@ -231,16 +232,17 @@ def require_edges(solution: Solution) -> None:
             'plate beside it, profile.range_sign, and that the edges are straight and sharp',
             reason='edges')
     used = int(solution.problem.shows_essential.sum())
-    if used < target.minimum:
+    if used < target.min_samples:
         raise UnexplainedError(
             f'only {used} of the {len(solution.used)} usable samples show an edge of the target, '
-            f'and {target.name} needs {target.minimum}: cross the edges with the laser, inside '
-            'the field of view, or calibrate from the plane alone (target.type plane)',
+            f'and {target.name} needs {target.min_samples}: cross the edges with the laser, '
+            'inside the field of view, or calibrate from the plane alone (target.type plane)',
             reason='edges')
-    shown = int(solution.whole.shows_essential.sum())
+    shown = int(solution.full_problem.shows_essential.sum())
     if shown - used > LARGEST_DROPPED_SHARE * shown:
-        dropped = f'{len(solution.dropped)} contradict the others' if solution.dropped else ''
-        why = '; '.join(filter(None, (dropped, lost_edges(solution))))
+        dropped = len(solution.dropped_squares)
+        why = '; '.join(filter(None, (f'{dropped} contradict the others' if dropped else '',
+                                      lost_edges(solution))))
         raise UnexplainedError(
             f'only {used} of the {shown} samples that show an edge agree on the target, and such '
             f'an answer cannot be trusted ({why}): check target.size, that the edges are straight '

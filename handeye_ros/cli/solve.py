@@ -66,12 +66,12 @@ def solve(
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
         with doing('solving'):
-            answer = pipeline.answer_of(given.session, settings)
+            answer = pipeline.answer_session(given.session, settings)
         if budget and answer.samples_agree:
-            causes = table.budget_table(budget_of(answer.required_solution()))
+            causes = table.budget_table(budget_of(answer.require_solution()))
             if not answer.calibration:  # what a refused answer is uncertain from
                 show(causes)
-        calibration = answer.required()
+        calibration = answer.require_calibration()
         warn(*calibration.provenance.get('warnings', ()))
         calibration = replace(calibration, provenance={
             **calibration.provenance, 'inputs': given.inputs})
@@ -122,7 +122,7 @@ def samples(
     if session is None:
         raise InputError(f'{path} is a table of measured values, without samples')
     with doing('comparing the samples'):
-        answer = pipeline.answer_of(session, settings)
+        answer = pipeline.answer_session(session, settings)
         rows = samples_table(session, answer, settings)
     if answer.refusal:
         typer.echo(f'{"refused" if answer.solution else "no residuals yet"}: {answer.refusal}',

@@ -148,7 +148,7 @@ def smooth_basis(poses: Array, long_errors: bool = False) -> Array:
     Of many poses, 24 distant ones span it (Nystroem method).
     """
     features = pose_features(poses)
-    return _root(features, farthest_points(features, 24), long_errors)
+    return _kernel_root(features, farthest_points(features, 24), long_errors)
 
 
 def smooth_basis_in_time(times: Array) -> Array:
@@ -156,10 +156,10 @@ def smooth_basis_in_time(times: Array) -> Array:
     count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)
     nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
-    return _root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())
+    return _kernel_root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())
 
 
-def _root(features: Array, chosen: list[int], long_errors: bool = False) -> Array:
+def _kernel_root(features: Array, chosen: list[int], long_errors: bool = False) -> Array:
     """
     Return the root (n, k) of a kernel at features (n, j), spanned by the chosen rows.
 
@@ -189,7 +189,7 @@ def farthest_points(features: Array, most: int) -> list[int]:
     return chosen
 
 
-def of_mount(X: Array) -> Array:
+def plane_motions(X: Array) -> Array:
     """Return the motion (6, 3) of the mount for motions of the sensor plane: x, z, turn."""
     x, y, z = X[:3, :3].T
     none = np.zeros(3)

@@ -33,7 +33,7 @@ from handeye_ros.estimation.basis import (
     box,
     field_motions,
     motions_by_poses,
-    of_mount,
+    plane_motions,
 )
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Linear, Observations, Problem
@@ -99,7 +99,7 @@ def blocks_at(linear: Linear) -> tuple[ParameterBlock, ...]:
 def stated_measures(linear: Linear) -> Blocks:
     """Yield the blocks of the target's stated measures."""
     target, state = linear.problem.target, linear.estimate.state
-    for label, (stated, std) in target.stated(linear.problem.config).items():
+    for label, (stated, std) in target.stated_values(linear.problem.config).items():
         i = target.labels.index(label)
         own = state[[i - len(target.labels)]]  # the measures are the last of its values
         if std > 0:
@@ -187,7 +187,7 @@ def _field_motions(observations: Observations) -> list[Array]:
 
 def _motions_of_degree(i: int, linear: Linear) -> Array:
     motions = _field_motions(linear.problem.observations)
-    return np.asarray(of_mount(linear.estimate.X) @ motions[i])
+    return np.asarray(plane_motions(linear.estimate.X) @ motions[i])
 
 
 def line_bend(linear: Linear) -> Blocks:

@@ -17,7 +17,7 @@ from handeye_ros.data import Array, Budget, Term
 from handeye_ros.estimation.basis import box
 from handeye_ros.estimation.blocks import slices
 from handeye_ros.estimation.least_squares import chi2_sf
-from handeye_ros.estimation.noise import covariances, Noise
+from handeye_ros.estimation.noise import covariance_parts, Noise
 from handeye_ros.estimation.problem import MANY_STATIONS
 from handeye_ros.estimation.solve import Solution, solution_at
 import numpy as np
@@ -44,13 +44,13 @@ def with_contamination(solution: Solution, dropped: int) -> Solution:
     wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
-    for at in configured.problem.groups:
+    for at in configured.problem.station_groups:
         i = configured.problem.observations.station[at.rows[:, 0]]
-        K, J = wrong[at.rows], configured.derivatives[at.rows]
+        K, J = wrong[at.rows], configured.jacobian[at.rows]
         across = np.swapaxes(J, 1, 2) @ K
         moved = configured.covariance @ across
         inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
-        slope = np.einsum('sci,sc->si', K, configured.whitened[at.rows])
+        slope = np.einsum('sci,sc->si', K, configured.postfit_residuals[at.rows])
         size = np.linalg.solve(inside, slope[..., None])
         explained[i] = (slope * size[..., 0]).sum(axis=1)
         log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
@@ -64,7 +64,7 @@ def with_contamination(solution: Solution, dropped: int) -> Solution:
     probability = weight * odds / (np.exp(-most) + odds.sum())
     worst = int(np.argmax(probability))
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
-    rest = chi2_sf(max(configured.squares - explained[worst], 0.0), freedom)
+    rest = chi2_sf(max(configured.sum_of_squares - explained[worst], 0.0), freedom)
     sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and rest > SMALLEST_P
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, squares, 1)},
                    probability_wrong=float(probability.sum()),
@@ -87,20 +87,21 @@ def budget(solution: Solution) -> Budget:
         parts[block.name] = gain @ gain.T
     away, inside = solution.shift_of_report, conservative.covariance[:6, :6]
     parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
-    parts['fit against a free pose'] = (solution.reported[:6, :6] - inside - np.outer(away, away)
-                                        - sum(solution.added_covariances.values()))
+    parts['fit against a free pose'] = solution.transform_covariance - inside - np.outer(
+        away, away) - sum(solution.added_covariances.values())
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
-                  _term(solution, 'all', solution.reported[:6, :6]), len(solution.used))
+                  _term(solution, 'all', solution.transform_covariance), len(solution.used))
 
 
 def _of_noise(conservative: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
-    for at, root in zip(conservative.problem.groups, conservative.whitening.roots, strict=True):
-        V = covariances(conservative.linear, at)
+    groups = conservative.problem.station_groups
+    for at, root in zip(groups, conservative.whitening.roots, strict=True):
+        V = covariance_parts(conservative.linear, at)
         V = V * conservative.noise.variance_factors[:len(V), None, None, None]
-        J = conservative.derivatives[at.rows]
+        J = conservative.jacobian[at.rows]
         gain = (J @ conservative.covariance[:, :6]).swapaxes(1, 2) @ root
         for name, some in zip(parts, (V[:3].sum(axis=0), V[3:].sum(axis=0)), strict=True):
             parts[name] += (gain @ some @ gain.swapaxes(1, 2)).sum(axis=0)

@@ -38,11 +38,11 @@ FREE_DIRECTION = 1e-13  # relative information, or variance, that is rounding
 SMALLEST_INFORMATION = 1e-280  # smallest information: its inverse is still a number
 
 States: TypeAlias = tuple[NDArray[Any], ...]
-White: TypeAlias = Callable[[Array], Array]
+Whitener: TypeAlias = Callable[[Array], Array]
 """A linear map of values (m, ...) to values of unit covariance."""
 
 
-def as_they_are(values: Array) -> Array:
+def identity(values: Array) -> Array:
     """Return values unchanged: they are white."""
     return values
 
@@ -52,13 +52,13 @@ class Rows:
     """
     Residuals (m,) of a state; the rest is computed on demand.
 
-    jacobian(): derivatives (m, u) by a step of the state; white(): the map that whitens both, kept
-    while steps are tried; by default both are white already.
+    jacobian(): derivatives (m, u) by a step of the state; whitener(): the map that whitens both,
+    kept while steps are tried; by default both are white already.
     """
 
     residuals: Array
     jacobian: Callable[[], Array]
-    white: Callable[[], White] = lambda: as_they_are
+    whitener: Callable[[], Whitener] = lambda: identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +83,16 @@ class System(Generic[S]):
         """
         root = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
 
-        def linear(rows: Rows) -> tuple[White, Array, Array]:
-            white = rows.white()
-            return white, white(rows.residuals) * root, white(rows.jacobian()) * root[:, None]
+        def linear(rows: Rows) -> tuple[Whitener, Array, Array]:
+            whiten = rows.whitener()
+            return whiten, whiten(rows.residuals) * root, whiten(rows.jacobian()) * root[:, None]
 
-        state, (white, r, J), damping = start, linear(self.rows(start)), 1e-4
+        state, (whiten, r, J), damping = start, linear(self.rows(start)), 1e-4
         for _ in range(iterations):
             step = _damped_steps(J, r, np.array(damping))
             moved = self.retract(state, step)
             rows, before = self.rows(moved), r @ r
-            after = float(((white(rows.residuals) * root) ** 2).sum())
+            after = float(((whiten(rows.residuals) * root) ** 2).sum())
             if not after <= before * (1 + ROUNDING_SHARE):
                 damping *= DAMPING_FACTOR
                 continue
@@ -101,7 +101,7 @@ class System(Generic[S]):
                     or after >= before * (1 - 1e-14)):  # the rounding of the derivatives is left
                 break
             damping = max(damping / DAMPING_FACTOR ** 2, 1e-14)
-            white, r, J = linear(rows)
+            whiten, r, J = linear(rows)
         return state
 
     def reweighted(self, state: S, weights: Array) -> S:
@@ -156,9 +156,9 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     """
     state, current = start, squares(start)
     # where a start explains most items, the few others have little weight from the first step on
-    control, before = min(float(current.max()), 10.0 * typical(current)), np.inf
+    control, before = min(float(current.max()), 10.0 * typical_square(current)), np.inf
     for _ in range(50):
-        spread = typical(current)
+        spread = typical_square(current)
         last = max(9.0, 3.0 * spread)  # of mu, a squared whitened residual: 3 sigma
         if control <= last and spread > 0.99 * before:
             break
@@ -168,40 +168,40 @@ def graduated(start: S, squares: Callable[[S], Array], refit: Callable[[S, Array
     return state
 
 
-def typical(squares: Array) -> float:
+def typical_square(squares: Array) -> float:
     """Return the TYPICAL_SHARE quantile of squared residuals."""
     return float(np.quantile(squares, TYPICAL_SHARE))
 
 
-def groups(item: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+def rows_by_count(item: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
     """Return arrays (items, count) of rows, one for each count of rows per item."""
     _, first, count = np.unique(item, return_index=True, return_counts=True)
     return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
 
-def leave_one_out(white: Array, jacobian: Array, covariance: Array, item: NDArray[np.intp]
+def leave_one_out(whitened: Array, jacobian: Array, covariance: Array, item: NDArray[np.intp]
                   ) -> Array:
     """
     Return leave-one-out residuals (m,), to first order: each from the fit without its item.
 
-    white: (m,) of the fit to all items; jacobian: (m, u), covariance: (u, u) of this fit.
+    whitened: (m,) of the fit to all items; jacobian: (m, u), covariance: (u, u) of this fit.
     """
-    left_out = np.empty_like(white)
-    for rows in groups(item):
+    left_out = np.empty_like(whitened)
+    for rows in rows_by_count(item):
         J = jacobian[rows]
-        left_out[rows] = left_out_of(J @ covariance @ np.swapaxes(J, 1, 2), white[rows])
+        left_out[rows] = left_out_residuals(J @ covariance @ np.swapaxes(J, 1, 2), whitened[rows])
     return left_out
 
 
-def left_out_of(predicted_covariance: Array, white: Array) -> Array:
+def left_out_residuals(predicted_covariance: Array, whitened: Array) -> Array:
     """
     Return leave-one-out residuals (s, c) of items, to first order, (12).
 
-    predicted_covariance: (s, c, c) H_i; white: (s, c) the residuals e_i of the fit to all.
+    predicted_covariance: (s, c, c) H_i; whitened: (s, c) the residuals e_i of the fit to all.
     """
     # avoids division by zero for what an item determines alone
     regular = (1 + ROUNDING_SHARE) * np.eye(predicted_covariance.shape[1]) - predicted_covariance
-    return np.asarray(np.linalg.solve(regular, white[..., None])[..., 0])
+    return np.asarray(np.linalg.solve(regular, whitened[..., None])[..., 0])
 
 
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
@@ -224,16 +224,16 @@ def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int)
     return max(1.0, float(np.median(mean_squares / median)))
 
 
-def agreeing(used: NDArray[np.intp], total: int, minimum: int,
-             fitted: Callable[[F | None, NDArray[np.intp]], F],
-             judged: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-             wrong: Callable[[F], int | None] = lambda fit: None
-             ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
+def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
+                  fitted: Callable[[F | None, NDArray[np.intp]], F],
+                  judged: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
+                  wrong: Callable[[F], int | None] = lambda fit: None
+                  ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
     """
     Return the fit of the items that agree, these items, and the squares of those dropped.
 
     One that the others do not predict is dropped here; what is off by much more was left out of
-    `used` before. used: the items to begin with, of `total`; minimum: fewest that remain;
+    `used` before. used: the items to begin with, of `total`; fewest: fewest that remain;
     fitted(the fit before or None, used): the fit of some items; judged(fit): of each item the
     mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): an item that is
     wrong though none of these is too large, None without one.
@@ -241,8 +241,8 @@ def agreeing(used: NDArray[np.intp], total: int, minimum: int,
     fit, dropped = fitted(None, used), dict[int, float]()
     while True:
         squares, freedom = judged(fit)
-        worst = outliers(squares, freedom, total, len(used) - minimum)
-        other = wrong(fit) if not len(worst) and len(used) > minimum else None
+        worst = outliers(squares, freedom, total, len(used) - fewest)
+        other = wrong(fit) if not len(worst) and len(used) > fewest else None
         if other is not None:
             worst = np.array([other])
         if not len(worst):
@@ -271,24 +271,24 @@ class Adjusted(Generic[S]):
     variance_factor: float
 
 
-def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
+def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
     """
     Return the least-squares state without outliers, from a start near it.
 
-    minimum: smallest number of items that remain; all have equally many rows.
+    fewest: smallest number of items that remain; all have equally many rows.
     """
     n = int(system.item[-1]) + 1
 
     def squares(state: S) -> Array:
         rows = system.rows(state)
-        return np.asarray((rows.white()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
+        return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
     def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
         good = np.isin(np.arange(n), used)
         state = system.least_squares(before.state if before else near, good.astype(float))
         at = system.rows(state)
-        white = at.white()
-        r, J, rows = white(at.residuals), white(at.jacobian()), good[system.item]
+        whiten = at.whitener()
+        r, J, rows = whiten(at.residuals), whiten(at.jacobian()), good[system.item]
         covariance = covariance_of(J[rows])
         left_out = leave_one_out(r[rows], J[rows], covariance, system.item[rows])
         variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
@@ -302,9 +302,9 @@ def adjust(system: System[S], start: S, minimum: int) -> Adjusted[S]:
 
     near = graduated(start, squares, system.reweighted)
     current = squares(near)
-    good = np.flatnonzero(current <= max(GROSS_SQUARE * max(1.0, typical(current)),
-                                         np.sort(current)[:minimum][-1]))
-    return agreeing(good, n, minimum, fitted, judged)[0]
+    good = np.flatnonzero(current <= max(GROSS_SQUARE * max(1.0, typical_square(current)),
+                                         np.sort(current)[:fewest][-1]))
+    return drop_outliers(good, n, fewest, fitted, judged)[0]
 
 
 def covariance_of(J: Array) -> Array:
@@ -316,7 +316,7 @@ def covariance_of(J: Array) -> Array:
     return np.asarray(root.T @ root)
 
 
-def inverse(information: Array) -> Array:
+def bounded_inverse(information: Array) -> Array:
     """Return the inverse of a symmetric positive matrix, variances of free directions bounded."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), SMALLEST_INFORMATION))
     scaled = information * scale * scale[:, None] + FREE_DIRECTION * np.eye(len(information))

@@ -26,19 +26,19 @@ TRIED_SCALES = np.geomspace(0.001, 1e4, 43)  # of blocks; quantities are summed 
 TRIED_VARIANCES = np.square(TRIED_SCALES)
 
 
-def _prior(freedom: float, scale: float) -> Array:
+def _log_half_t(freedom: float, scale: float) -> Array:
     """Return the log of the half-t prior of TRIED_SCALES, equally spaced in their log."""
     return np.asarray(np.log(TRIED_SCALES) - (freedom + 1) / 2 * np.log1p(
         TRIED_VARIANCES / (freedom * scale ** 2)))
 
 
 # For the report: as configured in the mean square, and with some chance several times as much.
-CONSERVATIVE_PRIOR = _prior(3.0, 0.8)
+CONSERVATIVE_PRIOR = _log_half_t(3.0, 0.8)
 # The same for a block of one parameter, which says little about a scale. Not a Cauchy prior: a
 # sigma would grow by half or more as samples are added that fit (see estimator.md).
-SINGLE_PRIOR = _prior(2.0, 0.8)
+SINGLE_PRIOR = _log_half_t(2.0, 0.8)
 # For the estimate: zero, unless the data show something.
-MAP_PRIOR = _prior(1.0, 0.01)
+MAP_PRIOR = _log_half_t(1.0, 0.01)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,14 @@ class Whitening:
         if len(self.rows) == 1:  # all rows, in their order
             own = values.reshape(*self.rows[0].shape, -1)
             return np.asarray((self.roots[0] @ own).reshape(values.shape))
-        white = np.empty_like(values)
+        whitened = np.empty_like(values)
         for rows, root in zip(self.rows, self.roots, strict=True):
             own = values[rows]
-            white[rows] = (root @ own.reshape(*rows.shape, -1)).reshape(own.shape)
-        return white
+            whitened[rows] = (root @ own.reshape(*rows.shape, -1)).reshape(own.shape)
+        return whitened
 
 
-def covariances(linear: Linear, at: StationGroup) -> Array:
+def covariance_parts(linear: Linear, at: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
@@ -91,30 +91,30 @@ def covariances(linear: Linear, at: StationGroup) -> Array:
     local = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
     pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
-    features = _squared(linear.by_feature[at.rows]) * at.shared
+    features = _outer(linear.by_feature[at.rows]) * at.shared
     features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
-    parts = [*features * at.components, at.correlation * _squared(linear.by_point[at.rows], local),
-             _squared(linear.by_pose[at.rows], pose)]
+    parts = [*features * at.components, at.correlation * _outer(linear.by_point[at.rows], local),
+             _outer(linear.by_pose[at.rows], pose)]
     if linear.by_jitter is not None:
-        parts.append(_squared(linear.by_jitter[at.rows]))
+        parts.append(_outer(linear.by_jitter[at.rows]))
     return np.array(parts)
 
 
 def total_covariance(linear: Linear, at: StationGroup, noise: Noise) -> Array:
     """Return the covariance (stations, c, c), (3), including the blocks if they are lumped."""
     problem, config = linear.problem, linear.problem.config.noise
-    parts = covariances(linear, at)
+    parts = covariance_parts(linear, at)
     total = np.asarray(np.tensordot(noise.variance_factors[:len(parts)], parts, 1))
     if noise.lumped:  # the sensor's distortion, the robot's smooth error, and the target's own
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
-        total += at.correlation * _squared(linear.by_point[at.rows], config.distortion ** 2)
-        total += _squared(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
+        total += at.correlation * _outer(linear.by_point[at.rows], config.distortion ** 2)
+        total += _outer(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
         own = problem.target.feature_errors(linear)
-        total += _squared(own[at.rows]) * at.shared
+        total += _outer(own[at.rows]) * at.shared
     return total
 
 
-def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
+def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
     """Return factor @ diag(variances) @ factor.T of factors (stations, c, k)."""
     scaled = factor * np.sqrt(variances)
     return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
@@ -122,7 +122,7 @@ def _squared(factor: Array, variances: Array | float = 1.0) -> Array:
 
 def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
-    groups = linear.problem.groups
+    groups = linear.problem.station_groups
     return Whitening(tuple(at.rows for at in groups), tuple(
         inverse_roots(total_covariance(linear, at, noise)) for at in groups))
 
@@ -157,12 +157,12 @@ def estimated_variances(covariance: Array, value: Array, first: NDArray[np.intp]
     fitted = np.add.reduceat(fitted, first, axis=1)
     single = counts == 1
     prior = np.where(single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
-    for_estimate = _matched(MAP_PRIOR[:, None] + evidence, fitted)
-    for_report = _matched(prior + evidence, square)
+    for_estimate = _moment_matched(MAP_PRIOR[:, None] + evidence, fitted)
+    for_report = _moment_matched(prior + evidence, square)
     return for_estimate, for_report
 
 
-def _matched(posterior: Array, moment: Array) -> Array:
+def _moment_matched(posterior: Array, moment: Array) -> Array:
     """Return the variances (d,) where moment (s, d) equals its posterior mean over the scales."""
     weights = np.exp(posterior - posterior.max(axis=0))
     means = (weights * moment).sum(axis=0) / weights.sum(axis=0)

@@ -18,7 +18,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Feature, Sample
 from handeye_ros.estimation.basis import smooth_basis
-from handeye_ros.estimation.least_squares import groups
+from handeye_ros.estimation.least_squares import rows_by_count
 import numpy as np
 from numpy.typing import NDArray
 
@@ -153,7 +153,7 @@ class Target(ABC):
     kinds: names of the conditions
     labels: names of the parameters
     essential: kinds of which a station must use one, if it shows any
-    minimum: fewest samples
+    min_samples: fewest samples
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
         it has one
     one_axis: what rotations about one axis alone leave undetermined, in words
@@ -165,7 +165,7 @@ class Target(ABC):
     kinds: tuple[str, ...]
     labels: tuple[str, ...]
     essential: tuple[str, ...] = ()
-    minimum = 6
+    min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
     faces = 0
@@ -175,7 +175,7 @@ class Target(ABC):
         """Return the essential kinds as indices into kinds."""
         return [k for k, name in enumerate(self.kinds) if name in self.essential]
 
-    def one_view(self, problem: Problem, estimate: Estimate) -> str:
+    def views_alike(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words how the views of the target are too much alike, '' if they are not."""
         return ''
 
@@ -189,7 +189,7 @@ class Target(ABC):
         return points, kind
 
     @abstractmethod
-    def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield estimates to start from, best first, computed on demand."""
 
     @abstractmethod
@@ -201,13 +201,13 @@ class Target(ABC):
     def retract(self, state: Array, delta: Array) -> Array:
         """Return the state after a step (..., k)."""
 
-    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return value and 1 sigma of the parameters that are not free, by label."""
         return {}
 
-    def free(self, config: Config) -> NDArray[np.bool_]:
+    def is_free(self, config: Config) -> NDArray[np.bool_]:
         """Return which parameters (k,) are unknown."""
-        stated = self.stated(config)
+        stated = self.stated_values(config)
         return np.array([label not in stated for label in self.labels])
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
@@ -223,8 +223,8 @@ class Target(ABC):
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
 
-    def elsewhere(self, observations: Observations, p: Array, state: Array, config: Config
-                  ) -> str:
+    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
+                        ) -> str:
         """Return in words where observations lie that are not on the target, '' if unknown."""
         return ''
 
@@ -268,7 +268,7 @@ class StationGroup:
 def station_groups(observations: Observations) -> tuple[StationGroup, ...]:
     """Return the stations of observations, grouped by their number of observations."""
     grouped = []
-    for rows in groups(observations.station):
+    for rows in rows_by_count(observations.station):
         points, source = observations.points[rows], observations.source[rows]
         second = observations.end[rows] > 0
         apart = points[:, :, None] - points[:, None, :]
@@ -306,7 +306,7 @@ class Problem:
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
         """Return the columns of the Jacobian that belong to unknowns."""
-        free = self.target.free(self.config)
+        free = self.target.is_free(self.config)
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @cached_property
@@ -323,7 +323,7 @@ class Problem:
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @property
-    def groups(self) -> tuple[StationGroup, ...]:
+    def station_groups(self) -> tuple[StationGroup, ...]:
         """Return the stations, grouped by their number of observations."""
         return station_groups(self.observations)
 
@@ -355,7 +355,7 @@ class Problem:
     @property
     def tolerances(self) -> Array:
         """Return 1 sigma (k,) of the target's stated parameters, 0 for others."""
-        stated = self.target.stated(self.config)
+        stated = self.target.stated_values(self.config)
         return np.array([stated.get(label, (0.0, 0.0))[1] for label in self.target.labels])
 
     @property

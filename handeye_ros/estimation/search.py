@@ -21,7 +21,7 @@ from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
 from handeye_ros.estimation.covariance import with_contamination
 from handeye_ros.estimation.least_squares import (
-    agreeing,
+    drop_outliers,
     graduated,
     GROSS_SQUARE,
     many_least_squares,
@@ -29,7 +29,7 @@ from handeye_ros.estimation.least_squares import (
     shared_variance_factor,
     States,
     System,
-    typical,
+    typical_square,
 )
 from handeye_ros.estimation.noise import LUMPED, Noise, Whitening, whitening
 from handeye_ros.estimation.problem import (
@@ -62,10 +62,10 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
     """
     if start is not None:
         return without_outliers(refined_robustly(problem, start))
-    starts = chain(problem.target.guess(problem, rng),
+    starts = chain(problem.target.starts(problem, rng),
                    subset_starts(problem, SUBSET_COUNT * subsets, rng))
     best = refined_robustly(problem, next(starts))
-    while not accepted(best) and (other := next(starts, None)):
+    while not is_convincing(best) and (other := next(starts, None)):
         best = min(best, refined_robustly(problem, other), key=loss)
     return without_outliers(best)
 
@@ -73,7 +73,7 @@ def robust_solution(problem: Problem, rng: np.random.Generator, subsets: bool = 
 def quick_solution(problem: Problem) -> Solution | None:
     """Return the solution from the first two starts, None if neither fits."""
     try:
-        for start in islice(problem.target.guess(problem, np.random.default_rng(0)), 2):
+        for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
             trial = refined_robustly(problem, start)
             if misfit(trial) < LARGEST_SQUARE:
                 return without_outliers(trial)
@@ -85,10 +85,10 @@ def quick_solution(problem: Problem) -> Solution | None:
 def without_outliers(solution: Solution) -> Solution:
     """Return the solution after dropping stations that do not fit, one by one."""
     # least squares could move to a fit between the target and another surface
-    limit = LARGEST_SQUARE if solution.whole.ambiguous else GROSS_SQUARE
+    limit = LARGEST_SQUARE if solution.full_problem.ambiguous else GROSS_SQUARE
     squares = station_squares(solution)
-    good = squares <= limit * max(1.0, typical(squares))
-    good[np.argsort(squares, kind='stable')[:solution.whole.target.minimum]] = True
+    good = squares <= limit * max(1.0, typical_square(squares))
+    good[np.argsort(squares, kind='stable')[:solution.full_problem.target.min_samples]] = True
     near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
@@ -99,10 +99,10 @@ def without_outliers(solution: Solution) -> Solution:
         squares, freedom = solution.left_out_squares()
         return squares / shared_variance_factor(squares, freedom), freedom
 
-    whole = solution.whole
-    solution, used, dropped = agreeing(np.flatnonzero(good), len(whole.poses),
-                                       whole.target.minimum, fitted, judged)
-    return replace(solution, whole=whole, used=used, dropped=gross | dropped)
+    whole = solution.full_problem
+    solution, used, dropped = drop_outliers(np.flatnonzero(good), len(whole.poses),
+                                            whole.target.min_samples, fitted, judged)
+    return replace(solution, full_problem=whole, used=used, dropped_squares=gross | dropped)
 
 
 def with_all_blocks(solution: Solution) -> Solution:
@@ -112,7 +112,7 @@ def with_all_blocks(solution: Solution) -> Solution:
     With few stations, each may be wrong without being detected; the reported covariance includes
     this.
     """
-    near, whole = solution, solution.whole
+    near, whole = solution, solution.full_problem
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
@@ -123,10 +123,11 @@ def with_all_blocks(solution: Solution) -> Solution:
             part = part.with_pose_values(found.problem.pose_values)
         return with_contamination(map_solution(part, start, noise), len(whole.poses) - len(used))
 
-    solution, used, dropped = agreeing(
-        near.used, len(whole.poses), whole.target.minimum, fitted,
+    solution, used, dropped = drop_outliers(
+        near.used, len(whole.poses), whole.target.min_samples, fitted,
         lambda found: found.conservative.left_out_squares(), lambda found: found.surely_wrong)
-    return replace(solution, whole=whole, used=used, dropped={**near.dropped, **dropped})
+    return replace(solution, full_problem=whole, used=used,
+                   dropped_squares={**near.dropped_squares, **dropped})
 
 
 def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
@@ -139,27 +140,27 @@ def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
 
     start = linearise(reassigned(problem, estimate), estimate)
     at = graduated(start, mean_squares, refit)
-    return replace(Solution.at(at, LUMPED), whole=problem)
+    return replace(Solution.at(at, LUMPED), full_problem=problem)
 
 
 def station_squares(solution: Solution) -> Array:
     """Return the mean squared whitened residuals (n,); large without essential observations."""
     squares, problem = mean_squares(solution.linear), solution.problem
-    unused = solution.whole.shows_essential & ~problem.shows_essential
+    unused = solution.full_problem.shows_essential & ~problem.shows_essential
     return np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
 
 
-def _undetermined(solution: Solution) -> bool:
+def _is_undetermined(solution: Solution) -> bool:
     """Return whether observations were left out, and the others leave a direction free."""
-    fewer = len(solution.problem.observations) < len(solution.whole.observations)
+    fewer = len(solution.problem.observations) < len(solution.full_problem.observations)
     # a variance of more than (1 m or 1 rad)^2
     return fewer and bool(np.linalg.eigvalsh(solution.covariance)[-1] > 1.0)
 
 
 def misfit(solution: Solution) -> float:
     """Return the square that most stations are below; large if a direction is undetermined."""
-    spread = typical(station_squares(solution))
-    return max(spread, 2 * LARGEST_SQUARE) if _undetermined(solution) else spread
+    spread = typical_square(station_squares(solution))
+    return max(spread, 2 * LARGEST_SQUARE) if _is_undetermined(solution) else spread
 
 
 def loss(solution: Solution) -> float:
@@ -169,10 +170,10 @@ def loss(solution: Solution) -> float:
     Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
     """
     found = float(np.log(SMALL_SQUARE + station_squares(solution)).mean())
-    return max(found, float(np.log(2 * LARGEST_SQUARE))) if _undetermined(solution) else found
+    return max(found, float(np.log(2 * LARGEST_SQUARE))) if _is_undetermined(solution) else found
 
 
-def accepted(solution: Solution) -> bool:
+def is_convincing(solution: Solution) -> bool:
     """
     Return whether nearly all stations fit, within the errors of an inaccurate robot.
 
@@ -180,18 +181,18 @@ def accepted(solution: Solution) -> bool:
     on another near surface also fits within such errors.
     """
     squares = station_squares(solution)
-    far = squares > LARGEST_SQUARE * max(1.0, typical(squares))
-    unused = solution.whole.shows_essential & ~solution.problem.shows_essential
-    enough = UNRIVALLED_SQUARE if solution.whole.ambiguous else CONVINCING_SQUARE
+    far = squares > LARGEST_SQUARE * max(1.0, typical_square(squares))
+    unused = solution.full_problem.shows_essential & ~solution.problem.shows_essential
+    enough = UNRIVALLED_SQUARE if solution.full_problem.ambiguous else CONVINCING_SQUARE
     return misfit(solution) <= enough and bool((far | unused).mean() <= 0.1)
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:
     """Yield the first start of each of count random subsets of the stations."""
-    n, size = len(problem.poses), max(6, problem.target.minimum)
+    n, size = len(problem.poses), max(6, problem.target.min_samples)
     for _ in range(count if n > size else 0):
         part = problem.subset(np.sort(rng.permutation(n)[:size]))
-        yield next(part.target.guess(part, rng))
+        yield next(part.target.starts(part, rng))
 
 
 def reassigned(problem: Problem, estimate: Estimate, before: Problem | None = None) -> Problem:
@@ -210,7 +211,7 @@ def reassigned(problem: Problem, estimate: Estimate, before: Problem | None = No
     return replace(problem, observations=used)
 
 
-def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
+def best_estimates(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
     """
     Return the estimates reached from the starts, best first; poor ones are given up early.
 
@@ -231,12 +232,12 @@ def best_of(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list
         states, cost = many_least_squares(linear, retract, states, iterations)
         order = np.argsort(cost, kind='stable')
         # of few stations, many starts lead to the same estimate
-        best = (order[different(states[0][order])] if problem.needs_more_starts else order)[:kept]
+        best = (order[distinct(states[0][order])] if problem.needs_more_starts else order)[:kept]
         states = tuple(values[best] for values in states)
     return [Estimate(X, state) for X, state in zip(*states, strict=True)][:20]
 
 
-def different(X: Array) -> list[int]:
+def distinct(X: Array) -> list[int]:
     """Return which transforms (k, 4, 4) differ from all earlier ones by 1e-3 (m, rad)."""
     kept: list[int] = []
     for i in range(len(X)):
@@ -246,7 +247,7 @@ def different(X: Array) -> list[int]:
 
 
 @lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
-def white_at(linear: Linear, noise: Noise = LUMPED) -> Whitening:
+def whitening_at(linear: Linear, noise: Noise = LUMPED) -> Whitening:
     """Return the map that whitens the residuals of a problem."""
     return whitening(linear, noise)
 
@@ -254,7 +255,7 @@ def white_at(linear: Linear, noise: Noise = LUMPED) -> Whitening:
 def mean_squares(linear: Linear) -> Array:
     """Return the mean squared whitened residuals (n,) of the stations, blocks lumped."""
     station, n = linear.problem.observations.station, len(linear.problem.poses)
-    squares = np.bincount(station, white_at(linear)(linear.residuals) ** 2, minlength=n)
+    squares = np.bincount(station, whitening_at(linear)(linear.residuals) ** 2, minlength=n)
     return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
 
 
@@ -262,7 +263,7 @@ def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
     """Return the least-squares system of a problem; each station is an item."""
     def rows(at: Linear) -> Rows:
         return Rows(at.residuals, lambda: at.jacobian[:, problem.free_columns],
-                    lambda: white_at(at, noise))
+                    lambda: whitening_at(at, noise))
 
     def retracted(at: Linear, step: Array) -> Linear:
         return linearise(problem, problem.retracted(at.estimate, step))

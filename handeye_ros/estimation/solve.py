@@ -29,14 +29,14 @@ from handeye_ros.estimation.blocks import (
     slices,
 )
 from handeye_ros.estimation.least_squares import (
+    bounded_inverse,
     covariance_of,
     FREE_DIRECTION,
-    inverse,
     LARGEST_STD,
-    left_out_of,
+    left_out_residuals,
 )
 from handeye_ros.estimation.noise import (
-    covariances,
+    covariance_parts,
     estimated_variances,
     LUMPED,
     Noise,
@@ -63,18 +63,18 @@ class Solution:
 
     linear: the used stations with the labels of their observations, linearised
     priors: blocks with their configured sigmas
-    white_residuals: (m,) whitened residuals with all parameters of blocks at 0
+    prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
     white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
         parameters in configured sigmas
     white_information: (u + q, u + q) their information
-    whole: the problem with all stations and observations
+    full_problem: the problem with all stations and observations
     used: (n,) indices of those used
-    dropped: squared residual of the others
+    dropped_squares: squared residual of the others
     probability_wrong: that one of few used stations is wrong
     surely_wrong: the station that almost surely is
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
-    conservative_or_none: the solution at conservative scales, of one that is not: its estimate
+    conservative_twin: the solution at conservative scales, of one that is not: its estimate
         moves too far, its covariance is realistic
     """
 
@@ -82,16 +82,16 @@ class Solution:
     noise: Noise
     priors: tuple[ParameterBlock, ...]
     whitening: Whitening
-    white_residuals: Array
+    prefit_residuals: Array
     white_jacobian: Array
     white_information: Array
-    whole: Problem
+    full_problem: Problem
     used: NDArray[np.intp]
-    dropped: Mapping[int, float] = field(default_factory=dict)
+    dropped_squares: Mapping[int, float] = field(default_factory=dict)
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
     surely_wrong: int | None = None
-    conservative_or_none: Solution | None = None
+    conservative_twin: Solution | None = None
 
     @classmethod
     def at(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...] | None = None
@@ -103,12 +103,12 @@ class Solution:
         for block in blocks:
             if block.value is not None:  # they are in the estimate or the poses
                 residuals = residuals - block.columns @ (block.value / block.std)
-        white = whitening(linear, noise)
+        whiten = whitening(linear, noise)
         problem = linear.problem
-        own = white(np.column_stack([linear.jacobian[:, problem.free_columns],
+        own = whiten(np.column_stack([linear.jacobian[:, problem.free_columns],
                                      *(block.columns for block in blocks), residuals]))
         A = own[:, :-1]
-        return cls(linear, noise, blocks, white, own[:, -1], A, A.T @ A, problem,
+        return cls(linear, noise, blocks, whiten, own[:, -1], A, A.T @ A, problem,
                    np.arange(len(problem.poses)))
 
     @property
@@ -124,15 +124,15 @@ class Solution:
     @cached_property
     def scales(self) -> Array:
         """Return the scale of each parameter (u + q,): 1 for unknowns, tau for the others."""
-        tau = np.sqrt(self._variances)
-        return np.concatenate([np.ones(self.unknowns), np.repeat(tau, self._counts)])
+        tau = np.sqrt(self._tau_squared)
+        return np.concatenate([np.ones(self.unknowns), np.repeat(tau, self._block_sizes)])
 
     @property
-    def _counts(self) -> list[int]:
+    def _block_sizes(self) -> list[int]:
         return [block.count for block in self.priors]
 
     @property
-    def _variances(self) -> Array:
+    def _tau_squared(self) -> Array:
         """Return the variance of each block (d,) relative to the configured one."""
         return np.array([self.noise.block_variances.get(block.name, 1.0) for block in self.priors])
 
@@ -140,46 +140,47 @@ class Solution:
     def blocks(self) -> tuple[ParameterBlock, ...]:
         """Return the blocks; their sigmas are tau times the configured ones."""
         return tuple(replace(block, std=block.std * float(tau)) for block, tau
-                     in zip(self.priors, np.sqrt(self._variances), strict=True))
+                     in zip(self.priors, np.sqrt(self._tau_squared), strict=True))
 
     @cached_property
-    def _solved(self) -> tuple[Array, Array]:
-        """Return the step of all parameters (u + q,), and their covariance C, (5)."""
-        if self.noise.lumped:  # the search ends where no step is left
-            return np.zeros(self.unknowns), covariance_of(self.white_jacobian)
-        covariance = inverse(self.information)
-        gradient = self.scales * (self.white_jacobian.T @ self.white_residuals)
-        return -covariance @ gradient, covariance
-
-    @property
     def covariance(self) -> Array:
         """Return C (u + q, u + q) of (5), in present sigmas of the nuisance parameters."""
-        return self._solved[1]
+        if self.noise.lumped:
+            return covariance_of(self.white_jacobian)
+        return bounded_inverse(self.information)
+
+    @cached_property
+    def _step(self) -> Array:
+        """Return the step of all parameters (u + q,) to the minimum."""
+        if self.noise.lumped:  # the search ends where no step is left
+            return np.zeros(self.unknowns)
+        gradient = self.scales * (self.white_jacobian.T @ self.prefit_residuals)
+        return np.asarray(-self.covariance @ gradient)
 
     @property
     def nuisance(self) -> Array:
         """Return the estimates (q,) of the nuisance parameters, in their present sigmas."""
-        return self._solved[0][self.unknowns:]
+        return self._step[self.unknowns:]
 
     @cached_property
-    def derivatives(self) -> Array:
+    def jacobian(self) -> Array:
         """Return the whitened derivatives (m, u + q), by nuisance parameters in present sigmas."""
         return self.white_jacobian * self.scales
 
     @cached_property
-    def whitened(self) -> Array:
+    def postfit_residuals(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        step = self.scales * self._solved[0]
-        return np.asarray(self.white_residuals + self.white_jacobian @ step)
+        step = self.scales * self._step
+        return np.asarray(self.prefit_residuals + self.white_jacobian @ step)
 
     @cached_property
     def estimate(self) -> Estimate:
         """Return the estimate after the last step, which is close to the minimum."""
         if self.noise.lumped:
             return self.linear.estimate
-        return self.problem.retracted(self.linear.estimate, self._solved[0][:self.unknowns])
+        return self.problem.retracted(self.linear.estimate, self._step[:self.unknowns])
 
-    def stepped(self) -> Linear:
+    def relinearise(self) -> Linear:
         """Return the problem linearised after the step, with what depends on block parameters."""
         problem, estimate = self.problem, self.estimate
         values, delta = problem.pose_values.copy(), np.zeros(len(problem.target.labels))
@@ -196,7 +197,7 @@ class Solution:
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
-        J = self.derivatives[rows]
+        J = self.jacobian[rows]
         gain = (J.reshape(-1, J.shape[2]) @ self.covariance).reshape(J.shape)
         return np.asarray(gain @ np.swapaxes(J, 1, 2))
 
@@ -204,11 +205,11 @@ class Solution:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
         sums = np.zeros((len(PRIOR_FACTORS), 2))
         every = -(-len(self.problem.poses) // MANY_STATIONS)
-        for group, roots in zip(self.problem.groups, self.whitening.roots, strict=True):
+        for group, roots in zip(self.problem.station_groups, self.whitening.roots, strict=True):
             at, root = group.every(every), roots[::every]
-            V = covariances(self.linear, at)
+            V = covariance_parts(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
-            r = self.whitened[at.rows]
+            r = self.postfit_residuals[at.rows]
             left = np.eye(r.shape[1]) - self.predicted_covariance(at.rows)
             both = r[:, :, None] * r[:, None]
             sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
@@ -220,10 +221,10 @@ class Solution:
 
     def estimated_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        x, covariance = self._solved
-        u, first = self.unknowns, np.cumsum([0, *self._counts])[:-1]
+        x, covariance = self._step, self.covariance
+        u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
         largest = np.array([block.largest_variance for block in self.priors])
-        return estimated_variances(covariance[u:, u:], x[u:], first, self._variances, largest)
+        return estimated_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
@@ -244,7 +245,7 @@ class Solution:
         found = self
         for _ in range(steps if self.priors else 0):
             _, variances = found.estimated_variances()
-            if np.abs(np.log(variances / found._variances)).max() < 0.03:
+            if np.abs(np.log(variances / found._tau_squared)).max() < 0.03:
                 break
             found = found.with_variances(variances)
         return found
@@ -252,22 +253,27 @@ class Solution:
     @property
     def conservative(self) -> Solution:
         """Return the solution at the conservative scales, itself where it is that."""
-        return self.conservative_or_none or self
+        return self.conservative_twin or self
 
     @cached_property
-    def reported(self) -> Array:
+    def reported_covariance(self) -> Array:
         """
         Return the reported covariance (u, u) of the unknowns, (8).
 
         It covers the errors of both the mount's transform and the best-fit transform.
         """
         reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
-        if self.conservative_or_none is None:
+        if self.conservative_twin is None:
             return reported
         away = self.shift_of_report
-        reported[:6, :6] = covering(reported[:6, :6] + np.outer(away, away), self._best_fit)
+        reported[:6, :6] = cover_both(reported[:6, :6] + np.outer(away, away), self._best_fit)
         reported[:6, :6] += sum(self.added_covariances.values())
         return reported
+
+    @property
+    def transform_covariance(self) -> Array:
+        """Return the reported covariance (6, 6) of the transform."""
+        return self.reported_covariance[:6, :6]
 
     @property
     def shift_of_report(self) -> Array:
@@ -301,26 +307,27 @@ class Solution:
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
         J = self.white_jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-        for at in self.problem.groups:
+        for at in self.problem.station_groups:
             s = np.linalg.svd(J[at.rows], compute_uv=False)
             # smaller singular values are repeated information with other noise
             ranks[station[at.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
         return ranks
 
     @property
-    def squares(self) -> float:
+    def sum_of_squares(self) -> float:
         """Return the sum of squares of residuals and nuisance parameters."""
-        return float(self.whitened @ self.whitened + self.nuisance @ self.nuisance)
+        r, n = self.postfit_residuals, self.nuisance
+        return float(r @ r + n @ n)
 
     @property
     def variance_factor(self) -> float:
         """Return the squared whitened residual per degree of freedom."""
-        return self.squares / max(self.degrees_of_freedom, 1)
+        return self.sum_of_squares / max(self.degrees_of_freedom, 1)
 
     @property
     def degrees_of_freedom(self) -> int:
         """Return the number of conditions less the number of unknowns."""
-        return len(self.white_residuals) - self.unknowns
+        return len(self.prefit_residuals) - self.unknowns
 
     @property
     def target_std(self) -> Array:
@@ -352,7 +359,7 @@ class Solution:
     def expected_rms(self) -> float:
         """Return the expected RMS (m) of residuals for configured noise and nuisances."""
         total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, LUMPED)))
-                    for at in self.problem.groups)
+                    for at in self.problem.station_groups)
         return float((total / len(self.linear.residuals)) ** 0.5)
 
     @property
@@ -362,12 +369,12 @@ class Solution:
                           for f in self.whitening.roots)
         factors = self.noise.variance_factors
         prior = PRIOR_FREEDOM * float((np.log(factors) + 1 / factors - 1).sum())
-        return float(spread + np.linalg.slogdet(self.information)[1] + self.squares + prior)
+        return float(spread + np.linalg.slogdet(self.information)[1] + self.sum_of_squares + prior)
 
     @property
     def without_edges(self) -> NDArray[np.intp]:
         """Return the used stations that show essential observations, but of which none is used."""
-        shown = self.whole.subset(self.used).shows_essential
+        shown = self.full_problem.subset(self.used).shows_essential
         return self.used[shown & ~self.problem.shows_essential]
 
     @property
@@ -378,7 +385,7 @@ class Solution:
     @property
     def unused_share(self) -> float:
         """Return the share of stations that are dropped or lack their essential observations."""
-        return 1 - self.fully_used / len(self.whole.poses)
+        return 1 - self.fully_used / len(self.full_problem.poses)
 
     def corrected_poses(self, nuisance: Array | None = None) -> Array:
         """
@@ -406,17 +413,17 @@ class Solution:
         """
         station, n = self.problem.observations.station, len(self.problem.poses)
         statistic, count = np.zeros(n), np.bincount(station, minlength=n)
-        for at in self.problem.groups:
-            r = self.whitened[at.rows]
-            left_out = left_out_of(self.predicted_covariance(at.rows), r)
+        for at in self.problem.station_groups:
+            r = self.postfit_residuals[at.rows]
+            left_out = left_out_residuals(self.predicted_covariance(at.rows), r)
             statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
-    def alone(self) -> NDArray[np.bool_]:
+    def is_indispensable(self) -> NDArray[np.bool_]:
         """Return which stations (n,) determine something that no other one shows."""
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
-        for at in self.problem.groups:
+        for at in self.problem.station_groups:
             share = np.linalg.eigvalsh(self.predicted_covariance(at.rows))[:, -1]
             alone[station[at.rows[:, 0]]] = share > 1 - ALONE_REST
         return alone
@@ -431,19 +438,19 @@ class Solution:
         of_row, u = fold[self.problem.observations.station], self.unknowns
         steps = np.empty((fold.max() + 1, len(self.scales)))
         for k in range(len(steps)):
-            J, r = self.derivatives[of_row == k], self.whitened[of_row == k]
+            J, r = self.jacobian[of_row == k], self.postfit_residuals[of_row == k]
             if len(r) < J.shape[1]:
-                left_out = left_out_of((J @ self.covariance @ J.T)[None], r[None])[0]
+                left_out = left_out_residuals((J @ self.covariance @ J.T)[None], r[None])[0]
                 steps[k] = self.covariance @ (J.T @ left_out)
             else:
                 # what no other fold shows keeps a large, finite variance
                 rest = self.information - J.T @ J + np.eye(J.shape[1]) / LARGEST_STD ** 2
-                steps[k] = inverse(rest) @ (J.T @ r)
+                steps[k] = bounded_inverse(rest) @ (J.T @ r)
         return ([self.problem.retracted(self.estimate, step) for step in steps[:, :u]],
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
 
-def covering(first: Array, second: Array) -> Array:
+def cover_both(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
@@ -465,7 +472,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
         problem = problem.with_pose_values(part.problem.pose_values)
         near = solution_at(problem, part.linear.estimate, part.noise)
-        best = Solution.at(near.stepped(), near.noise)
+        best = Solution.at(near.relinearise(), near.noise)
         return _with_conservative(best, part.conservative.noise, 0)
     found, diverged = _iterated(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
@@ -477,7 +484,7 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
     """Return the solution after some steps and False, or the best before divergence and True."""
     least, best = np.inf, found
     for count in range(10):  # linearisations
-        (x, covariance), u = found._solved, found.unknowns
+        x, covariance, u = found._step, found.covariance, found.unknowns
         size = float(np.abs(x[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
         diverged = size > 4.0 * max(least, 1.0)
         if diverged and count > 1:  # the first steps may grow with the scale of a block
@@ -486,7 +493,7 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
         factors, before = found.estimated_factors(), found.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
         noise = replace(found.noise, variance_factors=factors)
-        found = Solution.at(found.stepped(), noise).rescaled(1)
+        found = Solution.at(found.relinearise(), noise).rescaled(1)
         if size < CONVERGED_SIGMAS and steady:
             break
     return found, False
@@ -501,14 +508,14 @@ def _with_final_scales(found: Solution) -> Solution:
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
         best = best.with_factors(best.estimated_factors(PRIOR_FACTORS))
-    return _with_conservative(Solution.at(best.stepped(), best.noise), found.noise, LAST_STEPS)
+    return _with_conservative(Solution.at(best.relinearise(), best.noise), found.noise, LAST_STEPS)
 
 
 def _with_conservative(best: Solution, noise: Noise, steps: int) -> Solution:
     """Return a solution together with that at the conservative scales of noise."""
     long = replace(best.problem, long_errors=True)
     conservative = solution_at(long, best.linear.estimate, noise).rescaled(steps)
-    return replace(best, conservative_or_none=conservative)
+    return replace(best, conservative_twin=conservative)
 
 
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:

@@ -114,8 +114,9 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     solution = found.solution if found.samples_agree else None
     mapped = mapped_points(solution.estimate.X, view) if solution else None
     if solution is None or mapped is None or (
-            mapped.std(solution.reported[:6, :6]) > ROUGHLY_KNOWN):
-        refusal = found.refusal if solution is None and len(samples) >= target.minimum else None
+            mapped.std(solution.transform_covariance) > ROUGHLY_KNOWN):
+        enough = solution is None and len(samples) >= target.min_samples
+        refusal = found.refusal if enough else None
         if sweeping:
             return _before_an_answer(
                 f'continue to sweep over the {what}: to and fro across it, with tilts about all '
@@ -123,7 +124,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
         move = next_move(len(samples), target, config, view)
         return _before_an_answer(move.text, move, refusal)
 
-    sigmas = sigma_table(solution.reported[:6, :6], mapped, config)
+    sigmas = sigma_table(solution.transform_covariance, mapped, config)
     proposal = None
     if not sweeping:
         surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is

@@ -72,7 +72,7 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
-        gain = mapped.variance(solution.reported[:6, :6]) - mapped.variance(
+        gain = mapped.variance(solution.transform_covariance) - mapped.variance(
             with_one_more(solution, seen))
         i = int(np.argmax(gain))
         if gain[i] > most:
@@ -268,8 +268,8 @@ def with_one_more(solution: Solution, seen: Problem) -> Array:
 
     seen: equally many observations at each. The blocks count as errors of the station.
     """
-    C, noise = solution.reported, replace(solution.noise, lumped=True)
-    A = Solution.at(linearise(seen, solution.estimate), noise).derivatives
+    C, noise = solution.reported_covariance, replace(solution.noise, lumped=True)
+    A = Solution.at(linearise(seen, solution.estimate), noise).jacobian
     A = A.reshape(len(seen.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
     carried = A @ C
@@ -294,4 +294,4 @@ def expected(solution: Solution, mapped: MappedPoints, one: Problem) -> float:
     before, after = (
         mapped.variance(solution_at(p, solution.estimate, conservative.noise).covariance[:6, :6])
         for p in (problem, both))
-    return mapped.std(solution.reported[:6, :6]) * math.sqrt(min(float(after / before), 1.0))
+    return mapped.std(solution.transform_covariance) * math.sqrt(min(float(after / before), 1.0))

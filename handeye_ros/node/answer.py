@@ -76,8 +76,8 @@ def review_of(session: Session, config: Config, seen: Array, without_sample: Seq
     seen, without_sample: see advise; asked: whether somebody waits for the answer, or has one:
     then the cause of a refusal is searched in the stops.
     """
-    answer = pipeline.answer(session.samples, session.rejects, config, session.frame_id,
-                             session if asked else None)
+    answer = pipeline.answer_samples(session.samples, session.rejects, config, session.frame_id,
+                                     session if asked else None)
     samples = {one.number: one.sample for one in session.stops if one.sample}
     found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
@@ -130,7 +130,7 @@ class LiveAnswer:
                 f'changed since ({differences}): call ~/compute_calibration for an answer from '
                 f'the current {len(now)}')
 
-    def required(self) -> Calibration:
+    def require_calibration(self) -> Calibration:
         """Return the answer with name and record of now; raises DataError without one."""
         if self.calibration is None:
             raise DataError('there is no calibration to save: call ~/compute_calibration first, '
@@ -223,7 +223,7 @@ class LiveAnswer:
             return ''
         if answer.refusal:
             self._refuse(answer.refusal)
-        calibration = answer.required()
+        calibration = answer.require_calibration()
         inputs = [{'topic': live.config.profile_topic}, {'topic': live.config.pose_origin[0]},
                   {'session': live.path}]
         self.calibration = replace(calibration,
@@ -240,7 +240,7 @@ class LiveAnswer:
 
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
-        live, calibration = self._live, self.required()
+        live, calibration = self._live, self.require_calibration()
         live.store_rest()
         folder, formats = live.folders.own(live.config), live.config.save.formats
         wanted = folder, formats, live.config.record

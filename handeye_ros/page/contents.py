@@ -137,7 +137,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
-    calibration = calibration_file.dated(live.answer.required())
+    calibration = calibration_file.dated(live.answer.require_calibration())
     if name == exports.REPORT_FILE:
         return name, live.pool.run(_report, calibration, live.path)
     form = exports.format_of(name)

@@ -204,9 +204,9 @@ def _wanders(arc: Arc, noise: float, config: Config) -> bool:
     """
     off, of_bins = off_circle(arc.raw, arc.circle), off_circle(arc.points, arc.circle)
     scatter, slow = float(off @ off) / len(off), float(of_bins @ of_bins) / len(of_bins)
-    white = min(EXPECTED_SCATTER * config.noise.sensor,
-                MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
-    expected = math.hypot(white, EXPECTED_SCATTER * config.noise.distortion)
+    white_std = min(EXPECTED_SCATTER * config.noise.sensor,
+                    MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
+    expected = math.hypot(white_std, EXPECTED_SCATTER * config.noise.distortion)
     return scatter > expected ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
                                         or slow > LARGEST_SLOW_SHARE * scatter)
 
@@ -263,10 +263,10 @@ def normal_points(raw: Array) -> Arc:
 
 def _variance(residual: Array, of_bins: Array, size: float) -> float:
     """Return the variance of a normal point, the mean of a bin of the residuals (n,)."""
-    white = float(residual @ residual) / max(len(residual) - 3, 1) / size
+    white_var = float(residual @ residual) / max(len(residual) - 3, 1) / size
     finer = bin_means(residual, FINER_BINS * len(of_bins))[0] if size > 2 * FINER_BINS else of_bins
-    fine = variance_of_bins(finer, white * len(finer) / len(of_bins))
+    fine = variance_of_bins(finer, white_var * len(finer) / len(of_bins))
     # what is alike over a whole bin scatters between them
     coarse = float(of_bins @ of_bins) / max(len(of_bins) - 3, 1)
-    coarse = coarse if coarse > SURELY_MORE * white else white
+    coarse = coarse if coarse > SURELY_MORE * white_var else white_var
     return max(fine * len(of_bins) / len(finer), coarse)

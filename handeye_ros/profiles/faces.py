@@ -67,8 +67,8 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         raise FeatureError('no edge of a face in the profile: the face ends only '
                            + ' or '.join(dict.fromkeys(reasons)))
     line = face_line(face, points)
-    white = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
-    return (line, *(on_line(edge, line, line.std / white) for edge in edges))
+    white_std = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
+    return (line, *(on_line(edge, line, line.std / white_std) for edge in edges))
 
 
 def _is_above(end: FaceEnd, other: Segment) -> bool:

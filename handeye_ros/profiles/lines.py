@@ -64,20 +64,20 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
     same = [line for line in lines if len(line.bins) == size]
     each, n = np.array([line.bins for line in same]), len(same)
     across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
-    white = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
-             float(np.mean([line.std ** 2 for line in same])) * size)
+    white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
+                 float(np.mean([line.std ** 2 for line in same])) * size)
     spread = float(np.median([line.spread for line in lines]))
-    line = _line(centre, slope, spread, each.mean(axis=0), white / n)
+    line = _line(centre, slope, spread, each.mean(axis=0), white_var / n)
     shared = max(scatter ** 2 / n - line.std ** 2, 0.0)  # a robot that shakes moves all alike
     return replace(line, std=float(np.sqrt(line.std ** 2 + shared)),
                    points_std=np.sqrt(line.points_std ** 2 + shared))
 
 
-def _line(centre: Array, slope: float, spread: float, bins: Array, white: float) -> FaceLine:
-    """Return the line with bins (m, 2); white: the variance of each for independent noise."""
+def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float) -> FaceLine:
+    """Return the line with bins (m, 2); white_var: the variance of each for independent noise."""
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     across = (bins - centre) @ np.array([-direction[1], direction[0]])
-    variance = variance_of_bins(across, white)
+    variance = variance_of_bins(across, white_var)
     normal_points, size = bin_means(bins, min(NORMAL_POINTS, len(bins)))
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
                     normal_points, np.sqrt(variance / size), bins)
@@ -97,18 +97,18 @@ def _bins(size: int, bins: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, np.diff(first, append=size)
 
 
-def variance_of_bins(bins: Array, white: float) -> float:
+def variance_of_bins(bins: Array, white_var: float) -> float:
     """
     Return the variance of the means (k,) of neighbouring bins of residuals.
 
-    white: the variance for white noise; it is returned unless the bins scatter significantly
+    white_var: the variance for white noise; it is returned unless the bins scatter significantly
     more.
     """
     if len(bins) < FEWEST_BINS:
-        return white
+        return white_var
     seen = _variance(bins)
-    if seen <= SURELY_MORE * white:
-        return white
+    if seen <= SURELY_MORE * white_var:
+        return white_var
     # speckle that is wider than a bin makes two neighbours alike
     pairs = bins[:len(bins) // 2 * 2].reshape(-1, 2).mean(axis=1)
     return max(seen, 2 * _variance(pairs)) if len(pairs) >= FEWEST_BINS else seen

@@ -16,8 +16,8 @@ from handeye_ros.arm import Arm
 from handeye_ros.data import Array, rms
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import (
-    agreeing,
     covariance_of,
+    drop_outliers,
     leave_one_out,
     Rows,
     System,
@@ -141,7 +141,7 @@ def without_outliers(fit: ArmFit) -> ArmFit:
         (r, J), freedom = found.linear, np.bincount(item)
         left_out = leave_one_out(r, J, found.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return agreeing(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
+    return drop_outliers(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
 
 
 def first_fit(stops: ArmStops, state: ArmState, used: NDArray[np.bool_], noise: float = 1.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, PRISMATIC
-from handeye_ros.calibration import assembled, report_of
+from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array
@@ -125,11 +125,11 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     target = {f'point_{name}': xyz(place)
               for name, place in zip(rows.names, fit.state.targets, strict=True)}
     off = fit.stops.distances(fit.state)
-    calibration = assembled(
+    calibration = assemble_calibration(
         config, 'kinematics', config.sensor_frame, fit.state.X, covariance,
         fit.residual_rms, outcome.chosen.left_out_rms,
         {**target, 'robot_position_error': outcome.smooth},
-        [report_of(rows.number[k], rows.names[rows.target[k]], fit.used[k], off[k])
+        [report_of_row(rows.number[k], rows.names[rows.target[k]], fit.used[k], off[k])
          for k in np.argsort(rows.number)], {'inputs': list(inputs)})
     return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
                      (*notes, *outcome.notes))

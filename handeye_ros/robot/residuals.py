@@ -20,7 +20,7 @@ from typing import ClassVar, TypeAlias
 from handeye_ros import se3
 from handeye_ros.arm import Arm, ERROR_KINDS
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import as_they_are
+from handeye_ros.estimation.least_squares import identity
 from handeye_ros.estimation.noise import LUMPED, whitening
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.frames import in_mount
@@ -37,13 +37,13 @@ class Residuals:
 
     by_own: (m, 6 + k) by X and the target
     by_pose: (m, 6) by a shift of the flange and a turn about it, in the base
-    white: what whitens values (m, ...)
+    whiten: what whitens values (m, ...)
     """
 
     values: Array
     by_own: Array
     by_pose: Array
-    white: Callable[[Array], Array] = as_they_are
+    whiten: Callable[[Array], Array] = identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,9 +231,9 @@ class ArmStops:
             by_smooth = (self.root[station][:, :, None] * found.by_pose[:, None, :3]
                          ).reshape(len(by_own), -1)
             values = found.values + by_smooth @ state.smooth
-            rows.append(found.white(np.column_stack([by_own, by_arm, by_smooth, values])))
-        white = np.concatenate(rows)
-        return white[:, -1], white[:, :-1]
+            rows.append(found.whiten(np.column_stack([by_own, by_arm, by_smooth, values])))
+        whitened = np.concatenate(rows)
+        return whitened[:, -1], whitened[:, :-1]
 
     def moved(self, state: ArmState, step: Array) -> ArmState:
         """Return a state after a step (u,)."""

@@ -15,7 +15,7 @@ from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
-from handeye_ros.estimation.solve import covering
+from handeye_ros.estimation.solve import cover_both
 from handeye_ros.frames import in_mount, sensor_axes
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
@@ -62,7 +62,7 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
                      robot_effector_frame=arm.flange)
     require_enough(len(session.samples))
     assert read.joints is not None
-    # as pipeline.answer prepares them, none dropped
+    # as pipeline.answer_samples prepares them, none dropped
     samples = with_common_shape(sorted(session.samples, key=lambda sample: sample.stamp))
     samples = synchronised(samples, config).samples
     problem = problem_at_poses(samples, config)
@@ -121,8 +121,8 @@ def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
     poses = in_mount(arm.forward(source.q @ joints.T), config)
     agreed = robust_solution(replace(source.problem, poses=poses, config=config),
                              np.random.default_rng(SEED))
-    residuals = linearise(agreed.whole, agreed.estimate).residuals
-    return float(np.median(lengths(residuals, agreed.whole.observations.station)))
+    residuals = linearise(agreed.full_problem, agreed.estimate).residuals
+    return float(np.median(lengths(residuals, agreed.full_problem.observations.station)))
 
 
 def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str, str]] = ()
@@ -142,7 +142,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     calibrations = [_calibrated(source, outcome.arm) for source in sources]
     first, covariance = calibrations[0], outcome.covariance[:6, :6]
     if len(calibrations) == 1:
-        calibration = replace(first, covariance=covering(first.covariance, covariance))
+        calibration = replace(first, covariance=cover_both(first.covariance, covariance))
     else:
         calibration = _combined(calibrations, outcome.chosen.fit.state.X @ se3.inverse(
             sensor_axes(sources[0].problem.config)), covariance)

@@ -252,7 +252,7 @@ class Session(Copyable):
         self._require_one_frame()
         poses, sampling, count = self._pose_stream, self._config.sampling, len(self._closed)
         if sampling.mode == 'still' and self._finder.short > count and (
-                0 < count < targets.target_for(self._config).minimum):
+                0 < count < targets.target_for(self._config).min_samples):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
                             f'times, and {self._finder.short} times for less: stay longer at each '
                             'stop, or lower sampling.still_time', reason='no_stops')

@@ -31,10 +31,10 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.least_squares import graduated, Rows, System, typical
+from handeye_ros.estimation.least_squares import graduated, Rows, System, typical_square
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
-from handeye_ros.estimation.search import CONVINCING_SQUARE, mean_squares, reassigned, white_at
+from handeye_ros.estimation.search import CONVINCING_SQUARE, mean_squares, reassigned, whitening_at
 from handeye_ros.frames import mounted
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
@@ -218,11 +218,11 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
         values = np.zeros(len(problem.pose_values))
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
-        for start in islice(shifted.target.guess(shifted, rng), 3):
+        for start in islice(shifted.target.starts(shifted, rng), 3):
             found = _refined(shifted, start)
             loss = float(np.log1p(mean_squares(found)).mean())
             best = (loss, found) if best is None or loss < best[0] else best
-        if best and typical(mean_squares(best[1])) < CONVINCING_SQUARE:
+        if best and typical_square(mean_squares(best[1])) < CONVINCING_SQUARE:
             break
     assert best is not None
     return best[1]
@@ -250,10 +250,10 @@ def _system(problem: Problem) -> System[Linear]:
             J = np.hstack([at.jacobian[:, at.problem.free_columns], by_clocks])
             return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
 
-        def white(values: Array) -> Array:
-            return np.concatenate([white_at(at)(values[:-k]), values[-k:]])
+        def whiten(values: Array) -> Array:
+            return np.concatenate([whitening_at(at)(values[:-k]), values[-k:]])
         return Rows(np.append(at.residuals, at.problem.pose_values / stds), jacobian,
-                    lambda: white)
+                    lambda: whiten)
 
     def retracted(at: Linear, step: Array) -> Linear:
         moved = at.problem.with_pose_values(at.problem.pose_values + step[-k:])

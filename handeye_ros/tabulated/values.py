@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from handeye_ros import se3
-from handeye_ros.calibration import assembled, report_of
+from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.refusals import (
     LARGEST_DROPPED_SHARE,
     require_certain,
@@ -273,10 +273,10 @@ def calibrate(given: Input) -> Calibration:
     answer = solve(values, given.otherwise)
     answer.require_trusted(values)
     warnings = {'warnings': list(given.warnings)} if given.warnings else {}
-    return assembled(
+    return assemble_calibration(
         values.config, values.name, given.frame, answer.X @ se3.inverse(values.axes),
         answer.covariance, answer.residual_rms, answer.holdout_rms, answer.target,
-        [report_of(number, kind, used, off) for (number, kind), used, off in zip(
+        [report_of_row(number, kind, used, off) for (number, kind), used, off in zip(
             values.samples, answer.used, answer.off, strict=True)],
         {'inputs': list(given.inputs), **warnings})
 

@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_of
+from handeye_ros.estimation.search import best_estimates
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
 from handeye_ros.targets.target import END_KINDS, FACE, FaceTarget, xyz
@@ -36,7 +36,7 @@ KINDS = ('face', 'edge', 'edge_z')
 NORMALS = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 0, 1.0]])
 DIRECTION_COUNT = 400
 CANDIDATE_COUNT = 24
-MINIMUM = 7  # samples
+MIN_SAMPLES = 7  # samples
 NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 CONDITIONS_OF_EDGE = 2  # of one edge point
@@ -122,7 +122,7 @@ def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem | None:
     part = replace(problem, observations=problem.observations.select(chosen))
     stations = np.unique(part.observations.station)
     everything = chosen[problem.observations.kind != FACE].all()
-    return part.subset(stations) if len(stations) >= MINIMUM or everything else None
+    return part.subset(stations) if len(stations) >= MIN_SAMPLES or everything else None
 
 
 class Line(FaceTarget):
@@ -133,16 +133,16 @@ class Line(FaceTarget):
     labels, moves = ('y', 'z', 'rx', 'ry', 'rz'), (1, 2, 3, 4, 5)
     extract = staticmethod(face_features)
     essential = ('edge',)
-    minimum = MINIMUM
+    min_samples = MIN_SAMPLES
     edge_kinds = (EDGE_Y, EDGE_Z)
 
-    def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first, from a sweep of the direction of the line."""
         target = whole.config.target
         alone = replace(whole.config, target=replace(target, use_face=False))
         problem = some_of(replace(whole, config=alone), rng)
         for parts in one_end(problem):
-            found = (e for part in parts for e in best_of(part, line_candidates(part)))
+            found = (e for part in parts for e in best_estimates(part, line_candidates(part)))
             for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
                 yield _with_face(whole, e) if target.use_face else e
 
@@ -153,7 +153,7 @@ class Line(FaceTarget):
         g = (local * normals).sum(axis=-1)
         return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
 
-    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return that the turn about the line is none, without a face."""
         return {} if config.target.use_face else {'rx': (0.0, 0.0)}
 

@@ -22,7 +22,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_of, different
+from handeye_ros.estimation.search import best_estimates, distinct
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.starts import (
     frames_along,
@@ -93,21 +93,21 @@ class Plane(FaceTarget):
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
                 'all of the position and part of the rotation')
 
-    def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         problem = some_of(replace(whole, target=PLANE), rng)
         found: list[Estimate] = []
         for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,):
             known = len(found)
             for part in one_surface(problem):
-                found += best_of(part, plane_candidates(part, more), more)
-            fresh = [i for i in different(np.array([e.X for e in found])) if i >= known]
+                found += best_estimates(part, plane_candidates(part, more), more)
+            fresh = [i for i in distinct(np.array([e.X for e in found])) if i >= known]
             if self.ambiguous(problem.observations):
                 away = {i: _typical_distance(problem, found[i]) for i in fresh}
                 fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
             yield from (found[i] for i in fresh)
 
-    def one_view(self, problem: Problem, estimate: Estimate) -> str:
+    def views_alike(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words that all samples see the plane at one angle, '' if they do not."""
         range_axes = problem.poses[:, :3, :3] @ estimate.X[:3, 2]
         normal = estimate.state.reshape(4, 4)[:3, 2]

@@ -175,10 +175,10 @@ class Plate(FaceTarget):
     free_shape = {'edge_angle_free': True}
     edge_kinds = (P,)  # until an edge is found for it
 
-    def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts: first the plane, then the two edges in it."""
         faces = problem.observations.select(problem.observations.kind == FACE)
-        for plane in PLANE.guess(replace(problem, observations=faces), rng):
+        for plane in PLANE.starts(replace(problem, observations=faces), rng):
             estimate = _with_edges(problem, plane, rng)
             yield estimate
             if problem.config.target.size:  # edge p may run along either of the two
@@ -206,7 +206,7 @@ class Plate(FaceTarget):
         return ((local * normals).sum(axis=1) - length * sine, normals,
                 np.column_stack(by_measures))
 
-    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the lengths, and the angle between the edges if it is not free."""
         target = config.target
         std = target.size_std if target.size else 0.0
@@ -242,8 +242,8 @@ class Plate(FaceTarget):
                          'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
 
-    def elsewhere(self, observations: Observations, p: Array, state: Array, config: Config
-                  ) -> str:
+    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
+                        ) -> str:
         """
         Return in words where edge points lie that are on no edge of the plate, '' if unknown.
 

@@ -22,7 +22,7 @@ from handeye_ros.estimation.problem import (
     Observations,
     Problem,
 )
-from handeye_ros.estimation.search import best_of
+from handeye_ros.estimation.search import best_estimates
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.starts import some_of
 from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
@@ -132,7 +132,7 @@ class Sphere(ProfileTarget):
             noise[:, :, 0] = outward * feature.std[:, None]
             rows.add_points(station, feature.points, 0, noise)
 
-    def stated(self, config: Config) -> dict[str, tuple[float, float]]:
+    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the radius if it is given."""
         target = config.target
         return {'radius': (target.radius, target.radius_std)} if target.radius > 0 else {}
@@ -144,7 +144,7 @@ class Sphere(ProfileTarget):
         points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
         return points, np.zeros(len(points), dtype=np.intp)
 
-    def guess(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """
         Yield starts, best first, from a sweep of rotations of the sensor.
 
@@ -153,7 +153,7 @@ class Sphere(ProfileTarget):
         """
         problem = some_of(whole, rng)
         some = replace(problem, observations=_fewer(problem.observations))
-        yield from best_of(some, _candidates(problem, problem.config.target.radius))
+        yield from best_estimates(some, _candidates(problem, problem.config.target.radius))
 
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:

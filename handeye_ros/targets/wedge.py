@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_of
+from handeye_ros.estimation.search import best_estimates
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
@@ -61,7 +61,7 @@ def one_corner(problem: Problem) -> list[Problem]:
     choices = [(order, convex), (depth, convex), (-depth, convex), (order, middle <= depth),
                (order, ~np.isnan(depth))]
     parts = with_one_piece(problem, pair, choices)
-    return [part for part in parts if len(part.poses) >= WEDGE.minimum]
+    return [part for part in parts if len(part.poses) >= WEDGE.min_samples]
 
 
 def _guess(problem: Problem) -> Iterator[Estimate]:
@@ -73,7 +73,7 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
     """
     corners = crossings(problem.observations)
     edges = replace(problem, target=edge_line.LINE, observations=corners)
-    yield from _refined(problem, [_with_faces(problem, e) for e in best_of(
+    yield from _refined(problem, [_with_faces(problem, e) for e in best_estimates(
         edges, edge_line.line_candidates(edges))])
     for side in range(len(KINDS)):
         lines = problem.observations.select(problem.observations.kind == side)
@@ -81,7 +81,7 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
         faces = replace(problem, target=plane.PLANE, observations=lines)
         yield from _refined(problem, [
             _with_faces(problem, _edge_in(corners, problem.poses, e))
-            for e in best_of(faces, plane.plane_candidates(faces))])
+            for e in best_estimates(faces, plane.plane_candidates(faces))])
 
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
@@ -94,7 +94,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
     found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
              for labelled, some in alike.values()
-             for end in best_of(labelled, some, len(some))]
+             for end in best_estimates(labelled, some, len(some))]
     return [end for _, end in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -156,7 +156,7 @@ class Wedge(FaceTarget):
     extract = staticmethod(corner_features)
     faces, many = 2, True
 
-    def guess(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
+    def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""
         choices = [_guess(part) for part in one_corner(some_of(problem, rng))]
         while choices:

@@ -34,13 +34,13 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import by_smooth
-from handeye_ros.estimation.noise import covariances
+from handeye_ros.estimation.noise import covariance_parts
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import out_of_face
 from handeye_ros.verification.fit import (
-    agreeing_groups,
+    fit_without_outliers,
     largest_displacement,
     Numbers,
     require_stations,
@@ -126,8 +126,8 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
         session = pipeline.gather(profiles, poses, config)
     if not config.sampling.moving:
         return check(session.samples, calibration, config, session.rejects)
-    answer = pipeline.answer_of(session, config)
-    offset, solution = answer.required().time_offset, answer.required_solution()
+    answer = pipeline.answer_session(session, config)
+    offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used]
     result = check(_some_of_sweep(used), calibration, config, session.rejects)
     return _with_offset(result, offset, calibration) if offset else result
@@ -156,7 +156,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
                                               lower=True)
         return (rest, rows), white[:, -1], white[:, :-1], stops[obs.station]
 
-    (comparison, rows), _, left_out = agreeing_groups(
+    (comparison, rows), _, left_out = fit_without_outliers(
         np.unique(whole.problem.observations.station), compared_at)
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
               _Cause('robot', _robot_likelihood(comparison, rows), ROBOT_CHANGED))
@@ -245,9 +245,9 @@ class _Comparison:
             problem = replace(problem, poses=se3.inverse(moved) @ problem.poses)
         linear = linearise(problem, at)
         noise = np.zeros((len(linear.residuals),) * 2)
-        for stops in problem.groups:
+        for stops in problem.station_groups:
             noise[stops.rows[:, :, None], stops.rows[:, None]] = (
-                self.noise_scale ** 2 * covariances(linear, stops).sum(axis=0))
+                self.noise_scale ** 2 * covariance_parts(linear, stops).sum(axis=0))
         # the set-backs of the ends of each kind at each edge
         obs, out = problem.observations, out_of_face(linear) * problem.config.target.setback_std
         ends = np.unique(np.column_stack([obs.kind, obs.end])[obs.end > 0], axis=0)

@@ -26,13 +26,13 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.blocks import by_smooth
 from handeye_ros.estimation.least_squares import (
-    agreeing,
-    as_they_are,
     chi2_isf,
     chi2_sf,
+    drop_outliers,
+    identity,
     Rows,
     System,
-    White,
+    Whitener,
 )
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import mount_frame, name_direction
@@ -215,7 +215,7 @@ class Shape:
         """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
-    def fitted(self, p: Array, white: Callable[[Array], White] = lambda q: as_they_are,
+    def fitted(self, p: Array, white: Callable[[Array], Whitener] = lambda q: identity,
                iterations: int = 50) -> Array:
         """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
         distance = partial(self.distance, p)
@@ -500,9 +500,9 @@ def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
     return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
 
 
-def agreeing_groups(groups: Numbers,
-                    fitted: Callable[[Numbers], tuple[T, Array, Array, Numbers]]
-                    ) -> tuple[T, dict[int, float], list[int]]:
+def fit_without_outliers(groups: Numbers,
+                         fitted: Callable[[Numbers], tuple[T, Array, Array, Numbers]]
+                         ) -> tuple[T, dict[int, float], list[int]]:
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
 
@@ -519,8 +519,8 @@ def agreeing_groups(groups: Numbers,
         return found, squares, freedom
 
     with suppress(DataError):
-        (found, *_), _, dropped = agreeing(groups, len(groups), len(groups) - most - 1, at,
-                                           lambda found: found[1:])
+        (found, *_), _, dropped = drop_outliers(groups, len(groups), len(groups) - most - 1, at,
+                                                lambda found: found[1:])
         if len(dropped) <= most:
             return found, p, list(dropped)
     return at(None, groups)[0], p, []

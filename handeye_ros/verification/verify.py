@@ -31,11 +31,11 @@ from handeye_ros.results.verification_file import (
     VIOLATES,
 )
 from handeye_ros.verification.fit import (
-    agreeing_groups,
     COVERAGE_FACTOR,
     DETECTION_SIGMAS,
     Fit,
     fit_shape,
+    fit_without_outliers,
     Numbers,
     Quantity,
     refit_shape,
@@ -148,7 +148,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
         found = fit_shape(shape, X, calibration.covariance, config, smooth)
         return (shape, found), found.residuals, found.by_unknowns, shape.stations.row_groups
 
-    (shape, found), p, left_out = agreeing_groups(np.unique(stations.row_groups), fitted)
+    (shape, found), p, left_out = fit_without_outliers(np.unique(stations.row_groups), fitted)
     if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, config, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:

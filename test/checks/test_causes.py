@@ -148,7 +148,7 @@ def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words:
 
 def told(samples: list[Sample], config: Config) -> str:
     """Return the warnings of an answer, or the refusal where the evidence is very strong."""
-    found = pipeline.answer(samples, [], config, 'laser')
+    found = pipeline.answer_samples(samples, [], config, 'laser')
     return str(found.refusal or ' '.join(found.calibration.provenance.get('warnings', ())))
 
 
@@ -182,8 +182,9 @@ def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(see
 def test_an_answer_that_warns_of_a_move_is_as_uncertain_as_the_move(name: str, seed: int) -> None:
     made = cell(name, seed)
     slightly = se3.perturb(np.eye(4), np.array([8e-5, 0.0, 6e-5, 0.0, 0.0, 0.0]))
-    found = pipeline.answer(later(made.samples, lambda T: T @ slightly), [], made.config, 'laser')
-    answer = found.required()
+    found = pipeline.answer_samples(later(made.samples, lambda T: T @ slightly), [],
+                                    made.config, 'laser')
+    answer = found.require_calibration()
     assert 'moved' in answer.provenance['warnings'][0]
     away = se3.difference(answer.T_flange_sensor, made.truth.T_flange_sensor)
     whole, move = answer.covariance, found.solution.added_covariances['possible move']
@@ -260,7 +261,7 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
         if height > 1e-3:
             elsewhere.append(stop)
             heights.append(height)
-    answer = pipeline.answer_of(session, config)
+    answer = pipeline.answer_session(session, config)
     if answered:  # the others are enough
         [told] = answer.calibration.provenance['warnings']
         assert {report.stamp for report in answer.calibration.samples

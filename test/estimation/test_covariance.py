@@ -25,9 +25,9 @@ from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import budget
-from handeye_ros.estimation.noise import covariances, LUMPED
+from handeye_ros.estimation.noise import covariance_parts, LUMPED
 from handeye_ros.estimation.search import best_estimate
-from handeye_ros.estimation.solve import covering, solution_at
+from handeye_ros.estimation.solve import cover_both, solution_at
 from handeye_ros.simulate import FAULTS, simulate_samples
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ from scipy.stats import chi2
 @every_method
 def test_the_solution_is_the_minimum(name: str) -> None:
     solution = solution_of(name)
-    gradient = solution.derivatives.T @ solution.whitened
+    gradient = solution.jacobian.T @ solution.postfit_residuals
     scale = np.sqrt(np.diag(solution.covariance))
     assert np.abs(gradient * scale).max() < 1e-4, 'in sigmas'
 
@@ -50,8 +50,8 @@ def test_the_noise_of_a_station_is_positive_whatever_its_size(
     problem = replace(solution.problem, config=with_values(
         solution.problem.config, {'noise.distortion': 2e-5}, 'a test'))
     linear = replace(solution.linear, problem=problem)
-    for stations in problem.groups:
-        noise = np.tensordot(factors, covariances(linear, stations), 1)
+    for stations in problem.station_groups:
+        noise = np.tensordot(factors, covariance_parts(linear, stations), 1)
         assert np.array_equal(noise, np.swapaxes(noise, 1, 2))
         assert np.linalg.eigvalsh(noise).min() > 0
 
@@ -88,7 +88,7 @@ def test_the_left_out_rms_is_that_of_real_refits(name: str) -> None:
     made = noisy(name)
     ordered = sorted(made.samples, key=lambda s: s.stamp)
     answer = calibration_of(name)
-    solution = pipeline.answer(ordered, (), made.config).required_solution()
+    solution = pipeline.answer_samples(ordered, (), made.config).require_solution()
     assert len(solution.used) == len(ordered) <= 20, 'each station is a fold of its own'
     measured = measured_points(ordered, solution.problem)
     squares, own = [], []
@@ -114,15 +114,15 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
     there = solution_at(replace(solution.problem, poses=moved), solution.estimate, LUMPED)
     mine = there.problem.observations.station == 3
-    assert (there.whitened[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
-    assert np.allclose(there.whitened[~mine], 0, atol=1e-3)
+    assert (there.postfit_residuals[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
+    assert np.allclose(there.postfit_residuals[~mine], 0, atol=1e-3)
 
 
 @pytest.mark.parametrize('target', ['plate', 'sphere'])
 def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     made = cell(target, 0)
     config = settings_of(made.scenario)
-    solution = pipeline.answer(made.samples, (), config).required_solution()
+    solution = pipeline.answer_samples(made.samples, (), config).require_solution()
     found = budget(solution)
     assert found.samples == len(made.samples)
     assert {'sensor, white', 'poses, white', 'robot_smooth', 'fit against a free pose'} <= {
@@ -130,7 +130,7 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     for size in ('translation', 'rotation', 'mapped'):
         squares = sum(getattr(term, size) ** 2 for term in found.terms)
         assert squares == pytest.approx(getattr(found.total, size) ** 2, rel=1e-6)
-    std = np.sqrt(np.diag(solution.reported)[:3])
+    std = np.sqrt(np.diag(solution.reported_covariance)[:3])
     assert found.total.translation == pytest.approx(np.sqrt((std ** 2).mean()))
 
 
@@ -156,11 +156,11 @@ def test_a_covariance_that_covers_two_has_neither_less() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         first, second = (root @ root.T for root in rng.normal(size=(2, 6, 6)))
-        least = covering(first, second)
+        least = cover_both(first, second)
         for given in (first, second):
             assert np.linalg.eigvalsh(least - given).min() > -1e-9 * least.max()
-        assert np.allclose(covering(first, 0.5 * first), first)
-        assert np.allclose(covering(first, 2 * first), 2 * first)
+        assert np.allclose(cover_both(first, 0.5 * first), first)
+        assert np.allclose(cover_both(first, 2 * first), 2 * first)
 
 
 @pytest.mark.thorough

@@ -139,7 +139,7 @@ def test_a_station_says_as_much_as_its_target_shows(name: str, rank: int) -> Non
     made = cell(name, 0)
     solution = robust_solution(made.problem, np.random.default_rng(0))
     assert (solution.ranks == rank).all()
-    assert solution.redundancy == rank * len(made.samples) - solution.derivatives.shape[1]
+    assert solution.redundancy == rank * len(made.samples) - solution.jacobian.shape[1]
 
 
 def wrong(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -199,7 +199,8 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
         made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
         solution = with_all_blocks(robust_solution(made.problem, np.random.default_rng(0)))
         without = replace(solution, added_covariances={})
-        grown.append(np.diag(solution.reported)[:6] / np.diag(without.reported)[:6])
+        grown.append(np.diag(solution.transform_covariance)
+                     / np.diag(without.transform_covariance))
     few, many = grown
     assert few.max() > 1.01 > many.max()
 

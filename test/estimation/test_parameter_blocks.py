@@ -116,7 +116,7 @@ def test_lengths_do_not_shrink_however_many_stations_there_are() -> None:
     many = replace(SCENARIOS['sphere'], stations=(1000, 1000))
     samples, truth = simulate_samples(many, np.random.default_rng(0))
     config = settings_of(many)
-    found = pipeline.answer(samples, (), config).required_solution()
+    found = pipeline.answer_samples(samples, (), config).require_solution()
     assert found.conservative, 'the scales of the blocks have converged'
     off = se3.difference(found.estimate.X, truth.T_flange_sensor)
     assert np.abs(off).max() < 1e-4

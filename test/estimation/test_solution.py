@@ -68,10 +68,10 @@ def test_of_very_many_stations_all_count_though_some_tell_the_noise() -> None:
     first = solved(made.problem)
     whole, half = (map_solution(problem, first.estimate, Noise()) for problem in (
         first.problem, first.problem.subset(np.arange(0, 500, 2))))
-    std, of_half = (np.sqrt(np.diag(found.reported)[:6]) for found in (whole, half))
+    std, of_half = (np.sqrt(np.diag(found.reported_covariance)[:6]) for found in (whole, half))
     assert (std < 0.9 * of_half).all() and (std > 0.6 * of_half).all()
     off = se3.difference(whole.estimate.X, made.truth.T_flange_sensor)
-    assert off @ np.linalg.solve(whole.reported[:6, :6], off) < 22.5
+    assert off @ np.linalg.solve(whole.transform_covariance, off) < 22.5
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -82,10 +82,10 @@ def test_a_solve_that_diverges_reports_the_errors_of_any_other(seed: int) -> Non
     found = map_solution(problem, replace(at, X=far), Noise())
     assert apart(found.estimate.X, at.X) > 0.1, 'it has not found the answer'
     of_a_cause = replace(found, added_covariances={'cause': 1e-6 * np.eye(6)})
-    more = of_a_cause.reported - found.reported
+    more = of_a_cause.reported_covariance - found.reported_covariance
     np.testing.assert_allclose(more[:6, :6], 1e-6 * np.eye(6), atol=1e-12)
     beside = found.conservative.covariance[:6, :6]
-    assert np.linalg.eigvalsh(found.reported[:6, :6] - beside).min() > -1e-9 * beside.max()
+    assert np.linalg.eigvalsh(found.transform_covariance - beside).min() > -1e-9 * beside.max()
 
 
 def numerical(problem: Problem, at: Estimate, h: float = 1e-6) -> Array:

@@ -200,7 +200,7 @@ def test_nothing_yet() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
     found, solution = made
-    vague = replace(solution, conservative_or_none=solution,
+    vague = replace(solution, conservative_twin=solution,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     result = advice((found, vague))
     assert result.next is None and result.move is not None
@@ -221,7 +221,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
     found = cell(replace(SCENARIOS['plate'], stations=(15, 15)), 2)
     config = with_values(found.config, {'guidance.accuracy': 1e-5, 'noise.robot_scale': 3e-3},
                          'test')
-    result = advise(found.samples, config, pipeline.answer(found.samples, (), config))
+    result = advise(found.samples, config, pipeline.answer_samples(found.samples, (), config))
     assert 'as configured (noise.robot_scale)' in result.why and result.enough
 
 
@@ -250,7 +250,7 @@ def test_moves_tell_more_than_poses_at_random(target):
             BENCH.insist(cell, BENCH.advised(cell, None) if operator == 'advice'
                          else lambda: BENCH.anywhere(cell))
         solution = BENCH.solved(cell)
-        return mapped_points(solution.estimate.X, cell.view).std(solution.reported[:6, :6])
+        return mapped_points(solution.estimate.X, cell.view).std(solution.transform_covariance)
 
     found = np.array([[sigma(seed, operator) for operator in BENCH.OPERATORS]
                       for seed in range(3)])

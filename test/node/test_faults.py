@@ -201,7 +201,7 @@ def answer(samples, rejects, config, frame_id='', session=None):
     print('solving', flush=True)
     threading.Event().wait()
 
-whole, pipeline.answer = pipeline.answer, answer
+whole, pipeline.answer_samples = pipeline.answer_samples, answer
 if __name__ == '__main__':
     from handeye_ros.node.main import main
     sys.exit(main())

@@ -62,8 +62,9 @@ def documented(topic: str, key: str = '') -> set[str]:
 
 def test_the_answer_is_that_of_the_recording_and_solved_once(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    live, solved, answer = fed(), [], pipeline.answer
-    monkeypatch.setattr(pipeline, 'answer', lambda *args: solved.append(args) or answer(*args))
+    live, solved, answer = fed(), [], pipeline.answer_samples
+    monkeypatch.setattr(pipeline, 'answer_samples',
+                        lambda *args: solved.append(args) or answer(*args))
     text = computed(live)
     update(live)
     assert len(solved) == 1, 'review and advice are of the same answer'

@@ -112,7 +112,7 @@ def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
     """Where an offset of the clocks is looked for, three are tried of each."""
     made = cell('wedge', 0)
     many = problem_at_poses([on_a_table(sample) for sample in made.samples], made.config)
-    starts = islice(WEDGE.guess(many, np.random.default_rng(0)), 3)
+    starts = islice(WEDGE.starts(many, np.random.default_rng(0)), 3)
     assert min(made.error(start.X) for start in starts) < 1e-3
 
 
