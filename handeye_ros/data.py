@@ -210,8 +210,8 @@ class EdgePoint:
     direction: (2,) unit vector along the face line, out of the face
     std: 1 sigma along the direction
     std_across: 1 sigma across it
-    kind: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap' (nothing
-        behind it) or 'open' (the driver does not say)
+    ending: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap'
+        (nothing behind it) or 'open' (the driver does not say)
     drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
         without a visible wall, else 0
     shapes: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the best,
@@ -225,7 +225,7 @@ class EdgePoint:
     direction: Array
     std: float
     std_across: float
-    kind: str = 'step'
+    ending: str = 'step'
     drop: Array = field(default_factory=lambda: np.zeros(2))
     shapes: Array = field(default_factory=lambda: np.empty(0))
     arc: Array = field(default_factory=lambda: np.zeros(2))

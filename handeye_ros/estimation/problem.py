@@ -39,8 +39,8 @@ class Observations:
     kind: (m,) index of the condition in the target's kinds
     noise: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
     source: (m,) observations of a station with equal source share e
-    end: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge points
-        have a variance factor of their own
+    ending: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge
+        points have a variance factor of their own
     outward: (m, 2) unit vector out of the face
     shape_std: (m,) 1 sigma of the outward edge position from the uncertain shape, common to all
         edges
@@ -51,7 +51,7 @@ class Observations:
     kind: NDArray[np.intp]
     noise: Array
     source: NDArray[np.intp]
-    end: NDArray[np.intp]
+    ending: NDArray[np.intp]
     outward: Array
     shape_std: Array
 
@@ -270,7 +270,7 @@ def station_groups(observations: Observations) -> tuple[StationGroup, ...]:
     grouped = []
     for rows in rows_by_count(observations.station):
         points, source = observations.points[rows], observations.source[rows]
-        second = observations.end[rows] > 0
+        second = observations.ending[rows] > 0
         apart = points[:, :, None] - points[:, None, :]
         # 0.01 m: correlation length of the sensor's distortion
         correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)

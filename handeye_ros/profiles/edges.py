@@ -134,10 +134,10 @@ class FaceEnd:
         away = self.points.take(columns, axis=0) - origin
         return away @ along, away @ below
 
-    def edge(self, place: float, std: float, kind: str) -> EdgePoint:
+    def edge(self, place: float, std: float, ending: str) -> EdgePoint:
         """Return the edge point on the face line, at a place (m) outwards from the origin."""
         origin, along, _ = self.frame
-        return EdgePoint(origin + place * along, along, std, 0.0, kind)
+        return EdgePoint(origin + place * along, along, std, 0.0, ending)
 
     def rise_of(self, column: int) -> float:
         """Return by how much a point is nearer than the face line (m, along the range)."""
@@ -171,7 +171,7 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
     if other is None:
         if marks_lost and end.lost(end.column + 1, size) < GAP_COLUMNS:
             return AT_BORDER
-        kind = 'gap' if marks_lost else 'open'
+        ending = 'gap' if marks_lost else 'open'
     else:
         start, least = other.first, smallest_step(end, other)
         further = further[further < start]
@@ -179,28 +179,28 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
         # a surface that turns away from the sensor leaves the line over its whole length
         rise = end.rise_of(other.last if corner else start)
         if corner:
-            kind = 'roof'
+            ending = 'roof'
             if rise > 0:
                 return AT_NEARER
         elif rise > least:
-            kind = 'gap'
+            ending = 'gap'
             if abs(end.points[start, 0] - end.points[end.column, 0]) <= SHADOW_SLOPE * rise:
                 return AT_NEARER
         elif rise < -least:
             last = int(further[-1]) if len(further) else end.column
-            kind = 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
+            ending = 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
         else:
             return AT_BEND
     room = min(end.column, size - 1 - end.column) * end.pitch
     if marks_lost and room < LEAST_TO_VIEW_END:
         return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
                 f'(move it {LEAST_TO_VIEW_END * 1e3:.0f} mm or more into the view)')
-    if kind == 'roof' and other is not None:
+    if ending == 'roof' and other is not None:
         return _corner(end, other)
     wall = _wall(end, further)
     if wall:
         return end.edge(*wall, 'roof')
-    return _last_point(end, further, other if kind in ('step', 'shadow') else None, kind)
+    return _last_point(end, further, other if ending in ('step', 'shadow') else None, ending)
 
 
 def smallest_step(end: FaceEnd, other: Segment) -> float:
@@ -313,7 +313,7 @@ def _end_of_face(end: FaceEnd, u: Array, v: Array) -> float:
     return float(u[flat - 1]) if flat else 0.0
 
 
-def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None, kind: str
+def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None, ending: str
                 ) -> EdgePoint:
     """
     Return the end of a plate before a drop, the further columns included.
@@ -332,7 +332,7 @@ def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None,
     place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
     std = math.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_STD ** 2)
                     + (RAMP_STD * pitch * 2 * width) ** 2)
-    edge = end.edge(place, std, kind)
+    edge = end.edge(place, std, ending)
     if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < ROUNDED_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
     # the end is bent: its last points are the worst

@@ -57,7 +57,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         found = [edge_at(end) for end in ends]
         reasons += [reason for reason in found if isinstance(reason, str)]
         of_segment = [edge for edge in found if isinstance(edge, EdgePoint)]
-        sure = any(edge.kind in ('step', 'shadow', 'roof') for edge in of_segment)
+        sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in of_segment)
         behind = any(_is_above(end, other) for end in ends for other in end.behind)
         likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
             BEHIND_WEIGHT if behind else 1.0)

@@ -48,7 +48,7 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     """
     away = float((edge.point - line.centre) @ line.direction) / line.spread
     across = line.std * (1 + away ** 2) ** 0.5
-    std = edge.std * (max(correlated, 1.0) if edge.kind == 'roof' else 1.0)
+    std = edge.std * (max(correlated, 1.0) if edge.ending == 'roof' else 1.0)
     return replace(edge, std=float(std), std_across=float(across))
 
 

@@ -47,7 +47,7 @@ def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
 def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
-            if isinstance(f, EdgePoint) and f.kind != 'roof']
+            if isinstance(f, EdgePoint) and f.ending != 'roof']
     if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARP_DEPTH:
         return EdgeShape()
     log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NO_INFORMATION,
@@ -89,7 +89,7 @@ def _radius(log_odds: Array) -> tuple[float, float]:
 
 def _moved(feature: Feature, shape: EdgeShape) -> Feature:
     """Return a feature with its edge point moved to the intersection of face and wall."""
-    if not isinstance(feature, EdgePoint) or feature.kind == 'roof':
+    if not isinstance(feature, EdgePoint) or feature.ending == 'roof':
         return feature
     if not shape.size:
         return replace(feature, drop=np.zeros(2))

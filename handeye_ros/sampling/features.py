@@ -209,8 +209,8 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
-    kind = Counter(e.kind for e in edges).most_common(1)[0][0]
-    edges = [e for e in edges if e.kind == kind]  # each kind has its own bias
+    ending = Counter(e.ending for e in edges).most_common(1)[0][0]
+    edges = [e for e in edges if e.ending == ending]  # each has its own bias
     points = np.array([e.point for e in edges])
     direction = np.median([e.direction for e in edges], axis=0)
     direction /= np.linalg.norm(direction)
@@ -224,7 +224,7 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
-    return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, kind,
+    return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, ending,
                      np.median([e.drop for e in edges], axis=0),
                      *_combined_ends(points, edges, good))
 

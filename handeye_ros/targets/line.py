@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import best_estimates
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
-from handeye_ros.targets.target import END_KINDS, FACE, FaceTarget, xyz
+from handeye_ros.targets.target import ENDINGS, FACE, FaceTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +41,7 @@ NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 CONDITIONS_OF_EDGE = 2  # of one edge point
 # of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
-END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in END_KINDS)])
+END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
 
 
 def _turns(observations: Observations, p: Array, state: Array) -> Array:
@@ -101,7 +101,7 @@ def one_end(problem: Problem) -> Iterator[list[Problem]]:
     """
     obs, n = problem.observations, len(problem.poses)
     face = obs.kind == FACE
-    group = np.where(face, 0, END_GROUPS[obs.end])
+    group = np.where(face, 0, END_GROUPS[obs.ending])
     total, count = (np.bincount(obs.station[face], weights, n)
                     for weights in (obs.points[face, 0], None))
     left = obs.points[:, 0] < (total / np.maximum(count, 1))[obs.station]

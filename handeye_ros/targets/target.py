@@ -25,7 +25,7 @@ from handeye_ros.estimation.problem import Conditions, Linear, Observations, Tar
 import numpy as np
 from numpy.typing import NDArray
 
-END_KINDS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
+ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
 SOURCES_PER_FEATURE = 64  # per feature, at most
@@ -57,7 +57,7 @@ class ObservationRows:
         """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
         self.points.append(points)
         self.noise.append(noise)
-        self.numbers.append((station, kind, source, 1 + END_KINDS.index(edge.kind) if edge else 0))
+        self.numbers.append((station, kind, source, 1 + ENDINGS.index(edge.ending) if edge else 0))
         self.outward.append(edge.direction if edge else NO_OUTWARD)
         self.shape_std.append(edge.shape_std if edge else 0.0)
 
@@ -66,11 +66,11 @@ class ObservationRows:
         count = [len(points) for points in self.points]
         first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
         numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
-        station, kind, source, end = np.repeat(numbers, count, axis=1)
+        station, kind, source, ending = np.repeat(numbers, count, axis=1)
         return Observations(
             station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
             np.concatenate([np.empty((0, 2, 2)), *self.noise]),
-            source + np.arange(len(first)) - first, end,
+            source + np.arange(len(first)) - first, ending,
             np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
             np.repeat(np.array(self.shape_std), count))
 
@@ -228,10 +228,10 @@ def face_ends(obs: Observations) -> EndRows:
     """Return the ends of faces among observations."""
     _, feature, count = np.unique(obs.error_source, return_inverse=True, return_counts=True)
     kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
-    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.end, strict=True) if e})
+    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.ending, strict=True) if e})
     slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
                       where=obs.outward[:, 0] != 0)
-    return EndRows(feature, {(k, e): (kind == k) & (obs.end == e) for k, e in found}, slope)
+    return EndRows(feature, {(k, e): (kind == k) & (obs.ending == e) for k, e in found}, slope)
 
 
 def setbacks(linear: Linear) -> Blocks:
@@ -243,11 +243,11 @@ def setbacks(linear: Linear) -> Blocks:
     # the visible part of a bevel or a blurred step depends on the tilt
     by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
     for (kind, end), rows in ends.parts.items():
-        name = f'setback_{kinds[kind]}_{END_KINDS[end - 1]}'
+        name = f'setback_{kinds[kind]}_{ENDINGS[end - 1]}'
         yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std, report=name)
     for end in sorted({end for _, end in ends.parts}):
-        tilted = np.where(obs.end == end, outwards, 0.0)[:, None] * by_slope
-        yield ParameterBlock(f'incidence_{END_KINDS[end - 1]}', tilted * std, std)
+        tilted = np.where(obs.ending == end, outwards, 0.0)[:, None] * by_slope
+        yield ParameterBlock(f'incidence_{ENDINGS[end - 1]}', tilted * std, std)
 
 
 def edge_shapes(linear: Linear) -> Blocks:

@@ -250,8 +250,8 @@ class _Comparison:
                 self.noise_scale ** 2 * covariance_parts(linear, stops).sum(axis=0))
         # the set-backs of the ends of each kind at each edge
         obs, out = problem.observations, out_of_face(linear) * problem.config.target.setback_std
-        ends = np.unique(np.column_stack([obs.kind, obs.end])[obs.end > 0], axis=0)
-        setbacks = [np.where((obs.kind == k) & (obs.end == e), out, 0.0) for k, e in ends]
+        ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
+        setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
         # what all stops share was part of the calibration too
         smooth = (problem.smooth - problem.smooth.mean(axis=0))[obs.station] * self.smooth
         lever = obs.in_base(problem.poses, at.X) - self.middle

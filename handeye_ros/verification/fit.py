@@ -80,24 +80,24 @@ class StationSet:
     surface: str = ''
 
     @property
-    def bags(self) -> Numbers:
+    def bag_of_pose(self) -> Numbers:
         """Return the recording (n,) of each pose."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
-    def groups(self) -> Numbers:
+    def group_of_pose(self) -> Numbers:
         """Return for each pose (n,) the number of the group that shares its error."""
-        return self.bags if self.are_passes else np.arange(len(self.poses))
+        return self.bag_of_pose if self.are_passes else np.arange(len(self.poses))
 
     @property
-    def row_groups(self) -> Numbers:
+    def group_of_point(self) -> Numbers:
         """Return the group (m,) of each point."""
-        return self.groups[self.observations.station]
+        return self.group_of_pose[self.observations.station]
 
     @property
-    def row_bags(self) -> Numbers:
+    def bag_of_point(self) -> Numbers:
         """Return the recording (m,) of each point."""
-        return self.bags[self.observations.station]
+        return self.bag_of_pose[self.observations.station]
 
     def points(self, X: Array) -> Array:
         """Return the points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
@@ -119,8 +119,8 @@ class StationSet:
         by_feature = np.einsum('mi,ij,mjk->mk', self.in_mount(by_p), X[:3, [0, 2]], obs.noise)
         by_pose = self.by_pose(X, by_p, config) * np.repeat(
             [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
-        covariances = []
-        for rows in np.split(np.arange(len(obs)), np.flatnonzero(np.diff(self.row_groups)) + 1):
+        covariances, first = [], np.flatnonzero(np.diff(self.group_of_point)) + 1
+        for rows in np.split(np.arange(len(obs)), first):
             shared = obs.source[rows, None] == obs.source[rows]
             covariances.append((by_feature[rows] @ by_feature[rows].T) * shared
                                + by_pose[rows] @ by_pose[rows].T
@@ -143,15 +143,15 @@ class StationSet:
 
     def of_groups(self, groups: Numbers) -> StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
-        kept = np.isin(self.row_groups, groups)
+        kept = np.isin(self.group_of_point, groups)
         rest = replace(self, observations=self.observations.select(kept))
         rest.require_enough()
         return rest
 
     def require_enough(self, others: Sequence[Reject] = ()) -> None:
         """Raise DataError where a recording has too few usable poses; see require_stations."""
-        seen = np.unique(self.observations.station)
-        require_stations(np.bincount(self.bags[seen], minlength=len(self.counts)).tolist(), others)
+        bag = self.bag_of_pose[np.unique(self.observations.station)]
+        require_stations(np.bincount(bag, minlength=len(self.counts)).tolist(), others)
 
 
 def require_stations(usable: Sequence[int], others: Sequence[Reject] = ()) -> None:
@@ -513,8 +513,8 @@ def fit_without_outliers(groups: Numbers,
     p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
     def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
-        found, r, by_unknowns, row_groups = fitted(used)
-        squares, freedom = _predicted(r, by_unknowns, row_groups, used)
+        found, r, by_unknowns, group_of_point = fitted(used)
+        squares, freedom = _predicted(r, by_unknowns, group_of_point, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
         return found, squares, freedom
 
@@ -526,7 +526,7 @@ def fit_without_outliers(groups: Numbers,
     return at(None, groups)[0], p, []
 
 
-def _predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Numbers
+def _predicted(r: Array, by_unknowns: Array, group_of_point: Numbers, groups: Numbers
                ) -> tuple[Array, Numbers]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
@@ -538,7 +538,7 @@ def _predicted(r: Array, by_unknowns: Array, row_groups: Numbers, groups: Number
     left = r - U @ (U.T @ r)
     squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
     for k, group in enumerate(groups):
-        own, own_left = U[row_groups == group], left[row_groups == group]
+        own, own_left = U[group_of_point == group], left[group_of_point == group]
         share, V = np.linalg.eigh(own.T @ own)
         shared = share < 1 - ALONE_SHARE
         b = (own_left @ own @ V)[shared]

@@ -50,7 +50,7 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     measured. The unknowns are two tilts of each block, and one height of each plane
     over the middle of its points.
     """
-    p, bag, bags = stations.points(X), stations.row_bags, len(stations.counts)
+    p, bag, bags = stations.points(X), stations.bag_of_point, len(stations.counts)
     blocks = bags - len(nominal.lengths)
     block, face = np.divmod(np.arange(bags), bags // blocks)
     middles = np.array([p[bag == k].mean(axis=0) for k in range(bags)])
@@ -60,7 +60,7 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     sensors = (stations.poses @ X)[:, :3, 3]
     for k in range(blocks):  # upwards from the first of a block to the last; of one, to the sensor
         reach = (middles[block == k] - middles[block == k][0]) @ frames[k][:, 2]
-        away = (sensors[block[stations.bags] == k].mean(axis=0) - middles[block == k][0])
+        away = (sensors[block[stations.bag_of_pose] == k].mean(axis=0) - middles[block == k][0])
         frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or away @ frames[k][:, 2])
 
     def normals(q: Array) -> Array:
@@ -89,7 +89,7 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
 def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return one sphere of each bag; measured: the radii, and the distances of the centres."""
-    p, bag, count = stations.points(X), stations.row_bags, len(stations.counts)
+    p, bag, count = stations.points(X), stations.bag_of_point, len(stations.counts)
     start = np.concatenate([_sphere_through(p[bag == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
@@ -158,7 +158,7 @@ class Routine:
         Of a point: 3 sigma along each axis of the base. Their own std is that of normal scatter.
         """
         of_axes = self.shape is point
-        number = stations.observations.kind if of_axes else stations.row_bags
+        number = stations.observations.kind if of_axes else stations.bag_of_point
         for k in range(int(number.max()) + 1 if self.form else 0):
             part = distances[number == k]
             size = float(3 * part.std(ddof=1) if of_axes else np.ptp(part))

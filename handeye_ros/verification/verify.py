@@ -146,9 +146,9 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
         found = fit_shape(shape, X, calibration.covariance, config, smooth)
-        return (shape, found), found.residuals, found.by_unknowns, shape.stations.row_groups
+        return (shape, found), found.residuals, found.by_unknowns, shape.stations.group_of_point
 
-    (shape, found), p, left_out = fit_without_outliers(np.unique(stations.row_groups), fitted)
+    (shape, found), p, left_out = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, config, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
@@ -173,11 +173,12 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
                      p: Mapping[int, float], left_out: Sequence[int]) -> tuple[StationResult, ...]:
     """Return the results of all stops or passes of which points are used, or were left out."""
     results = []
-    for group, first in zip(*np.unique(stations.groups, return_index=True), strict=True):
-        bag = int(stations.bags[first])
-        before = stations.groups[np.searchsorted(stations.bags, bag)]  # the first one of its bag
+    groups, bags = stations.group_of_pose, stations.bag_of_pose
+    for group, first in zip(*np.unique(groups, return_index=True), strict=True):
+        bag = int(bags[first])
+        before = groups[np.searchsorted(bags, bag)]  # the first one of its bag
         identity = bag + 1, int(group - before) + 1, int(stations.stamps[first])
-        rows = np.flatnonzero(used.row_groups == group)
+        rows = np.flatnonzero(used.group_of_point == group)
         if group in left_out:
             results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
                 'it contradicts the others under every possible calibration')))

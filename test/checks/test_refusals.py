@@ -130,7 +130,7 @@ def test_the_weakest_direction_is_reported_and_refused_where_it_is_too_uncertain
 @every_method
 def test_too_few_samples_are_refused_with_what_became_of_the_rest(name: str) -> None:
     made = cell(scenario(name), method=name)
-    few = made.samples[:TARGETS[name].minimum - 1]
+    few = made.samples[:TARGETS[name].min_samples - 1]
     rejects = [Reject(i, reason) for i, reason in enumerate(['no edge', 'dark', 'no edge'])]
     with pytest.raises(DataError, match=f'^{len(few)} .*3 stops .*most often: no edge') as caught:
         pipeline.solve(few, rejects, made.config, 'laser')

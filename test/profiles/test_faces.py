@@ -51,7 +51,7 @@ def found(points: Array, config: Config = CONFIG) -> tuple[FaceLine, list[EdgePo
 def assert_edge(edge: EdgePoint, x: float, z: float, side: int, kind: str) -> None:
     """Check an edge at x, z whose face lies on the other side of it than side says."""
     along = edge.direction
-    assert edge.kind == kind and np.sign(along[0]) == side
+    assert edge.ending == kind and np.sign(along[0]) == side
     assert np.linalg.norm(along) == pytest.approx(1)
     away = np.array([x, z]) - edge.point
     assert abs(away @ along) < 4 * edge.std and abs(away @ along) < 2 * PITCH
@@ -145,7 +145,8 @@ def test_columns_may_run_backwards_and_a_mirror_mirrors(mirror: list[int], step:
     for shape, kind in EDGES:
         points = marked(shape(0.003))
         (line, (edge,)), (line_m, (edge_m,)) = found(points), found(points[::step] * mirror)
-        assert np.allclose(edge.point * mirror, edge_m.point) and edge.kind == edge_m.kind == kind
+        assert np.allclose(edge.point * mirror, edge_m.point)
+        assert edge.ending == edge_m.ending == kind
         assert np.allclose(edge.direction * mirror, edge_m.direction)
         assert np.allclose(line.centre * mirror, line_m.centre)
         assert (line.std, line.spread) == pytest.approx((line_m.std, line_m.spread), rel=0.02)
@@ -170,7 +171,7 @@ def test_a_driver_that_leaves_lost_points_out_gives_open_ends() -> None:
     points = marked(gap_up_to(0.0))
     points = points[np.isfinite(points).all(axis=1)]
     _, edges = found(points)
-    assert [edge.kind for edge in edges] == ['open', 'open'], 'one of them is the border'
+    assert [edge.ending for edge in edges] == ['open', 'open'], 'one of them is the border'
     assert edges[0].point[0] == pytest.approx(0, abs=PITCH)
 
 
@@ -246,7 +247,7 @@ def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius: float, 
         z = bent(radius, wall)
         edge = edge_of(np.column_stack([X, z + np.random.default_rng(seed).normal(
             0, NOISE, COLUMNS)]))
-        assert edge.kind == 'roof' and edge.bevel == 0
+        assert edge.ending == 'roof' and edge.bevel == 0
         errors.append((edge.point - [0, 0.17]) @ edge.direction)
         assert abs(errors[-1]) < 4 * edge.std
     assert abs(np.mean(errors)) < 0.6 * PITCH
@@ -284,7 +285,7 @@ def test_a_smoothed_step_is_cut_at_half_its_height(drop: float) -> None:
         smooth[[int(seed * 3 + 300), 320]] = np.nan
         edge = edge_of(np.column_stack([X, smooth]))
         assert abs(edge.point[0] - at) < PITCH < 2 * edge.std
-        assert edge.kind == 'step'
+        assert edge.ending == 'step'
 
 
 WORST: list[tuple[str, dict[str, Any], float]] = [
