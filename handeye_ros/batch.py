@@ -66,7 +66,9 @@ class Job:
     def fingerprint(self) -> list[Any]:
         """Return what the result depends on: version, command, and size and time of all files."""
         return [__version__, self.command(Path()), *(
-            files_of(Path(word)) for word in (self.bag, *self.words) if os.path.exists(word))]
+            files_of(Path(path)) for path in (
+                self.bag, *(word.rpartition('=')[2] for word in self.words))
+            if os.path.exists(path))]
 
 
 def files_of(source: Path) -> dict[str, str]:
@@ -201,6 +203,9 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         if folder.exists() and not (folder / JOB_FILE).is_file():
             raise InputError(f'{folder} is there and holds no result of batch, so it is not '
                              'replaced: name another folder with --out')
+        if above := [one for one in folder.parents if (one / JOB_FILE).is_file()]:
+            raise InputError(f'{folder} would be inside the result {above[0]}, and be lost with '
+                             'it: name another folder with --out')
     for job in jobs:
         if row := unchanged(job, out):
             yield row
@@ -223,7 +228,8 @@ def unchanged(job: Job, out: Path) -> Row | None:
     """Return the row of a job from its folder below out if it would be computed from the same."""
     try:
         previous = json.loads((out / job.label / JOB_FILE).read_text(encoding='utf-8'))
-        same = previous['state'] == job.fingerprint()
+        same = (previous['state'] == job.fingerprint()
+                and previous['row']['exit_code'] != CRASH_EXIT_CODE)
     except (OSError, ValueError, KeyError):
         return None
     return {**previous['row'], 'computed': False} if same else None
@@ -232,7 +238,7 @@ def unchanged(job: Job, out: Path) -> Row | None:
 def run(job: Job, out: Path, verb: Verb) -> Row:
     """Return the row of a job after running it; its folder below out appears whole or not."""
     folder = out / job.label
-    unfinished = folder.with_name(f'.{folder.name}.part')
+    unfinished = folder.with_name(f'.{folder.name}.handeye-batch')
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir(parents=True)
     start, state = time.perf_counter(), job.fingerprint()
@@ -263,7 +269,9 @@ def _figures_in(folder: Path) -> Row:
         content = content_of(file)
         transform = content.get('transform', {})
         config = content.get('provenance', {}).get('config', {})
-        groups = [('', content), ('', {'target': config.get('target.type')}),
+        groups = [('', content), ('', {
+            'target': config.get('target.type'),  # two calibrations may have one name
+            'calibration': content.get('calibration_file', {}).get('path')}),
                   ('', content.get('quality', {})), ('', transform.get('translation', {})),
                   ('q', transform.get('rotation', {})),
                   *(('', check) for check in content.get('checks', ())),
@@ -325,7 +333,7 @@ def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
             cells.setdefault(key, []).append(row)
     found = []
     for key, cell in sorted(cells.items()):
-        if len(cell) < 2:
+        if len(cell) < 2 or cell[0]['verb'] == 'compare':
             continue
         first = cell[0].get('verdict', '')
         other = next((row for row in cell if row.get('verdict', '') != first), None)

@@ -15,6 +15,7 @@ import time
 from calibrations import CALIBRATION
 from command import assert_refused, handeye, PATIENCE, ROOT
 from handeye_ros.batch import (
+    cells_of,
     CRASH_EXIT_CODE,
     Job,
     jobs_of,
@@ -24,6 +25,7 @@ from handeye_ros.batch import (
     write_table,
 )
 from handeye_ros.errors import DataError, InputError
+from handeye_ros.output import yaml_text
 from handeye_ros.results.calibration_file import write_calibration
 import numpy as np
 import pytest
@@ -68,7 +70,7 @@ def test_each_job_costs_itself_and_is_computed_once(tmp_path):
     assert rows['good5']['residual_rms'] == CALIBRATION.quality.residual_rms
     (tmp_path / 'good3.mcap').write_text('laser 3.0')
     again = {job.label for job in jobs if unchanged(job, out) is None}
-    assert again == {'good3', 'killing'}
+    assert again == {'good3', 'killing', 'crashing'}
     write_table([*rows.values()], out)
     with (out / 'results.csv').open() as stream:
         assert [row['label'] for row in csv.DictReader(stream)] == sorted(rows)
@@ -104,6 +106,25 @@ def test_only_answers_of_one_sensor_are_compared(tmp_path):
     assert 'no calibration differs' in front and 'the calibration changed between' in rear
 
 
+@pytest.mark.once
+def test_only_verifications_of_one_calibration_are_compared_and_in_the_order_of_time(tmp_path):
+    def verified(words):
+        path, verdict, stamp = Path(words[1]).read_text().split()
+        Path(words[-1]).write_text(yaml_text({
+            'calibration': 'sphere', 'calibration_file': {'path': path}, 'verdict': verdict,
+            'per_station': [{'stamp': int(stamp)}]}))
+        return 0
+
+    rows = []
+    for label, text in (('a', 'of_1 fail 3'), ('b', 'of_1 pass 2'), ('c', 'of_2 pass 1'),
+                        ('d', 'of_2 pass 4')):
+        (tmp_path / 'bag.mcap').write_text(text)
+        rows.append(run(Job(str(tmp_path / 'bag.mcap'), label, 'verify'), tmp_path, verified))
+    assert [said for _, _, said in cells_of(rows, tmp_path)] == [
+        'pass; fail since a', 'pass in all']
+    assert not cells_of([{**row, 'verb': 'compare'} for row in rows], tmp_path)
+
+
 def test_lists_name_their_recordings_relative_to_them(tmp_path):
     (tmp_path / 'jobs.csv').write_text(
         'bag,label,settings,args\na,first,target.radius=0.02 name=x,\nb,,,--stations s.csv\n'
@@ -137,6 +158,10 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     with pytest.raises(InputError, match='holds no result of batch'):
         list(results_of(jobs, tmp_path / 'nights', pretended))
     assert (tmp_path / 'nights/plate/notes.txt').read_text() == 'kept'
+    out = tmp_path / 'out'
+    run(replace(jobs[0], label='a'), out, pretended)
+    with pytest.raises(InputError, match='out/a/b would be inside the result '):
+        list(results_of([replace(jobs[0], label='a/b')], out, pretended))
     monkeypatch.chdir(tmp_path / 'nights')
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
     (tmp_path / 'nights/metadata.yaml').touch()
@@ -191,5 +216,13 @@ def test_only_an_unchanged_whole_result_is_not_computed_again(tmp_path):
     assert said.returncode == 0 and '0 computed' in said.stdout, said
     assert unchanged(job, out)['x'] == 1.0
     assert unchanged(replace(job, words=('--set=a=1',)), out) is None
+    arm = replace(job, words=(f'--set=kinematics={tmp_path / "arm.yaml"}',))
+    (tmp_path / 'arm.yaml').write_text('1')
+    run(arm, out, lambda words: 0)
+    assert unchanged(arm, out)
+    (tmp_path / 'arm.yaml').write_text('another')
+    assert unchanged(arm, out) is None
+    (tmp_path / 'a.mcap').write_text('crash')
+    assert run(job, out, pretended)['exit_code'] == 70 and unchanged(job, out) is None
     (out / 'a/job.json').write_text('{"state": ')  # a client that was killed
     assert unchanged(job, out) is None

@@ -55,7 +55,7 @@ def verify(
     """
     Measure something known with a calibration.
 
-    The exit code is 0 only for a pass, and 1 otherwise.
+    The exit code is 0 for a pass, 1 for another verdict, 2 and 3 for none (as of every verb).
 
     The artefact and the tolerances are keys, such as --set verify.radius=20mm
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
@@ -107,11 +107,15 @@ def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
     recording = read_bag(bag, config)
     warn_of_frame(recording, calibration)
     session = gathered(recording, config)
-    used = {report.stamp for report in calibration.samples if report.used}
-    if any(sample.stamp in used for sample in session.samples):
+    _warn_of_own(bag, [sample.stamp for sample in session.samples], calibration)
+    return session.samples, session.rejects
+
+
+def _warn_of_own(bag: Path, stamps: 'Sequence[int]', calibration: 'Calibration') -> None:
+    """Warn where samples with some stamps (ns) are those of a calibration."""
+    if not {report.stamp for report in calibration.samples if report.used}.isdisjoint(stamps):
         warn(f'{bag} holds stations that the calibration was made of: they agree with it too '
              'well; measure at others')
-    return session.samples, session.rejects
 
 
 @app.command()
@@ -127,7 +131,7 @@ def check(
     """
     Check whether a calibration still holds.
 
-    The exit code is 0 only if nothing has changed, and 1 otherwise.
+    The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
     from handeye_ros.output import write_whole
     from handeye_ros.verification.check import check_recording, plain_values
@@ -139,6 +143,7 @@ def check(
         warn_of_frame(recording, calibration)
         with doing('comparing'):
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
+        _warn_of_own(bag, [result.stamp], calibration)
         checks.append((str(bag), result))
         typer.echo(f'{bag} ({result.stations} stations): {result.verdict.upper()}: '
                    f'{result.sentence}')

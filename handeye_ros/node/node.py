@@ -194,9 +194,15 @@ class HandeyeNode(Node):
         """Return the changed settings, and whether they name other topics; raises InputError."""
         config = configuration.with_values(self.live.config, _values(changes), PARAMETERS)
         _check_names(config)
+        session, old = self.live.copied(), self.live.config
+        unknown = [number for number in config.samples.exclude
+                   if number > session.last_number and number not in old.samples.exclude]
+        if unknown:
+            raise InputError(f'there is no sample {unknown[0]} to exclude: the last stop is '
+                             f'{session.last_number}; ~/samples lists all')
         other_topics = self._streams.names_other_topics(config)
-        if other_topics and any(stop.sample for stop in self.live.copied().stops):
-            raise InputError('the topics cannot change while there are samples from them: call '
+        if other_topics and session.stops:
+            raise InputError('the topics cannot change while there are stops from them: call '
                              '~/clear_samples first, which begins a new session')
         return config, other_topics
 

@@ -138,7 +138,7 @@ class LiveVerification:
         live, parts = self._live, self._parts
         while live.process_next():  # what began before is a sample
             pass
-        routine, possible = self.routine, self._possible
+        routine, possible, dropped = self.routine, self._possible, ''
         if routine is None or len(parts) == possible[-1] and not parts[-1].is_empty:
             if not live.config.verify.routine:
                 raise InputError('verify.routine is not set, so there is nothing to measure: set '
@@ -146,6 +146,7 @@ class LiveVerification:
             routine, parts = routine_of(live.config.verify.routine), [Part()]
             possible = routine.parts(len(live.config.verify.lengths))
             self._calibration()  # may read a file
+            dropped = self.text and f'; what was measured before is dropped ({self.text})'
         elif not parts[-1].is_empty:
             parts = [*parts, Part()]
         with live.lock:
@@ -153,7 +154,8 @@ class LiveVerification:
                 live.session.close(stop)
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
-        return f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
+        return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
+                f'{dropped}')
 
     def add_stop(self, stop: Stop, over: bool) -> str:
         """
@@ -169,7 +171,7 @@ class LiveVerification:
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')
-        result = live.result_elsewhere(stop, settings_for(routine, live.config, self._possible[0]))
+        result = live.result_elsewhere(stop, routine.settings(live.config))
         self._parts[-1].stops[stop.began] = result
         text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))

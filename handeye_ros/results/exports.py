@@ -284,9 +284,11 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     """
     calibration = calibration_file.dated(calibration)
     forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
-    own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT_FILE}
+    folder = folder.expanduser().absolute()
+    earlier = {file.name for form in FORMATS.values()
+               for file in folder.glob(form.file.format(name='*'))}
     return write({form.file_name(calibration): form.text(calibration) for form in forms},
-                 folder.expanduser().absolute(), own_names)
+                 folder, earlier | {REPORT_FILE})
 
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:

@@ -109,12 +109,10 @@ def read(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise unusable(path, 'it is no result of "handeye verify --out"')
     require_format(path, str(content.get('format')), FORMAT_PREFIX)
+    from jinja2 import TemplateError
     try:
-        if not {'record', 'per_station', 'inputs', 'reasons', 'surface',
-                'certificate'} <= content.keys():
-            raise KeyError('record')
-        title_of(content), [*table_rows(content)]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        protocol(content)  # which uses all of it
+    except (TemplateError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise unusable(path, 'it is not the whole result of a verification: verify again'
                        ) from error
     return content

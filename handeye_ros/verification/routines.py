@@ -151,6 +151,11 @@ class Routine:
                              f'(verify.lengths), and got {lengths}')
         return self.bags[lengths]
 
+    def settings(self, config: Config) -> Config:
+        """Return the settings that extract its features."""
+        return config if self.in_passes else with_values(config, {
+            'target.type': self.target, 'method': 'auto', 'target.radius': config.verify.radius})
+
     def scatter(self, stations: StationSet, distances: Array) -> Iterator[Quantity]:
         """
         Yield the scatter of distances (m,) of each face or ball: highest less lowest point.
@@ -204,10 +209,7 @@ def settings_for(routine: Routine, config: Config, bags: int) -> Config:
     possible = routine.parts(len(config.verify.lengths))
     if bags not in possible:
         raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {bags}')
-    if routine.in_passes:
-        return config
-    return with_values(config, {'target.type': routine.target, 'method': 'auto',
-                                'target.radius': config.verify.radius}, routine.name)
+    return routine.settings(config)
 
 
 def _listed(numbers: Sequence[int]) -> str:

@@ -26,6 +26,7 @@ from handeye_ros.data import (
     Profile,
     Sample,
 )
+from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import in_mount, mounted, sensor_axes
 from handeye_ros.sampling.stops import evenly, evenly_chosen
@@ -180,8 +181,12 @@ def _in_region(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> 
         fraction = np.clip(-a @ segment / max(segment @ segment, 1e-30), 0.0, 1.0)
         return bool(np.linalg.norm(a + fraction * segment) <= region[3])
 
-    return [replace(sample, features=tuple(f for f in sample.features if is_inside(f, at)))
+    kept = [replace(sample, features=tuple(f for f in sample.features if is_inside(f, at)))
             for sample, at in zip(samples, T, strict=True)]
+    if samples and not any(sample.features for sample in kept):
+        raise DataError(f'verify.near leaves nothing of the {len(samples)} stops: set it to a '
+                        'point of the artefact in the base of the robot and a radius, in metres')
+    return kept
 
 
 def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int

@@ -408,6 +408,23 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert not state_of(live)['session']['notes']
 
 
+def test_a_verification_begun_anew_says_what_is_dropped_and_other_lengths_drop_nothing() -> None:
+    live = new(TO_VERIFY)
+    feed(live, items_of(PARTS[0]))
+    computed(live)
+    live.verification.verify_start()
+    changed(live, verify__lengths=(0.1,))
+    feed(live, items_of(PARTS[1]))
+    with pytest.raises(InputError, match='sphere needs 0 lengths'):
+        verdict(live)
+    changed(live, verify__lengths=())
+    assert verdict(live).startswith('sphere: PASS, 6 stations; ')
+    live.verification.verify_start()
+    feed(live, items_of([later(part, 1000) for part in PARTS[1]]))
+    assert live.verification.verify_start().endswith(
+        '; what was measured before is dropped (sphere: 6 usable stops of 6)')
+
+
 # -- the processes for long computations: what they answer, and what a killed one costs
 
 

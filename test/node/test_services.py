@@ -215,10 +215,12 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     stand_still(client, START)
     client.until_counted(profiles=20, poses=20)
     assert client.call('take_sample').success
+    assert 'no sample 99 to exclude' in set_parameter(client, 'samples.exclude', [1, 99]).reason
     for topic in ('profile_topic', 'joint_topic'):
         assert 'clear_samples first' in set_parameter(client, topic, '/other').reason
     assert set_parameter(client, 'sampling.min_points', 5000).successful
     client.until(lambda: client.state()['samples'] == '0', 'the sample is extracted again')
+    assert 'clear_samples first' in set_parameter(client, 'pose_topic', '/other').reason
     assert set_parameter(client, 'sampling.min_points', 20).successful
     client.until(lambda: client.state()['samples'] == '1', 'the sample is back')
 

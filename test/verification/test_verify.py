@@ -83,6 +83,13 @@ def test_of_stops_that_share_no_surface_all_pieces_take_part():
     assert result('plane', with_poses(two, moves), found).verdict == 'fail'
 
 
+def test_a_region_without_the_artefact_is_named():
+    made, found = measured('sphere')
+    config = with_values(Config(noise=bench.NOISE), {'verify.near': [9.0, 9.0, 9.0, 0.1]}, 'test')
+    with pytest.raises(DataError, match='verify.near leaves nothing of the '):
+        result('sphere', made, found, config=config)
+
+
 def test_what_does_not_belong_to_the_artefact_takes_no_part():
     made, found = measured('sphere')
     arcs = [(s, f) for s in made.bags[0] for f in s.features if isinstance(f, Arc)]

@@ -92,6 +92,11 @@ def reported(folder, result):
     assert f'sphere: FAIL, {result["stations"]} stations' in page
     assert all(reason in page for reason in result['reasons'])
     assert dict(verification_file.table_rows(found))['radius'][0] in page
+    for key in ('says', 'weakest_direction', 'per_station'):
+        (folder / 'part.yaml').write_text(yaml.safe_dump(
+            {name: value for name, value in result.items() if name != key}))
+        with pytest.raises(InputError, match='not the whole result of a verification'):
+            verification_file.read(folder / 'part.yaml')
     said('report', folder / 'told.yaml')
     assert 'ISO 14253-1' in (folder / 'told.html').read_text()
 
