@@ -104,6 +104,7 @@ class LiveAnswer:
         self.calibration: Calibration | None = None
         self.why_missing = ''
         self.asked_with: dict[str, Any] | None = None
+        self._asked: tuple[object, Future[str]] | None = None  # last attempt: from what, message
         self._solved: set[int] = set()  # numbers of the samples of the last answer
         self._saved: exports.Saved | None = None  # the files of this answer
         self._saved_as: tuple[Any, ...] = ()  # their folder, formats, record and times
@@ -158,7 +159,8 @@ class LiveAnswer:
         Compute the answer from all samples; return the future of the message about it.
 
         The current stop counts as complete. It, or its future, raises DataError or InputError
-        where there is no answer; after a DataError the previous answer is withdrawn.
+        where there is no answer; after a DataError the previous answer is withdrawn. Nothing is
+        computed again where neither samples nor settings have changed.
         """
         live = self._live
         live.store_rest()
@@ -169,6 +171,9 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
+        if self._asked and self._asked[0] == self._basis() and (
+                self.calibration or not self._asked[1].done()):
+            return self._asked[1]
         return self._begin(asked=True)
 
     def begin_review(self) -> None:
@@ -197,10 +202,14 @@ class LiveAnswer:
         session.restore(now.stops, now.last_number, now.frame_id)
         sampled = {stop.began for stop in now.stops if stop.sample}
         without_sample = [T for began, T in live.without_sample.items() if began not in sampled]
-        return live.compute(
-            COMPUTED if asked else '', partial(self._put, self._basis(), session, asked),
+        basis = self._basis()
+        message = live.compute(
+            COMPUTED if asked else '', partial(self._put, basis, session, asked),
             review_of, session, config, self.seen, without_sample,
             asked or self.calibration is not None)
+        if asked:
+            self._asked = basis, message
+        return message
 
     def _put(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
              ) -> str:
