@@ -96,6 +96,6 @@ def test_the_example_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         exec(compile(code, 'library.md', 'exec'), {})
     assert output.getvalue() == printed
     fields = names(section('Files').split('fields', 1)[1].split('.', 1)[0])
-    written = yaml.safe_load((tmp_path / 'calibration.yaml').read_text(encoding='utf-8'))
+    written = yaml.safe_load((tmp_path / 'out' / 'calibration.yaml').read_text(encoding='utf-8'))
     assert written['format'] in names(section('Files'))
     assert set(fields) <= written.keys()
