@@ -146,6 +146,16 @@ def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words:
     assert first + rest == n and abs(first - n // 2) <= 2
 
 
+def test_a_target_that_moved_is_no_other_surface() -> None:
+    made = simulate(SCENARIOS['plate'], np.random.default_rng(8))
+    config = with_values(Config(), settings(SCENARIOS['plate']), 'the test')
+    middle = made.poses[len(made.poses) // 2].stamp
+    poses = [replace(pose, translation=pose.translation + (pose.stamp > middle) * np.array(
+        [1.8e-3, 1.44e-3, 1.92e-3])) for pose in made.poses]
+    with pytest.raises(DataError, match='the target seems to have moved in base by about 3 mm'):
+        pipeline.calibrate(made.profiles, poses, config)
+
+
 def told(samples: list[Sample], config: Config) -> str:
     """Return the warnings of an answer, or the refusal where the evidence is very strong."""
     found = pipeline.answer_samples(samples, [], config, 'laser')
