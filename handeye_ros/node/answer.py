@@ -159,8 +159,8 @@ class LiveAnswer:
         Compute the answer from all samples; return the future of the message about it.
 
         The current stop counts as complete. It, or its future, raises DataError or InputError
-        where there is no answer; after a DataError the previous answer is withdrawn. Nothing is
-        computed again where neither samples nor settings have changed.
+        where there is no answer; after a DataError the previous answer is withdrawn. An answer is
+        not computed again from the same samples and settings.
         """
         live = self._live
         live.store_rest()
@@ -171,9 +171,10 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._asked and self._asked[0] == self._basis() and (
-                self.calibration or not self._asked[1].done()):
-            return self._asked[1]
+        if self._asked and self._asked[0] == self._basis():
+            message = self._asked[1]
+            if not message.done() or (self.calibration and not message.exception()):
+                return message
         return self._begin(asked=True)
 
     def begin_review(self) -> None:

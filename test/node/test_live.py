@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 import json
 import os
@@ -365,6 +366,18 @@ def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
     monkeypatch.undo()
     changed(live, sampling__min_points=21)
     assert taken(state_of(live)) >= 7
+
+
+def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    live, ended = fed(), Future()
+    text = computed(live)
+    live.remove_last_sample()
+    ended.set_exception(BrokenProcessPool())
+    monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
+    with pytest.raises(PoolEndedError):
+        computed(live)
+    monkeypatch.undo()
+    assert computed(live) not in ('', text)
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
