@@ -314,13 +314,13 @@ def _pinocchio() -> Any:
 
 
 def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
-    """Return the numbers of the frames of the links at both ends; raises ValueError."""
+    """Return the frames' numbers of the links at both ends; raises ValueError, InputError."""
     frames = model.frames
     links = {f.name: k for k, f in enumerate(frames) if f.type == _pinocchio().FrameType.BODY}
     for name in filter(None, (base, flange)):
         if name not in links:
-            raise ValueError(f'it has no link {name}{nearest(name, list(links))}; its links are '
-                             f'{", ".join(links)}')
+            raise InputError(f'the URDF has no link {name}{nearest(name, list(links))}; its links '
+                             f'are {", ".join(links)}: check --base and --flange')
     parents = {frames[frames[k].parentFrame].parentFrame for k in links.values()}
     last = [flange] if flange else [name for name in FLANGE_FRAMES if name in links][:1] or [
         name for name, k in links.items() if k not in parents]

@@ -42,8 +42,6 @@ UNSOLVED = 'unsolved'  # reason of refusals that wrong clocks may explain
 UNCHANGED_ARM = 'the URDF as it is'
 REGION_COUNT, FEWEST_OF_REGION = 8, 3  # of the joint space, each left out once; stops of one
 FOLD_ROUNDS = 2
-MOST_FREEDOM = 6  # independent conditions of a stop: a pose has no more
-MOST_SHARE = 0.8  # largest ratio of parameters to conditions
 LEAST_AGREEING = 0.5  # smallest share of the stops that agree
 HOPELESS_FACTOR = 20.0  # times the limit of the residual: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
@@ -57,10 +55,17 @@ CURED_SHARE = 0.2  # a change that reduces the residual to less than this fracti
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A fit with some kinds of errors; left_out: (n,) cross-validation errors (m)."""
+    """
+    A fit with some kinds of errors.
+
+    left_out: (n,) cross-validation errors (m)
+    misfit: their variance over the predicted one, of the worst region, at least 1: more shows
+        errors of the arm that the model does not include
+    """
 
     fit: ArmFit
     left_out: Array
+    misfit: float
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -151,14 +156,14 @@ def solve(problem: ArmProblem) -> ArmOutcome:
     offsets = without_outliers(with_arm(fit, problem.arm.freed([OFFSET])))
     alone = adjusted(replace(fit, used=richest.used))
     fold = _regions(fit.stops.q)
-    models = tuple(Model(replace(each, used=richest.used), _left_out(each, fold))
+    models = tuple(Model(replace(each, used=richest.used), *_left_out(each, fold))
                    for each in (alone, offsets, richest))
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
-    return ArmOutcome(models, chosen, covariance * _misfit(models[-1]), _known(chosen.fit),
+    return ArmOutcome(models, chosen, covariance * models[-1].misfit, _known(chosen.fit),
                       wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
@@ -174,13 +179,16 @@ def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
     return region
 
 
-def _left_out(fit: ArmFit, fold: NDArray[np.intp]) -> Array:
-    """Return the errors (n,) of stops, each predicted without its region."""
-    errors = np.empty(len(fit.stops))
+def _left_out(fit: ArmFit, fold: NDArray[np.intp]) -> tuple[Array, float]:
+    """Return the errors (n,) of stops, each predicted without its region, and Model.misfit."""
+    errors, misfit = np.empty(len(fit.stops)), 1.0
     for number in np.unique(fold):
         without = adjusted(replace(fit, used=fit.used & (fold != number)), rounds=FOLD_ROUNDS)
         errors[fold == number] = fit.stops.distances(without.state)[fold == number]
-    return errors
+        r, J = replace(without, used=fit.used & (fold == number)).linear
+        predicted = len(r) + np.sum((J @ without.covariance) * J)
+        misfit = max(misfit, float(r @ r / max(predicted, 1.0)))
+    return errors, misfit
 
 
 def _better(model: Model, simpler: Model) -> bool:
@@ -188,19 +196,6 @@ def _better(model: Model, simpler: Model) -> bool:
     used = model.fit.used
     gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
     return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
-
-
-def _misfit(model: Model) -> float:
-    """
-    Return the variance of left-out errors relative to that predicted by the fit, at least 1.
-
-    With h parameters per condition, the predicted variance is (1 + h) / (1 - h) times that of the
-    residuals. A larger one shows errors of the arm that the model does not include.
-    """
-    fit, (_, J) = model.fit, model.fit.linear
-    conditions = np.minimum(np.bincount(fit.stops.station[fit.rows]), MOST_FREEDOM).sum()
-    h = min(float(np.einsum('mi,mi->', J @ fit.covariance, J)) / conditions, MOST_SHARE)
-    return max(1.0, float((model.left_out_rms / fit.residual_rms) ** 2 * (1 - h) / (1 + h)))
 
 
 def _known(fit: ArmFit) -> Array:
@@ -258,9 +253,11 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
         if low < joint.lower - beyond or high > joint.upper + beyond:
             raise DataError(
                 f'{joint.name} goes from {low:.4g} to {high:.4g}, and the URDF limits it to '
-                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check the unit of '
-                'the joint values (are they degrees stated as radians?), or the limits in the '
-                'URDF')
+                f'{joint.lower:.4g} to {joint.upper:.4g} (radians or metres): check '
+                + ('the unit of the joint values (are they degrees stated as radians?)'
+                   if max(-low, high) > 2 * math.pi else
+                   'sign, zero, and order of the joint values, whether it is counted from the '
+                   'horizontal') + ', or the limits in the URDF')
         if high - low < UNMOVED_SPREAD[joint.kind]:
             size = (degrees if joint.kind == REVOLUTE else mm)(float(high - low))
             sentences.append(f'{joint.name} moves by {size} only: these configurations do not '
@@ -271,8 +268,8 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 def _contradiction(problem: ArmProblem) -> DataError:
     """Return the refusal of stops that no arm explains, with the likely cause."""
     stated = problem.residual_with(np.eye(len(problem.arm.joints)), False)
-    cause, best = ('check that the URDF is of this robot, the unit and the sign of each joint, '
-                   'calibration_type, and that the target did not move'), CURED_SHARE * stated
+    cause, best = ('check that the URDF is of this robot, --base and --flange, the sign of each '
+                   'joint, all units, calibration_type, and that the target did not move'), CURED_SHARE * stated
     for words, joints, other_side in _changes(problem):
         with suppress(DataError, np.linalg.LinAlgError):
             missed = problem.residual_with(joints, other_side)

@@ -16,7 +16,7 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import points, sources
-from handeye_ros.robot.selection import solve
+from handeye_ros.robot.selection import joint_notes, solve
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -150,6 +150,7 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     (lambda t: t.replace('joint_4', 'jiont_4'), 'no values of the joint joint_4'),
     (lambda t: t.replace('degrees', 'rad'), 'degrees stated as radians'),
     (lambda t: t.replace(' [mm]', '', 1), 'names no unit'),
+    (lambda t: t.replace('[mm]', '[m]'), 'all units'),
     (lambda t: '\n'.join(t.splitlines()[:8]), 'need at least'),
 ])
 def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, words):
@@ -157,6 +158,18 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
     table.write_text(change((from_table[2] / 'points.csv').read_text()))
     with pytest.raises(HandeyeError, match=words):
         points.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
+
+
+def test_values_beyond_a_limit_that_cannot_be_degrees_are_not_called_degrees():
+    arm = arm_of(bench.urdf(bench.SIX))
+    with pytest.raises(HandeyeError, match='check sign, zero, and order'):
+        joint_notes(arm, np.outer([0, 1], [0, 2.5, 0, 0, 0, 0]))
+
+
+def test_few_poses_do_not_make_an_error_less_certain_than_before():
+    cell = bench.draw(bench.CASES['six'], 20, 3)
+    arm = solve_rows(cell.data, cell.arm.freed(())).arm
+    assert (np.sqrt(np.diag(arm.covariance)) < 1.5 * arm.priors[arm.free]).all()
 
 
 COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
@@ -179,7 +192,7 @@ def test_joint_values_that_contradict_the_points_are_named(from_table, words, jo
     ('<robot name="a"><xacro:macro/></robot>', 'tip', 'xacro'),
     ('<robot', 'tip', 'no valid URDF'),
     (ODD.replace('<child link="camera"/>', '<child link="tip"/>'), 'tip', 'closed loops'),
-    (ODD, 'tool9', 'has no link tool9'),
+    (ODD, 'tool9', '^the URDF has no link tool9'),
     (ODD.replace('type="continuous"', 'type="floating"'), 'tip', 'floating'),
 ])
 def test_bad_urdfs_are_refused_in_a_sentence(urdf, flange, words):
