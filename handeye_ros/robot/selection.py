@@ -268,8 +268,9 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 def _contradiction(problem: ArmProblem) -> DataError:
     """Return the refusal of stops that no arm explains, with the likely cause."""
     stated = problem.residual_with(np.eye(len(problem.arm.joints)), False)
-    cause, best = ('check that the URDF is of this robot, --base and --flange, the sign of each '
-                   'joint, all units, calibration_type, and that the target did not move'), CURED_SHARE * stated
+    cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
+             'joint, all units, calibration_type, and that the target did not move')
+    best = CURED_SHARE * stated
     for words, joints, other_side in _changes(problem):
         with suppress(DataError, np.linalg.LinAlgError):
             missed = problem.residual_with(joints, other_side)
