@@ -23,7 +23,7 @@ from handeye_ros.data import Arc, Array, EdgePoint, Reject, rms, Sample
 from handeye_ros.errors import DataError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
-from handeye_ros.estimation.search import best_estimate
+from handeye_ros.estimation.search import least_squares_estimate
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
 from handeye_ros.results.calibration_file import transform_values
@@ -93,7 +93,7 @@ class Stations:
         """Return distances (m) of `measured` stations for X, the target fitted to `fitted`."""
         part = self.problem.subset(fitted)
         given = _GivenTransform(part.target, part.poses, part.observations, part.config)
-        estimate = best_estimate(given, Estimate(X, self.estimate.state), self.noise)
+        estimate = least_squares_estimate(given, Estimate(X, self.estimate.state), self.noise)
         points = measured_points(self.samples, self.problem)
         return points.select(np.isin(points.station, measured)).residuals(self.problem, estimate)
 

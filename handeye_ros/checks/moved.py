@@ -99,7 +99,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         return agreed, ''
     margin = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
     moments = np.unique(np.linspace(margin, n - margin, MOST_CHANGES).round().astype(int))
-    first = _Steps.of(conservative, moments).gains()
+    first = _MoveSums.of(conservative, moments).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
     kind, k, moved = _likeliest(agreed, moments, first)
@@ -148,9 +148,9 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
     return kind, k, moved
 
 
-def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _Steps:
+def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _MoveSums:
     """Return the sums for moves of a solution, with the noise of that with a move."""
-    return _Steps.of(solution_at(agreed.problem, agreed.estimate, moved.noise), moments)
+    return _MoveSums.of(solution_at(agreed.problem, agreed.estimate, moved.noise), moments)
 
 
 def _size(moved: Solution, kind: int) -> tuple[float, float, float]:
@@ -189,7 +189,7 @@ def _arms(solution: Solution) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Steps:
+class _MoveSums:
     """
     Sums over the parts of a recording between k possible moves, for (14).
 
@@ -205,7 +205,7 @@ class _Steps:
     slope: Array
 
     @classmethod
-    def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _Steps:
+    def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _MoveSums:
         """Return the sums at a solution."""
         whiten = whitening(solution.linear, solution.noise)
         D, J = whiten(_by_steps(solution)), solution.jacobian

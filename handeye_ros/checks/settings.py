@@ -52,11 +52,11 @@ def require_settings(session: Session, config: Config) -> None:
         return fit if _within_noise(fit) else Explanation.nothing(len(stops))
 
     refuse_better(stated, [
-        Hypothesis(partial(refit, values), partial(to_set, values, stated), len(values))
+        Hypothesis(partial(refit, values), partial(settings_refusal, values, stated), len(values))
         for values in _changes(config)])
 
 
-def to_set(values: dict[str, str], stated: Explanation, fit: Explanation) -> DataError:
+def settings_refusal(values: dict[str, str], stated: Explanation, fit: Explanation) -> DataError:
     """Return the refusal that names the settings with which the stops fit."""
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
@@ -86,7 +86,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
 
     def refusal(fit: Explanation) -> DataError:
         if _within_noise(fit):
-            return to_set(values, stated, fit)
+            return settings_refusal(values, stated, fit)
         return UnexplainedError(
             f'{fit.compared(stated, f"{RANGE_SIGN} {values[RANGE_SIGN]}")}, neither as well as '
             f'the noise allows: check {RANGE_SIGN}, and that every sample shows the target itself '
@@ -130,5 +130,5 @@ def changed(config: Config, values: dict[str, str]) -> Config:
 
 def thinned(stop: Stop, config: Config) -> Stop:
     """Return a stop with a few of its profiles."""
-    stop = stop.load(config).needed(config)
+    stop = stop.load(config).trimmed(config)
     return replace(stop, profiles=tuple(evenly(stop.profiles, PROFILES_READ)))

@@ -93,7 +93,7 @@ def without_outliers(solution: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         part = near.problem.subset(used)
-        return solution_at(part, best_estimate(part, (before or near).estimate), LUMPED)
+        return solution_at(part, least_squares_estimate(part, (before or near).estimate), LUMPED)
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
@@ -211,7 +211,7 @@ def reassigned(problem: Problem, estimate: Estimate, before: Problem | None = No
     return replace(problem, observations=used)
 
 
-def best_estimates(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
+def shortlisted(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> list[Estimate]:
     """
     Return the estimates reached from the starts, best first; poor ones are given up early.
 
@@ -270,6 +270,6 @@ def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
     return System(rows, retracted, problem.observations.station)
 
 
-def best_estimate(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
+def least_squares_estimate(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
     return _system(problem, noise).least_squares(linearise(problem, start)).estimate

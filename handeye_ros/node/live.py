@@ -335,7 +335,7 @@ class LiveSession:
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
         try:
-            return self.pool.run(result_of, stop.needed(config), config)
+            return self.pool.run(result_of, stop.trimmed(config), config)
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
             return Reject(stop.began, str(error))  # the stop itself will be stored
 

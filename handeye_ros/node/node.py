@@ -93,7 +93,7 @@ class HandeyeNode(Node):
         quick = MutuallyExclusiveCallbackGroup()
         for name in self._requests:
             group = MutuallyExclusiveCallbackGroup() if name in SLOW_SERVICES else quick
-            self.create_service(Trigger, f'~/{name}', partial(self._answer, name),
+            self.create_service(Trigger, f'~/{name}', partial(self._on_trigger, name),
                                 callback_group=group, qos_profile=REQUEST_QOS)
         self.create_service(SetBool, '~/auto_sample', self._auto_sample, callback_group=quick,
                             qos_profile=REQUEST_QOS)
@@ -168,8 +168,8 @@ class HandeyeNode(Node):
             RosParameter(key, value=value) for key, value in values.items()])
         return '; '.join(result.reason for result in results if not result.successful)
 
-    def _answer(self, name: str, _: Trigger.Request, response: Trigger.Response
-                ) -> Trigger.Response:
+    def _on_trigger(self, name: str, _: Trigger.Request, response: Trigger.Response
+                    ) -> Trigger.Response:
         response.success, response.message = self.call_service(name)
         return response
 

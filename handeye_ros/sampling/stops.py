@@ -110,7 +110,7 @@ class Stop:
         first, last = self._steady_span(config)
         return evenly([p for p in self.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
-    def needed(self, config: Config) -> Stop:
+    def trimmed(self, config: Config) -> Stop:
         """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
         alone = replace(self, result=NOT_EVALUATED)
         if self.source or config.sampling.moving:

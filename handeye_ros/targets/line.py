@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_estimates
+from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
 from handeye_ros.targets.target import ENDINGS, FACE, FaceTarget, xyz
@@ -142,7 +142,7 @@ class Line(FaceTarget):
         alone = replace(whole.config, target=replace(target, use_face=False))
         problem = some_of(replace(whole, config=alone), rng)
         for parts in one_end(problem):
-            found = (e for part in parts for e in best_estimates(part, line_candidates(part)))
+            found = (e for part in parts for e in shortlisted(part, line_candidates(part)))
             for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
                 yield _with_face(whole, e) if target.use_face else e
 

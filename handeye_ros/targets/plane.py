@@ -22,7 +22,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_estimates, distinct
+from handeye_ros.estimation.search import distinct, shortlisted
 from handeye_ros.profiles.faces import plane_features
 from handeye_ros.targets.starts import (
     frames_along,
@@ -100,7 +100,7 @@ class Plane(FaceTarget):
         for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,):
             known = len(found)
             for part in one_surface(problem):
-                found += best_estimates(part, plane_candidates(part, more), more)
+                found += shortlisted(part, plane_candidates(part, more), more)
             fresh = [i for i in distinct(np.array([e.X for e in found])) if i >= known]
             if self.ambiguous(problem.observations):
                 away = {i: _typical_distance(problem, found[i]) for i in fresh}

@@ -22,7 +22,7 @@ from handeye_ros.estimation.problem import (
     Observations,
     Problem,
 )
-from handeye_ros.estimation.search import best_estimates
+from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.starts import some_of
 from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
@@ -153,7 +153,7 @@ class Sphere(ProfileTarget):
         """
         problem = some_of(whole, rng)
         some = replace(problem, observations=_fewer(problem.observations))
-        yield from best_estimates(some, _candidates(problem, problem.config.target.radius))
+        yield from shortlisted(some, _candidates(problem, problem.config.target.radius))
 
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:

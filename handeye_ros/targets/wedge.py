@@ -24,7 +24,7 @@ from handeye_ros.estimation.problem import (
     Problem,
     UNUSED,
 )
-from handeye_ros.estimation.search import best_estimates
+from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
@@ -73,7 +73,7 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
     """
     corners = crossings(problem.observations)
     edges = replace(problem, target=edge_line.LINE, observations=corners)
-    yield from _refined(problem, [_with_faces(problem, e) for e in best_estimates(
+    yield from _refined(problem, [_with_faces(problem, e) for e in shortlisted(
         edges, edge_line.line_candidates(edges))])
     for side in range(len(KINDS)):
         lines = problem.observations.select(problem.observations.kind == side)
@@ -81,7 +81,7 @@ def _guess(problem: Problem) -> Iterator[Estimate]:
         faces = replace(problem, target=plane.PLANE, observations=lines)
         yield from _refined(problem, [
             _with_faces(problem, _edge_in(corners, problem.poses, e))
-            for e in best_estimates(faces, plane.plane_candidates(faces))])
+            for e in shortlisted(faces, plane.plane_candidates(faces))])
 
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
@@ -94,7 +94,7 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
     found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
              for labelled, some in alike.values()
-             for end in best_estimates(labelled, some, len(some))]
+             for end in shortlisted(labelled, some, len(some))]
     return [end for _, end in sorted(found, key=lambda pair: pair[0])]
 
 

@@ -103,7 +103,7 @@ class StationSet:
         """Return the points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
         return self.observations.in_base(self.poses, X)
 
-    def in_mount(self, vectors: Array) -> Array:
+    def rotated_to_mount(self, vectors: Array) -> Array:
         """Return vectors (m, 3) of the base in the axes of the sensor's mount."""
         R = self.poses[self.observations.station, :3, :3]
         return np.asarray(np.einsum('mi,mij->mj', vectors, R))
@@ -116,7 +116,8 @@ class StationSet:
         error of the position of each pose.
         """
         obs, noise = self.observations, config.noise
-        by_feature = np.einsum('mi,ij,mjk->mk', self.in_mount(by_p), X[:3, [0, 2]], obs.noise)
+        by_mount = self.rotated_to_mount(by_p)
+        by_feature = np.einsum('mi,ij,mjk->mk', by_mount, X[:3, [0, 2]], obs.noise)
         by_pose = self.by_pose(X, by_p, config) * np.repeat(
             [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
         covariances, first = [], np.flatnonzero(np.diff(self.group_of_point)) + 1
@@ -132,7 +133,7 @@ class StationSet:
         station, p = self.observations.station, self.points(X)
         by_shift, lever = ((by_p, p - self.poses[station, :3, 3])
                            if config.calibration_type == 'eye_in_hand' else
-                           (self.in_mount(by_p), self.in_mount(p)))
+                           (self.rotated_to_mount(by_p), self.rotated_to_mount(p)))
         return np.hstack([by_shift, se3.cross(lever, by_shift)])
 
     def by_smooth(self, X: Array, by_p: Array, config: Config) -> Array:
@@ -332,7 +333,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
     factors, distances, by_p = factors_at(q), shape.distance(p, q), shape.by_point(p, q)
-    by_mount = stations.in_mount(by_p)
+    by_mount = stations.rotated_to_mount(by_p)
     by_errors = np.hstack([by_mount, se3.cross(lever, by_mount), *(
         [stations.by_smooth(X, by_p, config) * smooth] if smooth else [])])
     r, J, E = (_white(factors, values) for values in (
