@@ -49,8 +49,10 @@ def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] 
 
     first: the reference, the oldest if not given; only those between its frames are compared.
     files: of the folder, all calibration.yaml if not given. Raises DataError for too few, or for
-    several sensors without a reference.
+    several sensors without a reference, InputError for a folder that is not there.
     """
+    if not folder.is_dir():
+        raise InputError(f'there is no folder {folder}: name one that holds calibrations')
     calibrations, warnings, sensors = [], [], set()
     for path in sorted(folder.rglob('calibration.yaml') if files is None else files):
         try:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from command import assert_refused, handeye
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
@@ -48,6 +48,11 @@ def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
         trend.trend(tmp_path)
     entries, warnings = trend.trend(tmp_path, one)
     assert len(entries) == 3 and 'rear on flange' in warnings[0]
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match='no folder .*/nights: '):
+        trend.trend(tmp_path / 'nights')
 
 
 def test_the_verb(tmp_path):

@@ -10,9 +10,9 @@ session. After each such piece of work the worker (pool.py) calls `changed`, whi
 ~/samples (outputs.py). What is used is stored, and what is stored is used. What follows from the
 samples is in answer.py and verification.py.
 
-When ~/take_sample answers, its stop is on the disk as a file of its own, synced (SessionFiles in
-bags/session_files.py); metadata.yaml, which repeats what the files say, is synced after the
-answer. During a verification nothing is stored until its result.
+When ~/take_sample has taken a stop, that is on the disk as a file of its own, synced
+(SessionFiles in bags/session_files.py); metadata.yaml, which repeats what the files say, is synced
+after the answer. During a verification nothing is stored until its result.
 
 Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
