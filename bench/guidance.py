@@ -59,7 +59,7 @@ from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.review import flat_crossing
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.features import of_profiles
+from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import duplicate_pose
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
@@ -143,7 +143,7 @@ class World:
         profiles = [Profile(k, 'laser', points) for k, points in enumerate(
             sensor.plane_points(self.scenario.sensor, measured))]
         self.seen = extremes(np.concatenate([self.seen, profiles[-1].points]))
-        used, features = of_profiles(profiles, self.config)
+        used, features = combined_features(profiles, self.config)
         self._look(features, T)
         error = np.repeat(self.scenario.robot.repeatability, 3) * self.rng.normal(size=6)
         sample = Sample(len(self.samples), reported(T_base_flange, error), features, len(used))

@@ -216,7 +216,7 @@ class EdgePoint:
         without a visible wall, else 0
     shapes: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the best,
         empty without a bend
-    arc: (2,) from the point to the middle of the end's arc if it is a rounding
+    arc_offset: (2,) from the point to the middle of the end's arc if it is a rounding
     arc_std: 1 sigma of this position along the direction
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
     """
@@ -228,12 +228,12 @@ class EdgePoint:
     ending: str = 'step'
     drop: Array = field(default_factory=lambda: np.zeros(2))
     shapes: Array = field(default_factory=lambda: np.empty(0))
-    arc: Array = field(default_factory=lambda: np.zeros(2))
+    arc_offset: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0
     shape_std: float = 0.0
 
     @property
-    def bevel(self) -> float:
+    def drop_depth(self) -> float:
         """Return the depth (m) below the face line at which the plate was last seen."""
         return float(np.hypot(*self.drop))
 

@@ -92,10 +92,10 @@ class Recording:
                 if raw.reach != (0, 0):
                     raise
                 reasons.append(str(error))
-        self.warnings.extend(_left_out(reasons, len(self.profiles), 'profiles of the recording'))
+        self.warnings.extend(_unusable(reasons, len(self.profiles), 'profiles of the recording'))
 
 
-def _left_out(reasons: Sequence[str], total: int, what: str) -> list[str]:
+def _unusable(reasons: Sequence[str], total: int, what: str) -> list[str]:
     """Return a warning of what was left out, if anything; raises InputError if it is most."""
     if not reasons:
         return []
@@ -200,7 +200,7 @@ class _Topic:
         if not total:
             raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
                              f'that it was published while recording, or set {self._key}')
-        reader.warnings += _left_out(self._malformed, total, f'messages on {self.name}')
+        reader.warnings += _unusable(self._malformed, total, f'messages on {self.name}')
 
     def _missing(self, reader: Reader) -> InputError:
         """Return the refusal of a bag without a topic of this name and type."""

@@ -20,7 +20,7 @@ from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.notes import clock_estimate
-from handeye_ros.sampling.features import of_profiles
+from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.stream import interpolate
@@ -118,7 +118,7 @@ def _still(profiles: list[Profile], pose: Array, stop: Array, limit: float, conf
     used, sample = profiles[first + opened:last + 1 - closed], None
     if len(used) > 2:
         with suppress(FeatureError):
-            used, features = of_profiles(used, config)
+            used, features = combined_features(used, config)
             sample = Sample(used[0].stamp, pose, features, len(used))
     rest = np.array([profiles[first].stamp, profiles[last].stamp]) / NS
     return _Still(sample, pose, stop, np.where([opened, closed], rest, np.nan))

@@ -62,7 +62,7 @@ class Solution:
     The least squares at an estimate, (4), solved, of the stations used.
 
     linear: the used stations with the labels of their observations, linearised
-    priors: blocks with their configured sigmas
+    configured_blocks: blocks with their configured sigmas
     prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
     white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
         parameters in configured sigmas
@@ -80,7 +80,7 @@ class Solution:
 
     linear: Linear
     noise: Noise
-    priors: tuple[ParameterBlock, ...]
+    configured_blocks: tuple[ParameterBlock, ...]
     whitening: Whitening
     prefit_residuals: Array
     white_jacobian: Array
@@ -129,18 +129,19 @@ class Solution:
 
     @property
     def _block_sizes(self) -> list[int]:
-        return [block.count for block in self.priors]
+        return [block.count for block in self.configured_blocks]
 
     @property
     def _tau_squared(self) -> Array:
         """Return the variance of each block (d,) relative to the configured one."""
-        return np.array([self.noise.block_variances.get(block.name, 1.0) for block in self.priors])
+        known = self.noise.block_variances
+        return np.array([known.get(block.name, 1.0) for block in self.configured_blocks])
 
     @cached_property
     def blocks(self) -> tuple[ParameterBlock, ...]:
         """Return the blocks; their sigmas are tau times the configured ones."""
         return tuple(replace(block, std=block.std * float(tau)) for block, tau
-                     in zip(self.priors, np.sqrt(self._tau_squared), strict=True))
+                     in zip(self.configured_blocks, np.sqrt(self._tau_squared), strict=True))
 
     @cached_property
     def covariance(self) -> Array:
@@ -223,18 +224,19 @@ class Solution:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         x, covariance = self._step, self.covariance
         u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
-        largest = np.array([block.largest_variance for block in self.priors])
+        largest = np.array([block.largest_variance for block in self.configured_blocks])
         return estimated_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
         named = {block.name: max(float(v), block.least_variance)
-                 for block, v in zip(self.priors, variances, strict=True)}
+                 for block, v in zip(self.configured_blocks, variances, strict=True)}
         return replace(self, noise=replace(self.noise, block_variances=named))
 
     def with_factors(self, factors: Array) -> Solution:
         """Return the solution with other variance factors (5,), at the same estimate."""
-        return Solution.at(self.linear, replace(self.noise, variance_factors=factors), self.priors)
+        noise = replace(self.noise, variance_factors=factors)
+        return Solution.at(self.linear, noise, self.configured_blocks)
 
     def rescaled(self, steps: int) -> Solution:
         """
@@ -243,7 +245,7 @@ class Solution:
         Ends early if a step hardly changes the variances.
         """
         found = self
-        for _ in range(steps if self.priors else 0):
+        for _ in range(steps if self.configured_blocks else 0):
             _, variances = found.estimated_variances()
             if np.abs(np.log(variances / found._tau_squared)).max() < 0.03:
                 break
@@ -502,7 +504,7 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
 def _with_final_scales(found: Solution) -> Solution:
     """Return the solution at the MAP scales, together with that at the conservative scales."""
     best = found
-    if found.priors:
+    if found.configured_blocks:
         conservative = found.rescaled(LAST_STEPS - 1)
         for_estimate, for_report = conservative.estimated_variances()
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)

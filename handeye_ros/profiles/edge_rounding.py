@@ -27,7 +27,7 @@ LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
 
 
-def reach(radius: float, depth: float) -> float:
+def visible_extent(radius: float, depth: float) -> float:
     """Return the extent outwards of a rounding that is visible down to a depth."""
     depth = min(max(depth, 0.0), radius)
     return float(np.sqrt(depth * (2 * radius - depth)))

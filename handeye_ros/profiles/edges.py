@@ -343,8 +343,8 @@ def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None,
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)
     (out, below), (_, outwards, downwards) = bend.middle, end.frame
-    return replace(edge, drop=depth * downwards, shapes=bend.shapes,
-                   arc=(out - place) * outwards + below * downwards, arc_std=bend.middle_std)
+    return replace(edge, drop=depth * downwards, shapes=bend.shapes, arc_std=bend.middle_std,
+                   arc_offset=(out - place) * outwards + below * downwards)
 
 
 def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, float]:

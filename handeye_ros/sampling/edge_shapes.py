@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from handeye_ros.data import Array, EdgePoint, Feature, Sample
-from handeye_ros.profiles.edge_rounding import reach, TRIED_RADII
+from handeye_ros.profiles.edge_rounding import TRIED_RADII, visible_extent
 import numpy as np
 
 SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
@@ -48,13 +48,13 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.ending != 'roof']
-    if len(ends) < 3 or np.median([end.bevel for end in ends]) <= SHARP_DEPTH:
+    if len(ends) < 3 or np.median([end.drop_depth for end in ends]) <= SHARP_DEPTH:
         return EdgeShape()
     log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NO_INFORMATION,
                       axis=0)
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
         return EdgeShape(*_radius(log_odds[:-1]))
-    depth = np.array([end.bevel for end in ends])
+    depth = np.array([end.drop_depth for end in ends])
     # deeper ends say more about the shape
     order = np.argsort(depth)
     share = np.cumsum(depth[order] ** 2)
@@ -104,10 +104,10 @@ def _from_arc(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
 
     The middle is measured, so the result is on the wall for any crossing angle of the laser.
     """
-    radius, back = shape.size, float(edge.arc @ edge.direction)
-    below = edge.arc - back * edge.direction
+    radius, back = shape.size, float(edge.arc_offset @ edge.direction)
+    below = edge.arc_offset - back * edge.direction
     depth = min(max(float(np.hypot(*below)), 1e-6), radius)
-    out = reach(radius, depth)
+    out = visible_extent(radius, depth)
     std = np.sqrt(edge.std ** 2 + edge.arc_std ** 2 + (OBLIQUE_STD * radius) ** 2)
     return replace(edge, point=edge.point + (back + radius - out) * edge.direction, drop=below,
                    std=float(std), shape_std=shape.relative_std * radius * (1 - depth / out))
@@ -119,9 +119,9 @@ def _from_end(edge: EdgePoint, shape: EdgeShape) -> EdgePoint:
 
     A bevel returns light as a whole or not at all; it is as wide as it is deep.
     """
-    size, depth = shape.size, min(max(edge.bevel, DEPTH_STD), shape.size)
+    size, depth = shape.size, min(max(edge.drop_depth, DEPTH_STD), shape.size)
     if shape.is_round:
-        out = reach(size, depth)
+        out = visible_extent(size, depth)
         by_depth, share = (size - depth) / out * DEPTH_STD, 1 - depth / out
     else:
         share = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))

@@ -58,7 +58,7 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
     profiles = decoded(stop.steady(config), config)
     if not profiles:
         raise _no_profiles(stop, config)
-    used, features = of_profiles(profiles, config)
+    used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
                   _flipped(used[0], config))
@@ -66,9 +66,9 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
 
 def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
-    found, reasons = _found(decoded(evenly(stop.profiles, MOST_OF_PASS), config), config)
+    found, reasons = _showing(decoded(evenly(stop.profiles, MOST_OF_PASS), config), config)
     if 2 * len(found) < MOST_OF_PASS < len(stop.profiles):
-        found, reasons = _found(decoded(evenly(stop.profiles, 2 * MOST_OF_PASS), config), config)
+        found, reasons = _showing(decoded(evenly(stop.profiles, 2 * MOST_OF_PASS), config), config)
     if not found:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in found])
@@ -111,8 +111,8 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
         return ()
 
 
-def _found(profiles: Sequence[Profile], config: Config
-           ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
+def _showing(profiles: Sequence[Profile], config: Config
+             ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
     """Return the profiles that show the target, with their features, and why others do not."""
     found, reasons = [], []
     for profile in profiles:
@@ -123,14 +123,14 @@ def _found(profiles: Sequence[Profile], config: Config
     return found, reasons
 
 
-def of_profiles(profiles: Sequence[Profile], config: Config
-                ) -> tuple[list[Profile], tuple[Feature, ...]]:
+def combined_features(profiles: Sequence[Profile], config: Config
+                      ) -> tuple[list[Profile], tuple[Feature, ...]]:
     """
     Return the profiles of a stop that show the target, and their combined features.
 
     Raises FeatureError when most do not show it, or do not agree.
     """
-    found, reasons = _found(profiles, config)
+    found, reasons = _showing(profiles, config)
     if not found or 2 * len(found) < len(profiles):
         raise FeatureError(Counter(reasons).most_common(1)[0][0])
     target = targets.target_for(config)
@@ -236,7 +236,7 @@ def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.b
     if 2 * bent.sum() <= good.sum():
         return np.empty(0), np.zeros(2), 0.0
     used = [edge for edge, chosen in zip(edges, bent, strict=True) if chosen]
-    middles = points[bent] + [edge.arc for edge in used]
+    middles = points[bent] + [edge.arc_offset for edge in used]
     times = min(len(used), MOST_INDEPENDENT)
     shapes = np.mean([edge.shapes for edge in used], axis=0) * times
     std = float(np.median([edge.arc_std for edge in used])) / times ** 0.5

@@ -148,7 +148,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
         found = fit_shape(shape, X, calibration.covariance, config, smooth)
         return (shape, found), found.residuals, found.by_unknowns, shape.stations.group_of_point
 
-    (shape, found), p, left_out = fit_without_outliers(np.unique(stations.group_of_point), fitted)
+    (shape, found), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, config, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
@@ -158,7 +158,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
                 'object was under the sensor, that it did not move, and that nothing else was in '
                 'view (verify.near)')
     quantities = (*found.quantities, *routine.scatter(shape.stations, found.distances))
-    per_station = _station_results(stations, shape.stations, found, p, left_out)
+    per_station = _station_results(stations, shape.stations, found, p, dropped)
     verdict, reasons = _decide(found, quantities, per_station, config.verify, smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
@@ -170,7 +170,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
 
 
 def _station_results(stations: StationSet, used: StationSet, found: Fit,
-                     p: Mapping[int, float], left_out: Sequence[int]) -> tuple[StationResult, ...]:
+                     p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
     """Return the results of all stops or passes of which points are used, or were left out."""
     results = []
     groups, bags = stations.group_of_pose, stations.bag_of_pose
@@ -179,7 +179,7 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
         before = groups[np.searchsorted(bags, bag)]  # the first one of its bag
         identity = bag + 1, int(group - before) + 1, int(stations.stamps[first])
         rows = np.flatnonzero(used.group_of_point == group)
-        if group in left_out:
+        if group in dropped:
             results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):

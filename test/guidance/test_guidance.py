@@ -246,7 +246,7 @@ def test_moves_tell_more_than_poses_at_random(target):
     def sigma(seed, operator):
         """Return how well points in view are known after the stations an answer needs + 1."""
         cell = BENCH.world(target, ROBOT, seed, BENCH.KNOWN)
-        for _ in range(targets.target_for(cell.config).minimum):
+        for _ in range(targets.target_for(cell.config).min_samples):
             BENCH.insist(cell, BENCH.advised(cell, None) if operator == 'advice'
                          else lambda: BENCH.anywhere(cell))
         solution = BENCH.solved(cell)

@@ -247,7 +247,7 @@ def test_a_wall_in_sight_gives_the_same_edge_whatever_the_corner(radius: float, 
         z = bent(radius, wall)
         edge = edge_of(np.column_stack([X, z + np.random.default_rng(seed).normal(
             0, NOISE, COLUMNS)]))
-        assert edge.ending == 'roof' and edge.bevel == 0
+        assert edge.ending == 'roof' and edge.drop_depth == 0
         errors.append((edge.point - [0, 0.17]) @ edge.direction)
         assert abs(errors[-1]) < 4 * edge.std
     assert abs(np.mean(errors)) < 0.6 * PITCH
