@@ -85,8 +85,8 @@ class Explanation:
 
     @property
     def believable(self) -> bool:
-        """Return whether the stops agree, in no part by chance."""
-        return self.agrees and min(p.redundancy for p in self.parts) >= FEWEST_CONDITIONS
+        """Return whether the stops agree, and not by chance."""
+        return self.agrees and self.redundancy >= FEWEST_CONDITIONS
 
     @property
     def fitting(self) -> int:
