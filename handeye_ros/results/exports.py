@@ -284,11 +284,9 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     """
     calibration = calibration_file.dated(calibration)
     forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
-    folder = folder.expanduser().absolute()
-    earlier = {file.name for form in FORMATS.values()
-               for file in folder.glob(form.file.format(name='*'))}
+    own_names = {form.file_name(calibration) for form in FORMATS.values()} | {REPORT_FILE}
     return write({form.file_name(calibration): form.text(calibration) for form in forms},
-                 folder, earlier | {REPORT_FILE})
+                 folder.expanduser().absolute(), own_names)
 
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:
