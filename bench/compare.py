@@ -181,8 +181,9 @@ def main() -> None:
     for title in titles:
         cells = {seed: next(found) for seed in seeds}
         rows = [row for row in cells.values() if row]
-        trials.print_table(f'{title}, {len(rows)} trials', {
-            name: np.array([row[name] for row in rows]) for name in rows[0]})
+        if rows:
+            trials.print_table(f'{title}, {len(rows)} trials', {
+                name: np.array([row[name] for row in rows]) for name in rows[0]})
         if refused := [seed for seed, row in cells.items() if not row]:
             print('refused, seeds:', *refused)
 
