@@ -51,7 +51,7 @@ from handeye_ros.estimation.search import (
     without_outliers,
 )
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mounted
+from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise, turn_and_tilt
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes, learn_view, mapped_points, View
@@ -377,7 +377,7 @@ def solved(cell: World) -> Solution | None:
     target, samples = targets.target_for(cell.config), with_common_shape(cell.samples)
     if len(samples) < target.min_samples:
         return None
-    problem = Problem(target, mounted(samples, cell.config), target.observe(samples),
+    problem = Problem(target, mount_poses_of(samples, cell.config), target.observe(samples),
                       cell.config)
     try:
         agreed = (without_outliers(refined_robustly(problem, cell.last.estimate)) if cell.last else

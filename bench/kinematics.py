@@ -24,7 +24,7 @@ from handeye_ros.arm import Arm, arm_of, ERROR_KINDS, GEOMETRY
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import adjusted, ArmFit
 from handeye_ros.robot.points import arm_problem_of, PointRows
 from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
@@ -225,7 +225,7 @@ def shown(name: str, rng: np.random.Generator, share: int, other: cells.Cell | N
     samples = [Sample(k, pose, found, 30)
                for k, (pose, found) in enumerate(zip(T, features, strict=True))]
     method, q = target_for(config), robot.inverse(T)
-    poses = in_mount(arm_of(robot.urdf()).forward(q), config)
+    poses = mount_poses(arm_of(robot.urdf()).forward(q), config)
     problem = Problem(method, poses, method.observe(samples), config)
     return cell, Source(Session(config), samples, problem, q)
 

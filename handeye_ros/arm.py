@@ -183,12 +183,12 @@ class Arm:
             pinocchio.forwardKinematics(model, data, row)
             by_placements[k] = pinocchio.computeFrameKinematicRegressor(
                 model, data, model.nframes - 1, pinocchio.LOCAL_WORLD_ALIGNED)
-        by_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
-        for own, joint, D in zip(by_errors, self.joints, self.displacements, strict=True):
+        wrt_errors = np.zeros((len(self.joints), 6, 5))  # of the placements, in their own axes
+        for own, joint, D in zip(wrt_errors, self.joints, self.displacements, strict=True):
             own[:, 0] = joint.twist
             own[3:, 1:3] = own[:3, 3:] = D[:3, :3].T @ joint.across
         by_joints = by_placements.reshape(len(q), 6, -1, 6)
-        return np.asarray(np.einsum('ntjs,jse->ntje', by_joints, by_errors))
+        return np.asarray(np.einsum('ntjs,jse->ntje', by_joints, wrt_errors))
 
     def joints_near(self, T_base_flange: Array) -> Array:
         """
@@ -223,8 +223,8 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
                          'certainty of the transform is unknown: write it again, with "handeye '
                          'kinematics"')
     twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
-    by_arm = whitening(solution.linear, solution.noise)(solution.linear.by_twists(twists))
-    G = solution.covariance[:6] @ solution.jacobian.T @ by_arm
+    wrt_arm = whitening(solution.linear, solution.noise)(solution.linear.wrt_twists(twists))
+    G = solution.covariance[:6] @ solution.jacobian.T @ wrt_arm
     return replace(solution, added_covariances={
         **solution.added_covariances, CORRECTED_ARM: G @ arm.covariance @ G.T})
 

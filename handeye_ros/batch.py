@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__, trend
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.output import csv_text, page, write_whole
+from handeye_ros.output import csv_text, page, write_atomically
 from handeye_ros.results.calibration_file import content_of
 from handeye_ros.tables import Table
 
@@ -249,14 +249,14 @@ def run(job: Job, out: Path, verb: Verb) -> Row:
     except Exception as error:  # noqa: BLE001 - costs this job alone
         code = CRASH_EXIT_CODE
         errors.write(f'error: {type(error).__name__}: {error}')
-    write_whole(unfinished / 'output.txt', printed.getvalue() + errors.getvalue())
+    write_atomically(unfinished / 'output.txt', printed.getvalue() + errors.getvalue())
     lines = errors.getvalue().splitlines()
     cause = next((line for line in lines if line.startswith('error:')), '')
     row = {'label': job.label, 'bag': job.bag, 'verb': job.verb, 'exit_code': code,
            'cause': cause.removeprefix('error: '),
            'warnings': sum(line.startswith('warning:') for line in lines),
            'seconds': round(time.perf_counter() - start, 3), **_figures_in(unfinished)}
-    write_whole(unfinished / JOB_FILE, json.dumps({'state': state, 'row': row}, indent=1))
+    write_atomically(unfinished / JOB_FILE, json.dumps({'state': state, 'row': row}, indent=1))
     shutil.rmtree(folder, ignore_errors=True)
     unfinished.replace(folder)
     return {**row, 'computed': True}
@@ -300,15 +300,15 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
     """Write results.csv and report.html; raises UnwritableError."""
     rows = sorted(rows, key=lambda row: row['label'])
     names = list(dict.fromkeys(name for row in rows for name in row))
-    write_whole(out / 'results.csv',
-                csv_text(names, ([row.get(name) for name in names] for row in rows)))
+    write_atomically(out / 'results.csv',
+                     csv_text(names, ([row.get(name) for name in names] for row in rows)))
     worst_first = sorted(rows, key=lambda row: (
         -row['exit_code'], -(row.get('residual_rms') or row.get('rms') or 0.0)))
     causes: dict[str, list[Row]] = {}
     for row in worst_first:
         if row.get('cause'):  # the same sentence with other numbers is the same cause
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
-    write_whole(out / 'report.html', page(
+    write_atomically(out / 'report.html', page(
         'batch.html', rows=worst_first, cells=cells_of(rows, out), result=outcome_of,
         figures=[figure for figure in RESULT_FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],

@@ -273,7 +273,7 @@ class Comparison:
 
 def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config,
             T_true: Array | None = None, folds: int = FOLD_COUNT,
-            progress: Progress = lambda doing: None, session: Session | None = None
+            progress: Progress = lambda text: None, session: Session | None = None
             ) -> Comparison:
     """
     Return the rows of all estimators for the target, from samples in any order.
@@ -300,7 +300,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
 
 
 def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLD_COUNT,
-                  progress: Progress = lambda doing: None) -> Comparison:
+                  progress: Progress = lambda text: None) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
     values, refusal = given.values, None
     progress(values.name)

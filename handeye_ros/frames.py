@@ -23,17 +23,17 @@ def target_frame(config: Config) -> str:
     return config.base_frame if in_hand else config.robot_effector_frame
 
 
-def mounted(samples: Sequence[Sample], config: Config) -> Array:
+def mount_poses_of(samples: Sequence[Sample], config: Config) -> Array:
     """
     Return the poses (n, 4, 4) of the mount of the sensor in the frame where the target is fixed.
 
     That is T_base_flange with eye_in_hand, and T_flange_base with eye_on_base.
     """
-    return in_mount(np.array([s.T_base_flange for s in samples]).reshape(-1, 4, 4), config)
+    return mount_poses(np.array([s.T_base_flange for s in samples]).reshape(-1, 4, 4), config)
 
 
-def in_mount(T_base_flange: Array, config: Config) -> Array:
-    """Return the poses (..., 4, 4) as in mounted, from T_base_flange (..., 4, 4)."""
+def mount_poses(T_base_flange: Array, config: Config) -> Array:
+    """Return the poses (..., 4, 4) as in mount_poses_of, from T_base_flange (..., 4, 4)."""
     return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
         T_base_flange)
 

@@ -85,7 +85,7 @@ RPY = Notation('roll, pitch, yaw of URDF', ('roll', 'pitch', 'yaw'), 'rad', 'm',
                partial(Rotation.as_euler, seq='xyz'), partial(Rotation.from_euler, 'xyz'))
 
 
-def of(name: str) -> Notation:
+def notation_of(name: str) -> Notation:
     """Return the notation of a name, or of a vendor alone; raises UnknownNameError."""
     full = [known for known in NOTATIONS if name in (known, known.split('-')[0])]
     if not full:

@@ -51,14 +51,14 @@ def yaml_text(content: Mapping[str, Any]) -> str:
                               allow_unicode=True))
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str) -> None:
     """Write a file under another name and rename it; raises UnwritableError."""
-    with replaced(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(text, encoding='utf-8')
 
 
 @contextmanager
-def writing(path: object) -> Iterator[None]:
+def write_errors_for(path: object) -> Iterator[None]:
     """Raise UnwritableError, which names the path, for an OSError within the block."""
     try:
         yield
@@ -67,10 +67,10 @@ def writing(path: object) -> Iterator[None]:
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """Give a temporary file that replaces another when the block ends without an error."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
-    with writing(path):
+    with write_errors_for(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield temporary

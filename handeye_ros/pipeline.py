@@ -52,7 +52,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.search import robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_frame, mounted
+from handeye_ros.frames import mount_frame, mount_poses_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import passes_expanded, problem_of, synchronised
@@ -167,7 +167,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 2. Refuse what no solver can answer: the sensor's frame, too few samples, no rotation.
         require_distinct_frame(frame_id, config)
         require_samples(ordered, rejects, target)
-        require_rotations(mounted(ordered, config), mount_frame(config), target.one_axis)
+        require_rotations(mount_poses_of(ordered, config), mount_frame(config), target.one_axis)
         # 3. Of a sweep, find the offset between the clocks: it gives each profile its pose.
         synced = synchronised(ordered, config)
         ordered, rejects = synced.samples, [*rejects, *synced.rejects]

@@ -23,7 +23,7 @@ from handeye_ros.errors import UnusableMessageError
 from handeye_ros.estimation.problem import Problem, UNUSED
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import in_mount, mounted
+from handeye_ros.frames import mount_poses, mount_poses_of
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of, input_values
 from handeye_ros.results.report import SolvedRecording
@@ -139,7 +139,7 @@ def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     profile = min(stop.profiles, key=lambda p: abs(p.stamp - stamp), default=None)
     with suppress(UnusableMessageError):
         points = profile.read(config.profile).points if profile else points
-    return StopSnapshot(stop.number, stamp, in_mount(T, config), points,
+    return StopSnapshot(stop.number, stamp, mount_poses(T, config), points,
                         sample.features if sample else (), getattr(stop.result, 'reason', ''),
                         sample_stamps=tuple(s.stamp for s in sample.parts) if sample else (stamp,))
 
@@ -227,7 +227,7 @@ def _crossing(sample: Sample, points: Array, solution: Solution, name: str, conf
               ) -> tuple[float, float]:
     """Return distance to an edge (m) and crossing angle (rad) of the nearest of points (n, 2)."""
     target, estimate = solution.problem.target, solution.estimate
-    pose = mounted([sample], config)[0] @ estimate.X
+    pose = mount_poses_of([sample], config)[0] @ estimate.X
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
     found = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)

@@ -112,7 +112,7 @@ class Table:
         """
         notation, length = orientations.QUATERNION, None
         if angles:
-            notation = orientations.of(angles)
+            notation = orientations.notation_of(angles)
             length = notation.length
         elif self.has([f'{prefix}_{label}' for label in orientations.RPY.labels]):
             notation = orientations.RPY

@@ -11,7 +11,7 @@ SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?\d*\.?\d+(?:e[-+]?\d+)?) *([a-z]+)')
 
 
-def assigned(text: str) -> str:
+def assignment_in_si(text: str) -> str:
     """Return key=value with the numbers of its value that have a unit, as 20mm, in SI units."""
     from handeye_ros.config import parameters
     key, equals, value = text.partition('=')
@@ -24,13 +24,13 @@ def assigned(text: str) -> str:
     return f'{key}{equals}{WITH_UNIT.sub(in_si, value)}'
 
 
-def limits(texts: Iterable[str], option: str, usual: float) -> list[float]:
-    """Return limits in metres, see length; inf and -inf mean no limit."""
-    return [float(text) if text in ('inf', '-inf') else length(text, option, usual)
+def parse_limits(texts: Iterable[str], option: str, usual: float) -> list[float]:
+    """Return limits in metres, see parse_length; inf and -inf mean no limit."""
+    return [float(text) if text in ('inf', '-inf') else parse_length(text, option, usual)
             for text in texts]
 
 
-def length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
+def parse_length(text: str, option: str, usual: float, least: float = -math.inf) -> float:
     """
     Return a length in metres; raises BadValueError.
 

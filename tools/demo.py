@@ -25,7 +25,7 @@ from handeye_ros.bags.reader import Reader
 from handeye_ros.data import Calibration
 from handeye_ros.errors import DataError, InputError, UnwritableError
 from handeye_ros.node.main import exit_code, ros
-from handeye_ros.output import write_whole
+from handeye_ros.output import write_atomically
 from handeye_ros.results import calibration_file, exports, report, table
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.review import solved_recording
@@ -60,7 +60,7 @@ def demo(bag: Path, config: Path, out: Path, rate: float) -> None:
     if T_true is not None:
         print(table.error_sentence(errors_against(calibration.T_flange_sensor, T_true)))
     report_file = out / exports.REPORT_FILE
-    write_whole(report_file, report.html(calibration, solved_recording(calibration, bag)))
+    write_atomically(report_file, report.html(calibration, solved_recording(calibration, bag)))
     print(f'{written}\nwrote {report_file}: open it in a browser')
 
 

@@ -24,7 +24,7 @@ from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYP
 from handeye_ros.config import Config
 from handeye_ros.data import Array, NS, Profile, TimedPose
 from handeye_ros.errors import InputError
-from handeye_ros.output import write_whole, writing
+from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results import truth_file
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -161,8 +161,8 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
         'files': [{'path': file.name, **part.span}
                   for file, part in zip(files, parts, strict=True)],
         'custom_data': None}
-    write_whole(folder / METADATA, json.dumps({'rosbag2_bagfile_information': information},
-                                              indent=1))
+    write_atomically(folder / METADATA, json.dumps({'rosbag2_bagfile_information': information},
+                                                   indent=1))
     sync(folder)
 
 
@@ -267,7 +267,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
     InputError if the path exists or is the current folder, UnwritableError if it is not writable.
     """
     path = path.resolve()
-    with writing(path):
+    with write_errors_for(path):
         _check_free(path, force)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix='.', suffix='.tmp', dir=path.parent) as folder:

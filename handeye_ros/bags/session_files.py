@@ -51,7 +51,7 @@ from handeye_ros.bags.reader import (
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
 from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
-from handeye_ros.output import folder_name, replaced, writing
+from handeye_ros.output import atomic_file, folder_name, write_errors_for
 from handeye_ros.results.calibration_file import NEWEST, require_format
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
@@ -98,7 +98,7 @@ class OutputFolders:
         """Return the folder of the name, for results; raises InputError if another node has it."""
         folder = self.folder(config)
         if folder not in self._own:
-            with writing(folder):
+            with write_errors_for(folder):
                 folder.mkdir(parents=True, exist_ok=True)
                 self._own[folder] = _claimed(
                     folder, f'another running node saves its results in {folder}: set name or '
@@ -157,7 +157,7 @@ class SessionFiles:
         self.path = stored.path if stored else None
         self._lock: int | None = None
         if stored:
-            with writing(stored.path):
+            with write_errors_for(stored.path):
                 self._lock = _claimed(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
@@ -189,17 +189,18 @@ class SessionFiles:
         sample, with its number; CONFIGURED, for new settings. Raises UnwritableError.
         """
         if self.path is None:
-            with writing(f'a folder of the session in {self._parent(config)} (output_dir)'):
+            where = f'a folder of the session in {self._parent(config)} (output_dir)'
+            with write_errors_for(where):
                 self.path, self._lock = self._begun(config)
         folder = self.path
-        with writing(folder):
+        with write_errors_for(folder):
             if not folder.is_dir():
                 raise FileNotFoundError('its folder is gone (unmounted or removed?); bring it '
                                         'back, or call ~/clear_samples for a new session')
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
             types, messages = _messages(kind, config, stop, joints)
-            with replaced(file) as temporary, temporary.open('wb') as stream:
+            with atomic_file(file) as temporary, temporary.open('wb') as stream:
                 write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
                 stream.flush()
                 os.fsync(stream.fileno())

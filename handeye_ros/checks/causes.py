@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import orientations_scatter, require_convention
 from handeye_ros.checks.hypotheses import Explanation, refuse_better
-from handeye_ros.checks.measures import other_scale
-from handeye_ros.checks.moved import moved_between
+from handeye_ros.checks.measures import scale_hypotheses
+from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,
     missing_motion,
@@ -58,14 +58,14 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     if refusal and turning(problem.poses)[0][1] < FEW_TURNS:
         require_certain(solution.reported_covariance, problem.config,
                         missing_motion(solution, problem.config))
-    scales = other_scale(solution)
+    scales = scale_hypotheses(solution)
     try:
         refuse_better(stated, scales)
     except DataError:  # a move may look like a scale: it must explain more than that
-        refuse_better(scales[0].refit(), moved_between(problem))
+        refuse_better(scales[0].refit(), move_hypotheses(problem))
         raise
     if refusal:
-        refuse_better(stated, moved_between(problem))
+        refuse_better(stated, move_hypotheses(problem))
         raise refusal
 
 

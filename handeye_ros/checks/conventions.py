@@ -23,7 +23,7 @@ from handeye_ros.checks.hypotheses import (
 from handeye_ros.data import Array, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.sampling.stops import evenly_chosen
 from handeye_ros.sampling.sweep import FEWER_SAMPLES
 import numpy as np
@@ -48,7 +48,7 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
 
     def refit(T: Array) -> Explanation:
         if trajectory is None:
-            return problem_explanation(replace(problem, poses=in_mount(T, problem.config)))
+            return problem_explanation(replace(problem, poses=mount_poses(T, problem.config)))
         moved = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
         return explanation_of([replace(sample, trajectory=moved) for sample in samples],
                               problem.config)

@@ -13,7 +13,7 @@ from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.notes import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
 import numpy as np
 
@@ -75,7 +75,7 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     problem, whiten = solution.problem, whitening(solution.linear, solution.noise)
     positions = problem.robot_poses[:, :3, 3]
     moved = (positions - positions.mean(axis=0))[problem.observations.station]
-    by_scale = (solution.linear.by_pose[:, :3] * moved).sum(axis=1)
+    by_scale = (solution.linear.wrt_pose[:, :3] * moved).sum(axis=1)
     measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
     J = np.column_stack([whiten(np.column_stack([by_scale, measures])), solution.jacobian])
     covariance = covariance_of(J)
@@ -83,7 +83,7 @@ def scale_error(solution: Solution) -> tuple[float, float]:
     return float(scale), float(covariance[0, 0]) ** 0.5
 
 
-def other_scale(agreed: Solution) -> list[Hypothesis]:
+def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
     """Return the hypothesis that a small error of scale is most of the residuals, if it may be."""
     scale, std = scale_error(agreed)
     if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
@@ -92,7 +92,7 @@ def other_scale(agreed: Solution) -> list[Hypothesis]:
     T[:, :3, 3] /= 1 + scale
 
     def refit() -> Explanation:
-        fit = problem_explanation(replace(problem, poses=in_mount(T, problem.config)))
+        fit = problem_explanation(replace(problem, poses=mount_poses(T, problem.config)))
         most = fit.variance_factor < 0.5 * agreed.variance_factor
         return fit if most else Explanation.nothing(len(T))
     return [Hypothesis(refit, lambda fit: _scales_differ(

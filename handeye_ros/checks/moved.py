@@ -38,6 +38,7 @@ from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
 from numpy.typing import NDArray
 
+SENSOR, TARGET = range(2)  # a body that moves: the first index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOST_CHANGES = 40  # possible moments of a small move
 STEP_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
@@ -48,16 +49,16 @@ LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
 
-def moved_between(problem: Problem) -> list[Hypothesis]:
+def move_hypotheses(problem: Problem) -> list[Hypothesis]:
     """Return the hypotheses that something moved between two parts of a recording."""
     n, fewest = len(problem.poses), problem.target.min_samples
     if n < 2 * fewest:
         return []
     stations = np.unique(np.linspace(fewest, n - fewest, 15).round().astype(int))
-    return [_parted(problem, k) for k in stations.tolist()]
+    return [_move_before(problem, k) for k in stations.tolist()]
 
 
-def _parted(problem: Problem, k: int) -> Hypothesis:
+def _move_before(problem: Problem, k: int) -> Hypothesis:
     """Return the hypothesis that something moved before station k."""
     n = len(problem.poses)
 
@@ -102,10 +103,10 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     first = _MoveSums.of(conservative, moments).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
-    kind, k, moved = _likeliest(agreed, moments, first)
+    body, k, moved = _likeliest(agreed, moments, first)
     unmoved = reestimated(conservative)
     evidence = unmoved.deviance - moved.deviance
-    shift, turn, size = _size(moved, kind)
+    shift, turn, size = _size(moved, body)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
     least = LEAST_MOVE_SIGMAS * smooth  # a smaller move may be part of the robot's smooth error
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
@@ -115,7 +116,8 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     p_value = _steps_at(agreed, moved, moments).p_value
     if p_value >= WARNING_P:
         return agreed, ''
-    what, frame = (('sensor', mount_frame(config)), ('target', target_frame(config)))[kind]
+    what, frame = (('sensor', mount_frame(config)) if body == SENSOR
+                   else ('target', target_frame(config)))
     sentence = (
         f'after the first {agreed.used[moments[k]]} of {len(agreed.full_problem.poses)} samples '
         f'the {what} seems to have moved in {frame} by about {mm(shift)} and {degrees(turn)}, or '
@@ -133,19 +135,19 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
 def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
                ) -> tuple[int, int, Solution]:
     """
-    Return what moved, see _blocks, before which of the moments, and the solution with that move.
+    Return the body that moved, before which of the moments, and the solution with that move.
 
     first: (2, k) gains of moves with the noise as it is without one.
     """
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
-    for kind, gains in enumerate(first):
-        while (one := (kind, int(np.argmax(gains)))) not in tried:
-            further = _blocks(conservative, kind, int(moments[one[1]]))
+    for body, gains in zip((SENSOR, TARGET), first, strict=True):
+        while (one := (body, int(np.argmax(gains)))) not in tried:
+            further = _blocks_of_move(conservative, body, int(moments[one[1]]))
             tried[one] = reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _steps_at(agreed, tried[one], moments).gains()[kind]
-    (kind, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
-    return kind, k, moved
+            gains = _steps_at(agreed, tried[one], moments).gains()[body]
+    (body, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
+    return body, k, moved
 
 
 def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _MoveSums:
@@ -153,32 +155,32 @@ def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _
     return _MoveSums.of(solution_at(agreed.problem, agreed.estimate, moved.noise), moments)
 
 
-def _size(moved: Solution, kind: int) -> tuple[float, float, float]:
+def _size(moved: Solution, body: int) -> tuple[float, float, float]:
     """Return shift (m), turn (rad) of the move in a solution, and that of the points seen (m)."""
     step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
-    seen = step[:3] + np.cross(step[3:], _arms(moved)[kind])
+    seen = step[:3] + np.cross(step[3:], _arms(moved)[body])
     return (float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])),
             rms(np.linalg.norm(seen, axis=1)))
 
 
-def _blocks(solution: Solution, kind: int, station: int) -> tuple[ParameterBlock, ...]:
+def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[ParameterBlock, ...]:
     """
     Return two blocks of nuisance parameters: translation (m) and rotation vector of a move.
 
-    kind: 0 of the sensor, in the mount, 1 of the target, in the base; station: the first after it.
+    body: SENSOR, in the mount, or TARGET, in the base; station: the first after the move.
     """
-    columns = np.hsplit(_by_steps(solution), 2)[kind]
+    columns = np.hsplit(_wrt_steps(solution), 2)[body]
     columns[solution.problem.observations.station < station] = 0.0
     return tuple(ParameterBlock(name, columns[:, part], float(STEP_STD[part][0]),
                                 largest_variance=1.0)
                  for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
-def _by_steps(solution: Solution) -> Array:
+def _wrt_steps(solution: Solution) -> Array:
     """Return the derivatives (m, 12) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
-    about = se3.cross(_arms(solution)[1], linear.by_base)
-    steps = np.hstack([linear.jacobian[:, :6], linear.by_base, about])
+    about = se3.cross(_arms(solution)[TARGET], linear.wrt_base)
+    steps = np.hstack([linear.jacobian[:, :6], linear.wrt_base, about])
     return np.asarray(steps * np.tile(STEP_STD, 2))
 
 
@@ -208,7 +210,7 @@ class _MoveSums:
     def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _MoveSums:
         """Return the sums at a solution."""
         whiten = whitening(solution.linear, solution.noise)
-        D, J = whiten(_by_steps(solution)), solution.jacobian
+        D, J = whiten(_wrt_steps(solution)), solution.jacobian
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, moments))
         scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5

@@ -17,7 +17,7 @@ from handeye_ros.checks.settings import changed, thinned
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
@@ -63,7 +63,7 @@ def require_one_surface(session: Session, config: Config) -> None:
     estimate, seen = fit.parts[0].estimate, np.isfinite(fit.q[0])
     T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
-        _height(stop.sample, T_plane_mount @ in_mount(stop.sample.T_base_flange, config)
+        _height(stop.sample, T_plane_mount @ mount_poses(stop.sample.T_base_flange, config)
                 @ estimate.X) for stop in taken if stop.sample])
     beside = np.abs(heights) > SMALLEST_DISTANCE
     if (beside & seen).sum() < FEWEST_STOPS:

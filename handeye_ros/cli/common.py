@@ -56,7 +56,7 @@ INTERRUPTED_EXIT_CODE = 130
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class OpenedInput:
     """
     The input of a verb, and the settings it is read with.
 
@@ -71,22 +71,22 @@ class Opened:
     table: 'TableInput | None' = None
 
 
-def opened(path: Path, config: Path | None, assignments: list[str], angles: str = '',
-           kinematics: Path | None = None) -> Opened:
+def open_input(path: Path, config: Path | None, assignments: list[str], angles: str = '',
+               kinematics: Path | None = None) -> OpenedInput:
     """Return what a bag, a session's folder or a table holds; print warnings about it."""
     stored = stored_session(path)
     settings = configuration(config, assignments, stored.config if stored else None, angles,
                              kinematics)
     from handeye_ros import tabulated
     if is_table(path) or tabulated.is_solved_from_files(settings):
-        with doing('reading the files'):
+        with progress_bar('reading the files'):
             table = tabulated.read(path, settings)
         warn(*table.warnings)
-        return Opened(settings, table.inputs, table=table)
+        return OpenedInput(settings, table.inputs, table=table)
     if stored:
-        return Opened(settings, [{'path': str(path.absolute())}], stored.session(settings))
+        return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings))
     recording = read_bag(path, settings)
-    return Opened(settings, list(recording.inputs), gathered(recording, settings))
+    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings))
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
@@ -97,9 +97,9 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     angles: the notation of a table of poses; kinematics: a kinematics.yaml, with its frames.
     """
     from handeye_ros.config import Config, load, with_assignments
-    from handeye_ros.units import assigned
+    from handeye_ros.units import assignment_in_si
     base = base or Config()
-    given = [assigned(text) for text in assignments]
+    given = [assignment_in_si(text) for text in assignments]
     if angles:
         given.append(f'target.angles={angles}')
     if kinematics:
@@ -133,16 +133,16 @@ def is_table(path: Path) -> bool:
 
 def read_bag(bag: Path, settings: 'Config', arm: 'Arm | None' = None) -> 'Recording':
     """Return the contents of a bag, the poses those of an arm if given; print its warnings."""
-    with doing('reading the recording') as progress:
+    with progress_bar('reading the recording') as progress:
         from handeye_ros.bags.bag import read
         recording = read(bag, settings, progress, arm)
     warn(*recording.warnings)
     return recording
 
 
-def gathered(recording: 'Recording', settings: 'Config') -> 'Session':
+def collect_samples(recording: 'Recording', settings: 'Config') -> 'Session':
     """Return the samples of a recording."""
-    with doing('finding the samples'):
+    with progress_bar('finding the samples'):
         from handeye_ros import pipeline
         return pipeline.gather(recording.profiles, recording.poses, settings)
 
@@ -155,12 +155,12 @@ def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
 
 
 @contextmanager
-def flowing(bag: Path, settings: 'Config', task: str, calibration: 'Calibration'
-            ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
+def stream_recording(bag: Path, settings: 'Config', task: str, calibration: 'Calibration'
+                     ) -> 'Iterator[tuple[Recording, Trajectory, Callable[[str], None]]]':
     """Give a recording profile by profile, its poses, and a function that changes the task."""
     from handeye_ros.bags.bag import read
     from handeye_ros.sampling.trajectory import trajectory_of
-    with doing(task) as update:
+    with progress_bar(task) as update:
         # what uses the profiles adds the offset itself
         recording = read(bag, replace(settings, time_offset=0.0))
         warn_of_frame(recording, calibration)
@@ -175,7 +175,7 @@ def warn(*warnings: str) -> None:
 
 
 @contextmanager
-def doing(task: str) -> Iterator[Callable[[str | float], None]]:
+def progress_bar(task: str) -> Iterator[Callable[[str | float], None]]:
     """Show a task on a terminal; gives a function of its name, or of the fraction that is done."""
     if not sys.stderr.isatty():
         yield lambda now: None

@@ -10,16 +10,16 @@ from handeye_ros.cli.common import (
     Assignments,
     calibrated,
     CalibrationFile,
-    doing,
+    collect_samples,
     File,
-    flowing,
-    gathered,
     KinematicsFile,
     MeasureConfig,
     NoPath,
     OutFile,
+    progress_bar,
     read_bag,
     show,
+    stream_recording,
     warn,
     warn_of_frame,
 )
@@ -61,7 +61,7 @@ def verify(
     --set verify.lengths=[200mm] --set verify.tolerance=0.3mm; docs/measure.md tells which of them
     a routine needs.
     """
-    from handeye_ros.output import html_file, write_whole, yaml_text
+    from handeye_ros.output import html_file, write_atomically, yaml_text
     from handeye_ros.results import verification_file
     from handeye_ros.verification import verify as verification
     from handeye_ros.verification.routines import routine_of, settings_for
@@ -82,11 +82,11 @@ def verify(
     content = verification.plain_values(result)
     show(verification_file.table(content))
     if out:
-        write_whole(out, yaml_text(content))
+        write_atomically(out, yaml_text(content))
     if stations:
-        write_whole(stations, verification_file.stations_csv(content))
+        write_atomically(stations, verification_file.stations_csv(content))
     if protocol:
-        write_whole(protocol, verification_file.protocol(content))
+        write_atomically(protocol, verification_file.protocol(content))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):
         typer.echo(sentence)
     if result.verdict != 'pass':
@@ -97,8 +97,9 @@ def _passes(bags: list[Path], calibration: 'Calibration', config: 'Config'
             ) -> 'Iterator[tuple[Sequence[Profile], Trajectory]]':
     """Yield the profiles and poses of each recording."""
     for bag in bags:
-        with flowing(bag, config, 'reading the recording', calibration) as (source, track, _):
-            yield list(source.returns()), track
+        with stream_recording(bag, config, 'reading the recording', calibration) as opened:
+            recording, trajectory, _ = opened
+            yield list(recording.returns()), trajectory
 
 
 def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
@@ -106,7 +107,7 @@ def _stops(bag: Path, calibration: 'Calibration', config: 'Config'
     """Return what the stops of a recording give."""
     recording = read_bag(bag, config)
     warn_of_frame(recording, calibration)
-    session = gathered(recording, config)
+    session = collect_samples(recording, config)
     _warn_of_own(bag, [sample.stamp for sample in session.samples], calibration)
     return session.samples, session.rejects
 
@@ -133,7 +134,7 @@ def check(
 
     The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
-    from handeye_ros.output import write_whole
+    from handeye_ros.output import write_atomically
     from handeye_ros.verification.check import check_recording, plain_values
     import yaml
     calibration, settings = calibrated(against, config, assignments, kinematics)
@@ -141,7 +142,7 @@ def check(
     for bag in bags:
         recording = read_bag(bag, settings)
         warn_of_frame(recording, calibration)
-        with doing('comparing'):
+        with progress_bar('comparing'):
             result = check_recording(recording.profiles, recording.poses, calibration, settings)
         _warn_of_own(bag, [result.stamp], calibration)
         checks.append((str(bag), result))
@@ -151,7 +152,7 @@ def check(
     if changed and len(checks) > 1:
         typer.echo(f'since {changed[0]}')
     if out:
-        write_whole(out, yaml.safe_dump(plain_values(checks, str(against)), sort_keys=False))
+        write_atomically(out, yaml.safe_dump(plain_values(checks, str(against)), sort_keys=False))
     if changed:
         raise typer.Exit(NOT_AS_WANTED)
 
@@ -167,14 +168,14 @@ def trend(
 ) -> None:
     """Show the trend of the calibrations below a folder."""
     from handeye_ros import trend as trends
-    from handeye_ros.output import write_whole
+    from handeye_ros.output import write_atomically
     from handeye_ros.results.calibration_file import read_calibration
     entries, warnings = trends.trend(folder, read_calibration(against) if against else None)
     warn(*warnings)
     show(trends.table(entries))
     typer.echo(trends.since_when(entries))
     if csv:
-        write_whole(csv, trends.csv_text(entries))
+        write_atomically(csv, trends.csv_text(entries))
         typer.echo(f'wrote {csv.absolute()}')
     if picture:
         trends.draw(entries, picture)

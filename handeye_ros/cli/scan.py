@@ -11,15 +11,15 @@ from handeye_ros.cli.common import (
     Bag,
     calibrated,
     CalibrationFile,
-    doing,
     File,
-    flowing,
     Folder,
     KinematicsFile,
     Length,
     MeasureConfig,
     NoPath,
     one_of,
+    progress_bar,
+    stream_recording,
 )
 import typer
 
@@ -60,7 +60,7 @@ def scan(
     answer, settings = calibrated(calibration, config, assignments, kinematics)
     scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
-    with flowing(bag, settings, 'reading the poses', answer) as (source, track, update):
+    with stream_recording(bag, settings, 'reading the poses', answer) as (source, track, update):
         def pieces() -> 'Iterator[Points]':
             for points in scanner.scan(source.returns(), track):
                 yield points
@@ -109,13 +109,14 @@ def seam(
     from handeye_ros import units
     from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
     import numpy as np
-    low, high = np.reshape(units.limits(box, '--box', LARGEST_PLAIN), (3, 2)).T
-    gap = units.length(widest, '--widest', 0.1, 1e-4)
-    spacing = units.length(pitch, '--pitch', 0.1, 1e-5)
-    begin = [units.length(text, '--start', LARGEST_PLAIN) for text in start] if start[0] else None
+    low, high = np.reshape(units.parse_limits(box, '--box', LARGEST_PLAIN), (3, 2)).T
+    gap = units.parse_length(widest, '--widest', 0.1, 1e-4)
+    spacing = units.parse_length(pitch, '--pitch', 0.1, 1e-5)
+    begin = ([units.parse_length(text, '--start', LARGEST_PLAIN) for text in start] if start[0]
+             else None)
     points, frame = _cloud(path, calibration, config, assignments)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
-    with doing('looking for the seam'):
+    with progress_bar('looking for the seam'):
         result = find_seam(points, gap, towards, line, begin)
         frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
     write(out, result, frames, frame)
@@ -143,6 +144,6 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
                          'calibration of its sensor: --calibration FILE')
     answer, settings = calibrated(calibration, config, assignments)
     scanner = Scanner(answer, settings, ScanOptions(voxel=THINNING_SIZE))
-    with flowing(path, settings, 'scanning', answer) as (source, track, _):
+    with stream_recording(path, settings, 'scanning', answer) as (source, track, _):
         rows = np.concatenate(list(scanner.scan(source.returns(), track)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

@@ -14,14 +14,14 @@ from handeye_ros.cli.common import (
     Assignments,
     ConfigFile,
     configuration,
-    doing,
     File,
     Folder,
     Input,
     KinematicsFile,
     NoPath,
-    opened,
+    open_input,
     OutFile,
+    progress_bar,
     show,
     warn,
 )
@@ -50,7 +50,7 @@ def solve(
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_file import errors_against, true_transform
-    given = opened(path, config, assignments, angles, kinematics)
+    given = open_input(path, config, assignments, angles, kinematics)
     settings = given.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     T_true, causes = true_transform(path), None
@@ -59,13 +59,13 @@ def solve(
         if budget:
             raise InputError('--budget is of the profiles of a recording; the answer from a table '
                              'states its covariance only')
-        with doing('solving'):
+        with progress_bar('solving'):
             calibration = calibrate_table(given.table)
     else:
         assert given.session
         from handeye_ros import pipeline
         from handeye_ros.estimation.covariance import budget as budget_of
-        with doing('solving'):
+        with progress_bar('solving'):
             answer = pipeline.answer_session(given.session, settings)
         if budget and answer.samples_agree:
             causes = table.budget_table(budget_of(answer.require_solution()))
@@ -95,12 +95,12 @@ def calibrate(
     assignments: Assignments = [],
 ) -> None:
     """Start the node that takes samples (needs ROS)."""
-    from handeye_ros.units import assigned
+    from handeye_ros.units import assignment_in_si
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
     arguments = ['--params-file', str(config)] if config else []
-    for text in [*map(assigned, assignments), *(['session=last'] if resume else [])]:
+    for text in [*map(assignment_in_si, assignments), *(['session=last'] if resume else [])]:
         key, _, value = text.partition('=')
         arguments += ['-p', f'{key.strip()}:={value}']
     command = [sys.executable, '-m', 'handeye_ros.node.main']
@@ -117,11 +117,11 @@ def samples(
     """Show the samples of a session, the worst first."""
     from handeye_ros import pipeline
     from handeye_ros.review import samples_table
-    given = opened(path, config, assignments)
+    given = open_input(path, config, assignments)
     settings, session = given.settings, given.session
     if session is None:
         raise InputError(f'{path} is a table of measured values, without samples')
-    with doing('comparing the samples'):
+    with progress_bar('comparing the samples'):
         answer = pipeline.answer_session(session, settings)
         rows = samples_table(session, answer, settings)
     if answer.refusal:
@@ -141,7 +141,7 @@ def report(
         help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
 ) -> None:
     """Show a calibration or verification in one HTML file."""
-    from handeye_ros.output import html_file, write_whole
+    from handeye_ros.output import html_file, write_atomically
     from handeye_ros.results import exports, verification_file
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import html
@@ -155,12 +155,12 @@ def report(
         file = file_of(path)
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
         verified = [*map(verification_file.read, verification)]
-        with doing('finding the stops'):
+        with progress_bar('finding the stops'):
             shown = solved_recording(calibration, bag, file.parent)
-        with doing('writing the report'):
+        with progress_bar('writing the report'):
             text = html(calibration, shown, verified)
     page = (out or page).expanduser().absolute()
-    write_whole(page, text)
+    write_atomically(page, text)
     typer.echo(f'wrote {page}')
 
 
@@ -195,11 +195,11 @@ def compare(
 ) -> None:
     """Put the same samples through all estimators."""
     from handeye_ros import compare as comparing
-    from handeye_ros.output import write_whole
+    from handeye_ros.output import write_atomically
     from handeye_ros.results.truth_file import true_transform
     import yaml
-    given, T_true = opened(path, config, assignments, angles), true_transform(path)
-    with doing('comparing') as update:
+    given, T_true = open_input(path, config, assignments, angles), true_transform(path)
+    with progress_bar('comparing') as update:
         if given.table:
             comparison = comparing.compare_files(given.table, T_true, progress=update)
         else:
@@ -211,4 +211,4 @@ def compare(
     if comparison.refusal:
         raise comparison.refusal
     if out:
-        write_whole(out, yaml.safe_dump(comparing.plain_values(comparison), sort_keys=False))
+        write_atomically(out, yaml.safe_dump(comparing.plain_values(comparison), sort_keys=False))

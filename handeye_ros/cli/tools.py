@@ -11,15 +11,15 @@ from handeye_ros.cli.common import (
     app,
     Assignments,
     Bag,
+    collect_samples,
     ConfigFile,
     configuration,
-    doing,
     File,
     Folder,
-    gathered,
     INTERRUPTED_EXIT_CODE,
     is_table,
     one_of,
+    progress_bar,
     read_bag,
     show,
     stored_session,
@@ -71,12 +71,12 @@ def kinematics(
     from handeye_ros.robot.sources import solve_sources
     text, arm = read_urdf(urdf, base, flange)
     if tables:
-        with doing('solving'):
+        with progress_bar('solving'):
             answer = solve_table(tables[0], arm, settings, [*map(input_values, (*tables, urdf))])
     else:
         read = [_source(path, arm, file, assignments)
                 for path, file in zip(sources, files, strict=True)]
-        with doing('solving'):
+        with progress_bar('solving'):
             answer = solve_sources(read, arm, [input_values(urdf)])
     warn(*answer.warnings)
     show(table(answer))
@@ -94,7 +94,8 @@ def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str])
         return source_of(stored.session(settings), read_poses(path, settings, arm), arm, settings,
                          [{'path': str(path)}])
     recording = read_bag(path, settings, arm)
-    return source_of(gathered(recording, settings), recording, arm, settings, recording.inputs)
+    session = collect_samples(recording, settings)
+    return source_of(session, recording, arm, settings, recording.inputs)
 
 
 def run_verb(words: list[str]) -> int:
@@ -125,17 +126,17 @@ def batch(
 ) -> None:
     """Run a verb on many recordings; again: on the new ones."""
     from handeye_ros import batch as batches
-    from handeye_ros.output import writing
+    from handeye_ros.output import write_errors_for
     words = batches.words_of(args, config, assignments)
     jobs = batches.jobs_of(sources, batches.Job('', '', verb, words))
     if all(job.words == words for job in jobs):
         configuration(config, assignments)  # an error in it concerns all jobs
     out = out.absolute()
     rows: list[Row] = []
-    with writing(out):
+    with write_errors_for(out):
         out.mkdir(parents=True, exist_ok=True)
     try:
-        with doing(f'{len(jobs)} recordings') as progress:
+        with progress_bar(f'{len(jobs)} recordings') as progress:
             for row in batches.results_of(jobs, out, run_verb, scheduler):
                 rows.append(row)
                 progress(len(rows) / len(jobs))
@@ -199,6 +200,6 @@ def simulate(
                                'handeye simulate --list')
 
     from handeye_ros.cli import simulated
-    with doing('simulating'):
+    with progress_bar('simulating'):
         content = simulated.write(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')

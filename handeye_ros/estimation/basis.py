@@ -201,7 +201,7 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     Return the derivatives (6, n, 6) of the best-fit transform by the errors of the poses.
 
     poses: (n, 4, 4), inverted unless in_hand; field: (k, 2) points of the sensor plane over which
-    the transform fits best. The error of a pose is as in Linear.by_pose: in the robot's base
+    the transform fits best. The error of a pose is as in Linear.wrt_pose: in the robot's base
     frame, its rotation about the flange.
     """
     R, a = poses[:, None, :3, :3], poses[:, None, :3, 3]

@@ -52,7 +52,7 @@ class ParameterBlock:
 
     columns: (m, k) derivatives of the residuals by the parameters, in units of the prior sigma std
         (m, rad, s or 1)
-    twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as in Linear.by_pose;
+    twists: (n, 6, k) change of the poses by the parameters (not in sigmas), as in Linear.wrt_pose;
         None: no change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: none
     parameter: index of the target's parameter that it is, None for a mere correction of residuals
@@ -113,18 +113,18 @@ def robot_scale(linear: Linear) -> Blocks:
     std, position = linear.problem.config.noise.robot_scale, linear.problem.robot_poses[:, :3, 3]
     twists = np.zeros((len(position), 6, 1))
     twists[:, :3, 0] = position.mean(axis=0) - position
-    yield ParameterBlock('scale', linear.by_twists(twists) * std, std, twists, report='scale',
+    yield ParameterBlock('scale', linear.wrt_twists(twists) * std, std, twists, report='scale',
                          origin=1.0)
 
 
-def by_smooth(by_pose: Array, smooth: Array) -> Array:
+def wrt_smooth(wrt_pose: Array, smooth: Array) -> Array:
     """
     Return derivatives (m, 6 k) by a smooth error of the robot, of unit size.
 
-    by_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each.
+    wrt_pose: (m, 6) by pose errors; smooth: (m, k) the basis functions at the pose of each.
     """
-    by_each = by_pose / np.repeat([1.0, TURN_LENGTH], 3)
-    return np.asarray((by_each[:, :, None] * smooth[:, None]).reshape(len(by_pose), -1))
+    by_each = wrt_pose / np.repeat([1.0, TURN_LENGTH], 3)
+    return np.asarray((by_each[:, :, None] * smooth[:, None]).reshape(len(wrt_pose), -1))
 
 
 def robot_smooth(linear: Linear) -> Blocks:
@@ -135,7 +135,7 @@ def robot_smooth(linear: Linear) -> Blocks:
     n, smooth = len(problem.poses), problem.smooth
     axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
-    columns = by_smooth(linear.by_pose, smooth[problem.observations.station])
+    columns = wrt_smooth(linear.wrt_pose, smooth[problem.observations.station])
     yield ParameterBlock('robot_smooth', columns * size, size, twists,
                          _motions_of_smooth, report='robot_position_error')
 
@@ -154,7 +154,7 @@ def points_on_target(linear: Linear) -> Array:
     With the errors of the measured points in its columns, least squares would shrink all lengths
     (2,000 stations of a ball: by 0.4 %) and find a distortion that is none.
     """
-    gradient = linear.by_point
+    gradient = linear.wrt_point
     square = (gradient ** 2).sum(axis=1)
     share = np.divide(linear.residuals, square, out=np.zeros(len(square)), where=square > 0)
     return np.asarray(linear.problem.observations.points - gradient * share[:, None])
@@ -162,7 +162,7 @@ def points_on_target(linear: Linear) -> Array:
 
 def sensor_scale(linear: Linear) -> Blocks:
     """Yield the block of one scale error of the sensor, nearly collinear with the robot's."""
-    std, gradient = 0.3 * linear.problem.config.noise.robot_scale, linear.by_point
+    std, gradient = 0.3 * linear.problem.config.noise.robot_scale, linear.wrt_point
     points = points_on_target(linear)
     stretched = (gradient * (points - points.mean(axis=0))).sum(axis=1)
     yield ParameterBlock('sensor_scale', stretched[:, None] * std, std)
@@ -174,7 +174,7 @@ def sensor_distortion(linear: Linear) -> Blocks:
     fields = bending(points_on_target(linear), DEGREES) if std else []
     for i, field in enumerate(fields):
         size = std * DISTORTION_SHARES[DEGREES[i]]
-        by_x, by_z = (linear.by_point * size).T[:, :, None]
+        by_x, by_z = (linear.wrt_point * size).T[:, :, None]
         yield ParameterBlock(
             f'distortion_{DEGREES[i]}', by_x * field[:, 0] + by_z * field[:, 1], size,
             best_fit=partial(_motions_of_degree, i), report='distortion_error')
@@ -215,7 +215,7 @@ def pose_model(linear: Linear) -> Blocks:
     for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
         some = slice(int(end) - count, int(end))
         own = twists[:, :, some]
-        yield ParameterBlock(name, linear.by_twists(own) * std, std, own, pose_values=some,
+        yield ParameterBlock(name, linear.wrt_twists(own) * std, std, own, pose_values=some,
                              value=problem.pose_values[some],
                              least_variance=model.least_variance, report=name)
 

@@ -41,7 +41,7 @@ def with_contamination(solution: Solution, dropped: int) -> Solution:
     if weight <= 0:
         return solution
     configured = solution_at(solution.problem, solution.estimate, Noise())
-    wrong = configured.whitening(configured.linear.by_pose * POSE_ERROR)
+    wrong = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
     for at in configured.problem.station_groups:

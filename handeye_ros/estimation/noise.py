@@ -91,12 +91,12 @@ def covariance_parts(linear: Linear, at: StationGroup) -> Array:
     local = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
     pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
-    features = _outer(linear.by_feature[at.rows]) * at.shared
+    features = _outer(linear.wrt_feature[at.rows]) * at.shared
     features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
-    parts = [*features * at.components, at.correlation * _outer(linear.by_point[at.rows], local),
-             _outer(linear.by_pose[at.rows], pose)]
-    if linear.by_jitter is not None:
-        parts.append(_outer(linear.by_jitter[at.rows]))
+    parts = [*features * at.components, at.correlation * _outer(linear.wrt_point[at.rows], local),
+             _outer(linear.wrt_pose[at.rows], pose)]
+    if linear.wrt_jitter is not None:
+        parts.append(_outer(linear.wrt_jitter[at.rows]))
     return np.array(parts)
 
 
@@ -107,8 +107,8 @@ def total_covariance(linear: Linear, at: StationGroup, noise: Noise) -> Array:
     total = np.asarray(np.tensordot(noise.variance_factors[:len(parts)], parts, 1))
     if noise.lumped:  # the sensor's distortion, the robot's smooth error, and the target's own
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
-        total += at.correlation * _outer(linear.by_point[at.rows], config.distortion ** 2)
-        total += _outer(linear.by_pose[at.rows], config.robot_smooth ** 2 * axes)
+        total += at.correlation * _outer(linear.wrt_point[at.rows], config.distortion ** 2)
+        total += _outer(linear.wrt_pose[at.rows], config.robot_smooth ** 2 * axes)
         own = problem.target.feature_errors(linear)
         total += _outer(own[at.rows]) * at.shared
     return total

@@ -400,7 +400,7 @@ class Linear:
     """
     Residuals (..., m) at an estimate, and their Jacobian (..., m, 6 + k) by X and state.
 
-    lever: (..., m, 3) from the sensor's origin to the points, in the mount; by_base: (..., m, 3)
+    lever: (..., m, 3) from the sensor's origin to the points, in the mount; wrt_base: (..., m, 3)
     derivatives by the points in the base.
     """
 
@@ -409,43 +409,43 @@ class Linear:
     residuals: Array
     jacobian: Array
     lever: Array
-    by_base: Array
+    wrt_base: Array
 
     @cached_property
-    def by_pose(self) -> Array:
+    def wrt_pose(self) -> Array:
         """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
         R, a = self.problem.mounts
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
         if self.problem.in_hand:
-            return np.concatenate([self.by_base, se3.cross(to_point, self.by_base)], axis=-1)
+            return np.concatenate([self.wrt_base, se3.cross(to_point, self.wrt_base)], axis=-1)
         # the poses are T_flange_base; the robot's error is in its base frame
-        by_mount = self.jacobian[..., :3]
+        wrt_mount = self.jacobian[..., :3]
         p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
-        return -np.concatenate([by_mount, se3.cross(p_base, by_mount)], axis=-1)
+        return -np.concatenate([wrt_mount, se3.cross(p_base, wrt_mount)], axis=-1)
 
     @cached_property
-    def by_jitter(self) -> Array | None:
+    def wrt_jitter(self) -> Array | None:
         """Return derivatives (m, k) by 1 sigma of the white errors of pose values, or None."""
         model = self.problem.pose_model
         if model is None or model.jitter is None:
             return None
-        return self.by_twists(model.at(self.problem.pose_values)[1] * model.jitter)
+        return self.wrt_twists(model.at(self.problem.pose_values)[1] * model.jitter)
 
     @cached_property
-    def by_point(self) -> Array:
+    def wrt_point(self) -> Array:
         """Return the derivative (..., m, 2) by the point of the sensor plane."""
         return np.asarray(self.jacobian[..., :3] @ self.estimate.X[..., :3, [0, 2]])
 
     @cached_property
-    def by_feature(self) -> Array:
+    def wrt_feature(self) -> Array:
         """Return the derivative (..., m, 2) by the feature's unit errors."""
         noise = self.problem.observations.noise
-        return np.asarray(np.einsum('...mi,mij->...mj', self.by_point, noise))
+        return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, noise))
 
-    def by_twists(self, twists: Array) -> Array:
+    def wrt_twists(self, twists: Array) -> Array:
         """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""
         station = self.problem.observations.station
-        return np.asarray((self.by_pose[:, None] @ twists[station])[:, 0])
+        return np.asarray((self.wrt_pose[:, None] @ twists[station])[:, 0])
 
 
 def linearise(problem: Problem, estimate: Estimate) -> Linear:
@@ -461,7 +461,7 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
     conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
-    by_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
-    jacobian = np.concatenate([by_mount, se3.cross(lever, by_mount), conditions.dg_dstate],
+    wrt_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
+    jacobian = np.concatenate([wrt_mount, se3.cross(lever, wrt_mount), conditions.dg_dstate],
                               axis=-1)
     return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

@@ -12,7 +12,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_frame, mounted, name_direction
+from handeye_ros.frames import mount_frame, mount_poses_of, name_direction
 from handeye_ros.guidance.candidates import anchor_of, Proposal, propose
 from handeye_ros.guidance.moves import Move, next_move, noun
 from handeye_ros.guidance.view import learn_view, mapped_points, MappedPoints, View
@@ -135,7 +135,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
         enough, why = False, str(found.refusal)
     sentences = [why, *offset_notes(solution)]
     if not enough:
-        sentences += missing(solution, view, mounted(samples[:1], config)[0], config)
+        sentences += missing(solution, view, mount_poses_of(samples[:1], config)[0], config)
         if proposal:
             sentences.append(_directions(samples[-1].T_base_flange, proposal, config, what))
         elif not sweeping:

@@ -20,7 +20,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
 from handeye_ros.estimation.solve import Solution, solution_at
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, MappedPoints, View
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +65,10 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
     most, best = 0.0, None
     for station in templates(problem):
         template = problem.subset(np.array([station]))
-        sensors, places = _drawn(template.poses[0] @ X, in_mount(taken[0], config) @ X,
+        sensors, places = _drawn(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
                                  anchor_of(template, 0), view, config, rng)
         poses = sensors @ se3.inverse(X)
-        allowed = _allowed(in_mount(poses, config), taken, without_sample, config)
+        allowed = _allowed(mount_poses(poses, config), taken, without_sample, config)
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
@@ -80,7 +80,7 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
     if best is None:
         return None
     one, place = best
-    return Proposal(in_mount(one.poses[0], config), place, expected(solution, mapped, one))
+    return Proposal(mount_poses(one.poses[0], config), place, expected(solution, mapped, one))
 
 
 def templates(problem: Problem) -> list[int]:
@@ -184,7 +184,7 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     problem, obs, target = linear.problem, before.problem.observations, linear.problem.target
     sampling = problem.config.sampling
     strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + STOP_POSE_ERROR[1])
-    A = linear.by_point.reshape(points.shape)
+    A = linear.wrt_point.reshape(points.shape)
     good = view.room(points).min(axis=1) > -1e-4
     good &= np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
     # steeply: moves along the laser line show at an edge, moves in the plane at a face
@@ -192,7 +192,7 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ together
     good &= (steep > np.sin(strict.min_crossing_angle) ** 2).all(axis=1)
     # from the same side as the template; the conditions of a point depend on the choice of axes
-    seen = before.by_point[:, 1]
+    seen = before.wrt_point[:, 1]
     size = np.sqrt(seen ** 2 @ together)
     towards = (A[..., 1] * seen) @ together > SMALLEST_COSINE * size
     good &= (towards | (size <= SMALLEST_COSINE)).all(axis=1)
@@ -222,7 +222,7 @@ def _on_target(template: Problem, solution: Solution, poses: Array, points: Arra
     shape = points.shape[:2]
     for _ in range(STEPS_TO_TARGET):
         linear = _linear(template, solution, poses, points, np.ones(len(poses)))
-        g, A = linear.residuals.reshape(*shape, 1), linear.by_point.reshape(*shape, 2)
+        g, A = linear.residuals.reshape(*shape, 1), linear.wrt_point.reshape(*shape, 2)
         normal = np.einsum('cd,ndi,ndj->ncij', together, A, A) + 1e-6 * np.eye(2)
         step = np.linalg.solve(normal, (together @ (A * g))[..., None])[..., 0]
         points = points - np.clip(step, -0.05, 0.05)
@@ -237,7 +237,7 @@ def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArr
     """
     of_face = np.array([template.problem.observations.kind == k for k in (0, 1)], dtype=float)
     of_face /= of_face.sum(axis=1, keepdims=True)
-    facing = np.sign(of_face @ template.by_point[:, 1]) * (of_face @ A)[..., 1]
+    facing = np.sign(of_face @ template.wrt_point[:, 1]) * (of_face @ A)[..., 1]
     normals = of_face @ A
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
     height = (normals * (of_face @ points)).sum(axis=2, keepdims=True)
@@ -254,7 +254,7 @@ def _face_seen(T: Array, points: Array, template: Linear, view: View) -> NDArray
     """
     obs = template.problem.observations
     seen = (template.problem.poses[0] @ template.estimate.X)[:3, [0, 2]]
-    edge, inward = np.cross(*template.by_base), -seen @ obs.outward[0]
+    edge, inward = np.cross(*template.wrt_base), -seen @ obs.outward[0]
     along = np.cross(np.cross(edge, inward), T[:, :3, 1])  # in the face and the light plane
     along *= np.sign(along @ np.cross(np.cross(edge, inward), edge))[:, None]
     along = np.einsum('nij,ni->nj', T[:, :3, [0, 2]], along)

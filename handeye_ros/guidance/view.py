@@ -77,15 +77,15 @@ class MappedPoints:
     """
     k points of the field of view, mapped by the transform.
 
-    by_transform: (k, 3, 6) their derivatives by a perturbation of the transform.
+    wrt_transform: (k, 3, 6) their derivatives by a perturbation of the transform.
     """
 
-    by_transform: Array
+    wrt_transform: Array
 
     def variance(self, covariance: Array) -> Array:
         """Return the mean squared errors (...) (m^2) of the points for covariances (..., 6, 6)."""
-        G = self.by_transform.reshape(-1, 6)
-        mean = G.T @ G / len(self.by_transform)
+        G = self.wrt_transform.reshape(-1, 6)
+        mean = G.T @ G / len(self.wrt_transform)
         return np.asarray(np.einsum('...ij,ij->...', covariance, mean))
 
     def std(self, covariance: Array) -> float:
@@ -94,7 +94,7 @@ class MappedPoints:
 
     def worst(self, covariance: Array) -> tuple[float, Array]:
         """Return the largest 1 sigma of any of the points (m), and its direction (3,)."""
-        G = self.by_transform
+        G = self.wrt_transform
         values, vectors = np.linalg.eigh(G @ covariance @ np.swapaxes(G, 1, 2))
         at = int(np.argmax(values[:, 2]))
         return float(np.sqrt(max(values[at, 2], 0.0))), vectors[at, :, 2]
@@ -103,4 +103,4 @@ class MappedPoints:
 def mapped_points(X: Array, view: View) -> MappedPoints:
     """Return a grid over the field of view, mapped by X (4, 4)."""
     points = field_points(*zip(view.low, view.high, strict=True))
-    return MappedPoints(se3.by_perturbation(points @ X[:3, :3].T))
+    return MappedPoints(se3.wrt_perturbation(points @ X[:3, :3].T))

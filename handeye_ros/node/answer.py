@@ -92,7 +92,7 @@ class LiveAnswer:
 
     calibration: the last answer that was not refused
     why_missing: why there is none
-    asked_with: the settings of the last attempt to compute it, None before the first
+    asked_settings: the settings of the last attempt to compute it, None before the first
     seen: visible points (k, 2) at the ends of the field of view
     """
 
@@ -103,7 +103,7 @@ class LiveAnswer:
         self.seen = np.zeros((0, 2))
         self.calibration: Calibration | None = None
         self.why_missing = ''
-        self.asked_with: dict[str, Any] | None = None
+        self.asked_settings: dict[str, Any] | None = None
         self._asked: tuple[object, Future[str]] | None = None  # last attempt: from what, message
         self._solved: set[int] = set()  # numbers of the samples of the last answer
         self._saved: exports.Saved | None = None  # the files of this answer
@@ -151,7 +151,7 @@ class LiveAnswer:
 
     def forget(self, why: str) -> None:
         """Begin anew with other samples."""
-        self.review, self.asked_with = Review(advise((), self._live.config)), None
+        self.review, self.asked_settings = Review(advise((), self._live.config)), None
         self.seen, self.calibration, self.why_missing = np.zeros((0, 2)), None, why
 
     def compute_calibration(self) -> Future[str]:
@@ -164,7 +164,7 @@ class LiveAnswer:
         """
         live = self._live
         live.store_rest()
-        self.asked_with = values_of(live.config, ANSWER_KEYS)
+        self.asked_settings = values_of(live.config, ANSWER_KEYS)
         try:
             live.process_all()
             live.copied().require_stops()
@@ -180,7 +180,7 @@ class LiveAnswer:
     def begin_review(self) -> None:
         """Begin the review, if samples or settings have changed."""
         live = self._live
-        outdated = self.asked_with not in (None, values_of(live.config, ANSWER_KEYS))
+        outdated = self.asked_settings not in (None, values_of(live.config, ANSWER_KEYS))
         if not live.running and (outdated or self._basis() != self.review.basis):
             self._begin(asked=outdated)
 
@@ -198,7 +198,7 @@ class LiveAnswer:
         if current := live.current():
             self.seen = extremes(np.concatenate([self.seen, current.points]))
         if asked:
-            self.asked_with = values_of(config, ANSWER_KEYS)
+            self.asked_settings = values_of(config, ANSWER_KEYS)
         session = Session(config)  # the messages of the streams stay here
         session.restore(now.stops, now.last_number, now.frame_id)
         sampled = {stop.began for stop in now.stops if stop.sample}

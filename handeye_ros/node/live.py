@@ -48,7 +48,7 @@ from handeye_ros.errors import (
     InputError,
     UnusableMessageError,
 )
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.node.answer import LiveAnswer, SAMPLE_KEYS, values_of
 from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory, Worker
 from handeye_ros.node.state import Attempt, MessageCount
@@ -170,7 +170,7 @@ class LiveSession:
         except UnusableMessageError:
             return None
         (T,) = interpolate(poses, [profile.stamp])
-        seen = StopSnapshot(0, profile.stamp, in_mount(T, config), profile.points)
+        seen = StopSnapshot(0, profile.stamp, mount_poses(T, config), profile.points)
         try:
             return replace(seen, features=features_of(profile, config))
         except FeatureError as error:
@@ -471,7 +471,7 @@ class LiveSession:
         if replace(old_config, session=self.config.session) != self.config:
             self.files.append(CONFIGURED, self.config)
         if session.samples:
-            self.answer.asked_with = {}  # as with other settings: solve again
+            self.answer.asked_settings = {}  # as with other settings: solve again
         count = sum(stop.sample is not None for stop in session.stops)
         return f'continuing with {count_of(count, "sample")} of {self.path}'
 

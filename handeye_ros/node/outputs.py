@@ -17,7 +17,7 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
 from handeye_ros.errors import INSTALL_TF2
-from handeye_ros.frames import in_mount, target_frame
+from handeye_ros.frames import mount_poses, target_frame
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.state import (
     Attempt,
@@ -251,7 +251,7 @@ def cloud(points: NDArray[Any], frame_id: str, stamp: int) -> PointCloud2:
 def session_markers(evaluated: Iterable[Stop], calibration: Calibration | None, config: Config
                     ) -> MarkerArray:
     """Return the flanges of samples with their numbers and, with an answer, its scene."""
-    stops = [StopSnapshot(stop.number, sample.stamp, in_mount(sample.T_base_flange, config),
+    stops = [StopSnapshot(stop.number, sample.stamp, mount_poses(sample.T_base_flange, config),
                           np.empty((0, 2)), sample.features)
              for stop in evaluated if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [

@@ -18,7 +18,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import InputError
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes
@@ -217,7 +217,7 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
 
     def drawn(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
-            (in_mount(T_base_flange, config) @ X)[:3])
+            (mount_poses(T_base_flange, config) @ X)[:3])
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,

@@ -17,7 +17,7 @@ from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, yaml_content
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError
-from handeye_ros.output import write_whole, yaml_text
+from handeye_ros.output import write_atomically, yaml_text
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -44,7 +44,7 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
 
     Raises UnwritableError; then nothing is left behind.
     """
-    write_whole(Path(path), text(dated(calibration)))
+    write_atomically(Path(path), text(dated(calibration)))
 
 
 def dated(calibration: Calibration) -> Calibration:

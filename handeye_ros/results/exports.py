@@ -28,7 +28,7 @@ from xml.sax.saxutils import quoteattr
 from handeye_ros import __version__, orientations, se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.output import write_whole, writing
+from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, transform_values
 import numpy as np
@@ -145,7 +145,7 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
     mark: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
     """
-    notation, T = orientations.of(vendor), calibration.T_flange_sensor
+    notation, T = orientations.notation_of(vendor), calibration.T_flange_sensor
     angles = np.ravel(notation.numbers(Rotation.from_matrix(T[:3, :3])))
     names = ('x', 'y', 'z', *notation.labels)
     units = [notation.length] * 3 + [notation.angle] * len(angles)
@@ -304,7 +304,7 @@ def write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
     """Write files by name into a folder; aside: names of those that are kept in its history."""
     previous = _set_aside(folder, sorted(aside), set(texts))
     for name, text in texts.items():
-        write_whole(folder / name, text)
+        write_atomically(folder / name, text)
     return Saved(tuple(folder / name for name in texts), previous)
 
 
@@ -318,7 +318,7 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
     files = [folder / name for name in names if (folder / name).is_file()]
     if not files:
         return None
-    with writing(folder / HISTORY_FOLDER):
+    with write_errors_for(folder / HISTORY_FOLDER):
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
         first = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%SZ')
         others = (first.with_name(f'{first.name}-{k}') for k in count(2))  # of the same second

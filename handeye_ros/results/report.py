@@ -69,7 +69,7 @@ def html(calibration: Calibration, recording: SolvedRecording,
         refused=[report for report in calibration.samples if not report.used],
         settings=configuration.flatten(config).items(), verified=verified,
         columns=verification_file.TABLE_COLUMNS, title_of=verification_file.title_of,
-        look_of=verification_file.look_of, table_rows=verification_file.table_rows,
+        verdict_style=verification_file.verdict_style, table_rows=verification_file.table_rows,
         inputs=[', '.join(f'{key} {value}' for key, value in item.items())
                 for item in calibration.provenance.get('inputs', ())],
         uses=[('URDF or xacro', exports.joint(calibration)),

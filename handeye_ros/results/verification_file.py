@@ -56,7 +56,7 @@ def title_of(content: Mapping[str, Any]) -> str:
     return f'{content["routine"]}: {content["verdict"].upper()}, {content["stations"]} stations'
 
 
-def look_of(verdict: str) -> str:
+def verdict_style(verdict: str) -> str:
     """Return how a verdict looks: good, bad, or open where nothing was decided."""
     return {'pass': 'good', 'fail': 'bad'}.get(verdict, 'open')
 
@@ -130,7 +130,8 @@ def protocol(content: Mapping[str, Any]) -> str:
     digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
     return page(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
-        look=look_of(content['verdict']), columns=TABLE_COLUMNS, rows=list(table_rows(content)),
+        look=verdict_style(content['verdict']),
+        columns=TABLE_COLUMNS, rows=list(table_rows(content)),
         characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
         formatted=formatted)
 

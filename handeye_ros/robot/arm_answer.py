@@ -20,7 +20,7 @@ from handeye_ros.arm import (
     REVOLUTE,
 )
 from handeye_ros.data import Calibration
-from handeye_ros.output import write_whole, yaml_text
+from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated, transform_values
 from handeye_ros.results.table import figures_table
@@ -77,9 +77,9 @@ class ArmAnswer:
         read_with = {**provenance['config'], 'kinematics': str(folder / KINEMATICS_FILE)}
         calibration = replace(self.calibration, provenance={**provenance, 'config': read_with})
         saved = exports.save_all(calibration, folder, formats)
-        write_whole(folder / KINEMATICS_FILE,
-                    FILE_HEADER.format(limit=UNDETERMINED_SHARE) + yaml_text(_content(self)))
-        write_whole(folder / URDF_FILE, corrected_urdf(urdf, self.outcome.arm))
+        write_atomically(folder / KINEMATICS_FILE,
+                         FILE_HEADER.format(limit=UNDETERMINED_SHARE) + yaml_text(_content(self)))
+        write_atomically(folder / URDF_FILE, corrected_urdf(urdf, self.outcome.arm))
         return f'{saved}, {KINEMATICS_FILE}, {URDF_FILE}'
 
 

@@ -23,7 +23,7 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import identity
 from handeye_ros.estimation.noise import LUMPED, whitening
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
-from handeye_ros.frames import in_mount
+from handeye_ros.frames import mount_poses
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,14 +35,14 @@ class Residuals:
     """
     Residuals (m,) of one target in metres, and their derivatives.
 
-    by_own: (m, 6 + k) by X and the target
-    by_pose: (m, 6) by a shift of the flange and a turn about it, in the base
+    wrt_own: (m, 6 + k) by X and the target
+    wrt_pose: (m, 6) by a shift of the flange and a turn about it, in the base
     whiten: what whitens values (m, ...)
     """
 
     values: Array
-    by_own: Array
-    by_pose: Array
+    wrt_own: Array
+    wrt_pose: Array
     whiten: Callable[[Array], Array] = identity
 
 
@@ -73,10 +73,10 @@ class ArmProfiles:
 
     def residuals(self, T_base_flange: Array, X: Array, target: Array) -> Residuals:
         """Return the residuals with the sensor in its mount X (4, 4) and a state of the target."""
-        problem = replace(self.problem, poses=in_mount(T_base_flange, self.problem.config))
+        problem = replace(self.problem, poses=mount_poses(T_base_flange, self.problem.config))
         linear = linearise(problem, Estimate(X, target))
         return Residuals(linear.residuals, linear.jacobian[:, problem.free_columns],
-                         linear.by_pose, whitening(linear, LUMPED))
+                         linear.wrt_pose, whitening(linear, LUMPED))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
@@ -110,11 +110,11 @@ class ArmPoints:
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
         to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
         values = to_fixed @ (at - target)[:, :, None]
-        by_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
-        by_shift, arm = (to_fixed, at - T[:, :3, 3]) if self.in_hand else (
+        wrt_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
+        wrt_shift, arm = (to_fixed, at - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
-        by_pose = np.concatenate([by_shift, -by_shift @ se3.skew(arm)], axis=2)
-        return Residuals(values.ravel(), by_own.reshape(3 * n, -1), by_pose.reshape(3 * n, 6))
+        wrt_pose = np.concatenate([wrt_shift, -wrt_shift @ se3.skew(arm)], axis=2)
+        return Residuals(values.ravel(), wrt_own.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
@@ -225,13 +225,13 @@ class ArmStops:
         twists, rows = state.arm.twists(self.q)[:, :, state.arm.free], []
         for found, (one, stops, columns) in zip(self.residuals(state), self.parts, strict=True):
             station = one.station + stops.start
-            by_own = np.zeros((len(found.values), self.unknowns))
-            by_own[:, :6], by_own[:, columns] = found.by_own[:, :6], found.by_own[:, 6:]
-            by_arm = (found.by_pose[:, None] @ twists[station])[:, 0]
-            by_smooth = (self.root[station][:, :, None] * found.by_pose[:, None, :3]
-                         ).reshape(len(by_own), -1)
-            values = found.values + by_smooth @ state.smooth
-            rows.append(found.whiten(np.column_stack([by_own, by_arm, by_smooth, values])))
+            wrt_own = np.zeros((len(found.values), self.unknowns))
+            wrt_own[:, :6], wrt_own[:, columns] = found.wrt_own[:, :6], found.wrt_own[:, 6:]
+            wrt_arm = (found.wrt_pose[:, None] @ twists[station])[:, 0]
+            wrt_smooth = (self.root[station][:, :, None] * found.wrt_pose[:, None, :3]
+                          ).reshape(len(wrt_own), -1)
+            values = found.values + wrt_smooth @ state.smooth
+            rows.append(found.whiten(np.column_stack([wrt_own, wrt_arm, wrt_smooth, values])))
         whitened = np.concatenate(rows)
         return whitened[:, -1], whitened[:, :-1]
 

@@ -16,7 +16,7 @@ from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import cover_both
-from handeye_ros.frames import in_mount, sensor_axes
+from handeye_ros.frames import mount_poses, sensor_axes
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import first_fit
 from handeye_ros.robot.residuals import ArmProfiles, ArmState, ArmStops, lengths
@@ -68,7 +68,7 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     problem = problem_at_poses(samples, config)
     q = _joints_at(samples, read, read.joints)
     warnings = (*read.warnings, *session.warnings, *joint_notes(arm, read.joints))
-    return Source(session, samples, replace(problem, poses=in_mount(arm.forward(q), config)), q,
+    return Source(session, samples, replace(problem, poses=mount_poses(arm.forward(q), config)), q,
                   inputs, warnings)
 
 
@@ -118,7 +118,7 @@ def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
     in_hand = source.problem.in_hand != other_side
     config = replace(source.problem.config,
                      calibration_type='eye_in_hand' if in_hand else 'eye_on_base')
-    poses = in_mount(arm.forward(source.q @ joints.T), config)
+    poses = mount_poses(arm.forward(source.q @ joints.T), config)
     agreed = robust_solution(replace(source.problem, poses=poses, config=config),
                              np.random.default_rng(SEED))
     residuals = linearise(agreed.full_problem, agreed.estimate).residuals

@@ -35,7 +35,7 @@ from handeye_ros.estimation.least_squares import graduated, Rows, System, typica
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, mean_squares, reassigned, whitening_at
-from handeye_ros.frames import mounted
+from handeye_ros.frames import mount_poses_of
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
 import numpy as np
@@ -124,7 +124,7 @@ def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
 def problem_at_poses(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples whose poses are known, as those of stops are."""
     target = targets.target_for(config)
-    return Problem(target, mounted(samples, config), target.observe(samples), config)
+    return Problem(target, mount_poses_of(samples, config), target.observe(samples), config)
 
 
 def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
@@ -153,14 +153,14 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
                             ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
         twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
         twists = twists.reshape(len(functions), 6, -1)
-        yield ParameterBlock(name, linear.by_twists(twists) * std, std, twists=twists,
+        yield ParameterBlock(name, linear.wrt_twists(twists) * std, std, twists=twists,
                              report=f'{name}_error')
     exposure = linear.problem.config.profile.exposure
     if exposure:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
         # end shifts by up to half the exposure times the velocity across it, always inwards
         inwards = np.sign(linear.problem.target.feature_errors(linear))
-        moved = linear.by_twists(model.at(linear.problem.pose_values)[1][:, :, :1])
+        moved = linear.wrt_twists(model.at(linear.problem.pose_values)[1][:, :, :1])
         std = exposure / 2
         yield ParameterBlock('exposure', inwards * np.abs(moved) * std, std)
 
@@ -246,7 +246,7 @@ def _system(problem: Problem) -> System[Linear]:
         def jacobian() -> Array:
             model = at.problem.pose_model
             assert model is not None
-            by_clocks = at.by_twists(model.at(at.problem.pose_values)[1])
+            by_clocks = at.wrt_twists(model.at(at.problem.pose_values)[1])
             J = np.hstack([at.jacobian[:, at.problem.free_columns], by_clocks])
             return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
 

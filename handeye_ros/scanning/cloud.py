@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError
-from handeye_ros.output import replaced
+from handeye_ros.output import atomic_file
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +40,7 @@ def write_cloud(path: Path, pieces: Iterable[Points], comment: str = '') -> None
     """
     require_format(path)
     fields, count = tuple[str, ...](), 0
-    with replaced(path) as temporary, temporary.open('wb') as stream:
+    with atomic_file(path) as temporary, temporary.open('wb') as stream:
         for points in pieces:
             if not fields:
                 fields = points.dtype.names or ()

@@ -19,7 +19,7 @@ from handeye_ros import units
 from handeye_ros.config import Config, NoiseConfig
 from handeye_ros.data import Array, Calibration, Profile, ROTATION_LAG
 from handeye_ros.errors import DataError
-from handeye_ros.frames import in_mount, target_frame, unit_vectors
+from handeye_ros.frames import mount_poses, target_frame, unit_vectors
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.scanning.cloud import Points
 import numpy as np
@@ -51,8 +51,8 @@ class ScanOptions:
     @classmethod
     def of_texts(cls, limits: Sequence[str], degrees: float, voxel: str, std: bool) -> ScanOptions:
         """Return the options of a command line; raises BadValueError."""
-        nearest, farthest = units.limits(limits, '--range', 10.0)
-        edge = units.length(voxel, '--voxel', 0.1, 0.0)
+        nearest, farthest = units.parse_limits(limits, '--range', 10.0)
+        edge = units.parse_length(voxel, '--voxel', 0.1, 0.0)
         return cls(nearest, farthest, float(np.deg2rad(degrees)), edge, std)
 
 
@@ -107,8 +107,8 @@ class Scanner:
         used = list(compress(profiles, flange.inside))
         self.count.profiles += len(profiles)
         self.count.without_pose += len(profiles) - len(used)
-        T = in_mount(flange.T_base_flange[flange.inside], self.config
-                     ) @ self.calibration.T_flange_sensor
+        T = mount_poses(flange.T_base_flange[flange.inside], self.config
+                        ) @ self.calibration.T_flange_sensor
         pose_stds = (track.std(stamps[flange.inside]) if self.options.std
                      else np.zeros((len(used), 2)))
         pieces = [self._of_profile(*item) for item in zip(used, T, pose_stds, strict=True)]

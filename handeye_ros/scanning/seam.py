@@ -18,7 +18,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.output import csv_text, write_whole, yaml_text
+from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline, through, unit
 from handeye_ros.scanning.seam_course import course
 from handeye_ros.scanning.seam_sections import edges
@@ -199,7 +199,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
     rows = np.column_stack([frames.lengths, frames.T_base_tool[:, :3, 3],
                             se3.quaternion(frames.T_base_tool), frames.measures])
     texts = ([f'{value:.9f}' for value in row] for row in rows)
-    write_whole(folder / 'seam.csv', csv_text(FRAME_COLUMNS, texts))
+    write_atomically(folder / 'seam.csv', csv_text(FRAME_COLUMNS, texts))
     content = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
         'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
@@ -207,7 +207,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
         'frames': [{'length': row[0], 'position': row[1:4], 'quaternion': row[4:8],
                     **dict(zip(FRAME_COLUMNS[8:], row[8:], strict=True))}
                    for row in rows.tolist()]}
-    write_whole(folder / 'seam.yaml', yaml_text(content))
+    write_atomically(folder / 'seam.yaml', yaml_text(content))
 
 
 def sentences(seam: Seam, frames: ToolFrames) -> list[str]:

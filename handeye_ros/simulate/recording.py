@@ -208,11 +208,11 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
     a, R = T[:, None, :3, 3], T[:, :3, :3]
     points = se3.apply(T, lever + X[:3, 3])
     shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - a)
-    by_turn = -np.einsum('nij,kjl->nkil', R, se3.skew(lever))
-    by_shift = np.broadcast_to(R[:, None], by_turn.shape)
-    by_target = np.concatenate([np.broadcast_to(-np.eye(3), by_turn.shape), se3.skew(points)],
-                               axis=3)
-    A = np.concatenate([by_shift, by_turn, by_target], axis=3).reshape(-1, 12)
+    wrt_turn = -np.einsum('nij,kjl->nkil', R, se3.skew(lever))
+    wrt_shift = np.broadcast_to(R[:, None], wrt_turn.shape)
+    wrt_target = np.concatenate([np.broadcast_to(-np.eye(3), wrt_turn.shape), se3.skew(points)],
+                                axis=3)
+    A = np.concatenate([wrt_shift, wrt_turn, wrt_target], axis=3).reshape(-1, 12)
     step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
     return se3.perturb(X, step[:6])
 

@@ -31,7 +31,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.frames import in_mount, mount_frame
+from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.tables import Table
@@ -195,7 +195,7 @@ def read(path: Path, config: Config) -> Input:
     flange, target = table.poses('flange', stated), table.poses('target')
 
     def views(flange: Array, target: Array = target) -> Views:
-        return Views(config, target, in_mount(flange, config))
+        return Views(config, target, mount_poses(flange, config))
 
     def otherwise() -> Iterator[Misreading]:
         yield Misreading(
@@ -208,7 +208,7 @@ def read(path: Path, config: Config) -> Input:
         yield Misreading('target quaternions as w x y z', order, views(flange, _wxyz(target)))
         yield Misreading('the quaternions of both as w x y z', order,
                          views(_wxyz(flange), _wxyz(target)))
-        used = orientations.of(stated) if stated else orientations.RPY
+        used = orientations.notation_of(stated) if stated else orientations.RPY
         angles = [f'flange_{label}' for label in used.labels]
         if used.angle and table.has(angles):
             for unit in ('rad', 'deg'):  # one of them is as read, and explains nothing
@@ -216,7 +216,7 @@ def read(path: Path, config: Config) -> Input:
                                  f'header, as in {angles[0]} [{unit}]',
                                  views(table.in_unit(angles, unit).poses('flange', stated)))
         for name, notation in orientations.NOTATIONS.items() if stated else ():
-            if notation is orientations.of(stated):
+            if notation is orientations.notation_of(stated):
                 continue
             words, remedy = f'the flange written as {name}', f'set target.angles to {name}'
             with suppress(InputError):  # it has other columns

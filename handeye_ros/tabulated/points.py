@@ -49,7 +49,7 @@ class Pairs(Lists):
         def rows(T: Array) -> Rows:
             turned = self.seen @ T[:3, :3].T
             return Rows((turned + T[:3, 3] - self.robot).ravel() / SMALLEST_SIGMA,
-                        lambda: se3.by_perturbation(turned).reshape(-1, 6) / SMALLEST_SIGMA)
+                        lambda: se3.wrt_perturbation(turned).reshape(-1, 6) / SMALLEST_SIGMA)
 
         every = np.arange(len(self))
         # the best start leaves out one point: in a few points a wrong one bends that of all

@@ -162,9 +162,9 @@ class Sphere(ProfileTarget):
         x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
         distance = np.sqrt(x * x + y * y + z * z)
         outward /= distance[..., None]
-        by_target = np.full((*p.shape[:-1], 4), -1.0)
-        np.negative(outward, out=by_target[..., :3])
-        return Conditions(distance - state[..., 3:], outward, by_target)
+        wrt_target = np.full((*p.shape[:-1], 4), -1.0)
+        np.negative(outward, out=wrt_target[..., :3])
+        return Conditions(distance - state[..., 3:], outward, wrt_target)
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return centres and radii (..., 4) after a step delta."""

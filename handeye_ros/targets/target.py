@@ -172,9 +172,9 @@ class FaceTarget(ProfileTarget):
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
         g, by_local, by_measures = self.on_target(offset @ R, kind, state[..., 16:])
         dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
-        by_pose = np.concatenate([-dg_dp @ axes, -se3.cross(offset, dg_dp) @ axes], axis=-1)
+        wrt_pose = np.concatenate([-dg_dp @ axes, -se3.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
-            [by_pose[..., list(self.moves)], by_measures], axis=-1))
+            [wrt_pose[..., list(self.moves)], by_measures], axis=-1))
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return targets (..., 16 + j) after a step of moves and measures."""
@@ -199,7 +199,7 @@ class FaceTarget(ProfileTarget):
 def out_of_face(linear: Linear) -> Array:
     """Return derivatives (m,) of residuals by moves of edge points outwards from their faces."""
     outward = linear.problem.observations.outward
-    return np.asarray((linear.by_point * outward).sum(axis=1))
+    return np.asarray((linear.wrt_point * outward).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,10 +288,10 @@ def grazing(linear: Linear) -> Blocks:
     problem, std = linear.problem, linear.problem.config.noise.distortion
     points = problem.observations.points
     on_face = np.isin(problem.observations.kind, face_kinds(problem.target))
-    along = np.abs((linear.by_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
+    along = np.abs((linear.wrt_point * points).sum(axis=1)) / np.linalg.norm(points, axis=1)
     cosine = np.where(on_face, along, 1.0)
     least = cosine.min(initial=1.0)
     if std and least < GRAZING_COSINE:
         share = np.where(cosine < GRAZING_COSINE, least / np.maximum(cosine, least), 0.0)
-        columns = linear.by_point[:, 1:] * share[:, None] ** STEEPNESS_EXPONENTS
+        columns = linear.wrt_point[:, 1:] * share[:, None] ** STEEPNESS_EXPONENTS
         yield ParameterBlock('grazing', columns * std, std)

@@ -172,9 +172,9 @@ class Wedge(FaceTarget):
         turn = measures[..., kind]
         c, s = np.cos(turn), np.sin(turn)
         y, z = local[..., 1], local[..., 2]
-        by_turn = c * z - s * y
+        wrt_turn = c * z - s * y
         return (c * y + s * z, np.stack([np.zeros_like(c), c, s], axis=-1),
-                np.stack([by_turn, ANGLE_SHARES[kind] * by_turn], axis=-1))
+                np.stack([wrt_turn, ANGLE_SHARES[kind] * wrt_turn], axis=-1))
 
     def retract(self, state: Array, delta: Array) -> Array:
         """Return targets (..., 18) after a step: moves, and the turn and angle of both faces."""

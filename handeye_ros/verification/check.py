@@ -33,7 +33,7 @@ from handeye_ros.data import (
     TimedPose,
 )
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.blocks import by_smooth
+from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.noise import covariance_parts
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
@@ -257,10 +257,10 @@ class _Comparison:
         lever = obs.in_base(problem.poses, at.X) - self.middle
         return _Residuals(
             linear.residuals,
-            np.column_stack([linear.jacobian @ self.root, by_smooth(linear.by_pose, smooth),
+            np.column_stack([linear.jacobian @ self.root, wrt_smooth(linear.wrt_pose, smooth),
                              *setbacks]), noise,
-            {'target': np.hstack([linear.by_base, se3.cross(lever, linear.by_base)]),
-             'sensor': -linear.jacobian[:, :6], 'robot': linear.by_pose},
+            {'target': np.hstack([linear.wrt_base, se3.cross(lever, linear.wrt_base)]),
+             'sensor': -linear.jacobian[:, :6], 'robot': linear.wrt_pose},
             {'target': lever, 'sensor': linear.lever})
 
 
@@ -282,7 +282,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
     # the error of the sensor's field differs from stop to stop, as that of the pose does
     noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
         config.noise.robot_translation, config.noise.distortion))
-    problem = Problem(target, frames.mounted(samples, config), target.observe(samples),
+    problem = Problem(target, frames.mount_poses_of(samples, config), target.observe(samples),
                       replace(config, noise=noise), long_errors=True)
     require_stations([len(np.unique(problem.observations.station))], others)
     obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)

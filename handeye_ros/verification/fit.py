@@ -24,7 +24,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.basis import smooth_basis
-from handeye_ros.estimation.blocks import by_smooth
+from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
     chi2_isf,
     chi2_sf,
@@ -108,39 +108,39 @@ class StationSet:
         R = self.poses[self.observations.station, :3, :3]
         return np.asarray(np.einsum('mi,mij->mj', vectors, R))
 
-    def noise(self, X: Array, by_p: Array, config: Config) -> list[Array]:
+    def noise(self, X: Array, wrt_p: Array, config: Config) -> list[Array]:
         """
         Return the covariance of the distances of each group of poses, in their order.
 
-        by_p: (m, 3) derivatives of the distances by the points. config.verify.aim is a further
+        wrt_p: (m, 3) derivatives of the distances by the points. config.verify.aim is a further
         error of the position of each pose.
         """
         obs, noise = self.observations, config.noise
-        by_mount = self.rotated_to_mount(by_p)
-        by_feature = np.einsum('mi,ij,mjk->mk', by_mount, X[:3, [0, 2]], obs.noise)
-        by_pose = self.by_pose(X, by_p, config) * np.repeat(
+        wrt_mount = self.rotated_to_mount(wrt_p)
+        wrt_feature = np.einsum('mi,ij,mjk->mk', wrt_mount, X[:3, [0, 2]], obs.noise)
+        wrt_pose = self.wrt_pose(X, wrt_p, config) * np.repeat(
             [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
         covariances, first = [], np.flatnonzero(np.diff(self.group_of_point)) + 1
         for rows in np.split(np.arange(len(obs)), first):
             shared = obs.source[rows, None] == obs.source[rows]
-            covariances.append((by_feature[rows] @ by_feature[rows].T) * shared
-                               + by_pose[rows] @ by_pose[rows].T
+            covariances.append((wrt_feature[rows] @ wrt_feature[rows].T) * shared
+                               + wrt_pose[rows] @ wrt_pose[rows].T
                                + LEAST_NOISE ** 2 * np.eye(len(rows)))
         return covariances
 
-    def by_pose(self, X: Array, by_p: Array, config: Config) -> Array:
+    def wrt_pose(self, X: Array, wrt_p: Array, config: Config) -> Array:
         """Return derivatives (m, 6) by pose errors: in the base, rotation about the flange."""
         station, p = self.observations.station, self.points(X)
-        by_shift, lever = ((by_p, p - self.poses[station, :3, 3])
-                           if config.calibration_type == 'eye_in_hand' else
-                           (self.rotated_to_mount(by_p), self.rotated_to_mount(p)))
-        return np.hstack([by_shift, se3.cross(lever, by_shift)])
+        wrt_shift, lever = ((wrt_p, p - self.poses[station, :3, 3])
+                            if config.calibration_type == 'eye_in_hand' else
+                            (self.rotated_to_mount(wrt_p), self.rotated_to_mount(p)))
+        return np.hstack([wrt_shift, se3.cross(lever, wrt_shift)])
 
-    def by_smooth(self, X: Array, by_p: Array, config: Config) -> Array:
+    def wrt_smooth(self, X: Array, wrt_p: Array, config: Config) -> Array:
         """Return derivatives (m, s) by the robot's smooth error of unit size (see basis.py)."""
         in_hand = config.calibration_type == 'eye_in_hand'
         smooth = smooth_basis(self.poses if in_hand else se3.inverse(self.poses), long_errors=True)
-        return by_smooth(self.by_pose(X, by_p, config), smooth[self.observations.station])
+        return wrt_smooth(self.wrt_pose(X, wrt_p, config), smooth[self.observations.station])
 
     def of_groups(self, groups: Numbers) -> StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
@@ -212,7 +212,7 @@ class Shape:
     values: Callable[[Array], Array] = lambda q: np.empty(0)
     quantities: tuple[Quantity, ...] = ()
 
-    def by_point(self, p: Array, q: Array) -> Array:
+    def wrt_point(self, p: Array, q: Array) -> Array:
         """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
@@ -269,7 +269,7 @@ class Fit:
     p_error, p_no_error: p-values of the distances with and without it
     largest_error, largest_error_std: its largest displacement of a point (m)
     residuals (m,): whitened, of the shape as expected
-    by_unknowns (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if
+    wrt_unknowns (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if
         free
     """
 
@@ -290,7 +290,7 @@ class Fit:
     largest_error: float
     largest_error_std: float
     residuals: Array
-    by_unknowns: Array
+    wrt_unknowns: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,23 +328,23 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
     lever = stations.observations.points @ X[:3, [0, 2]].T
 
     def factors_at(q: Array) -> list[Array]:
-        covariances = stations.noise(X, shape.by_point(p, q), config)
+        covariances = stations.noise(X, shape.wrt_point(p, q), config)
         return [np.asarray(np.linalg.cholesky(S)) for S in covariances]
 
     q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
-    factors, distances, by_p = factors_at(q), shape.distance(p, q), shape.by_point(p, q)
-    by_mount = stations.rotated_to_mount(by_p)
-    by_errors = np.hstack([by_mount, se3.cross(lever, by_mount), *(
-        [stations.by_smooth(X, by_p, config) * smooth] if smooth else [])])
+    factors, distances, wrt_p = factors_at(q), shape.distance(p, q), shape.wrt_point(p, q)
+    wrt_mount = stations.rotated_to_mount(wrt_p)
+    wrt_errors = np.hstack([wrt_mount, se3.cross(lever, wrt_mount), *(
+        [stations.wrt_smooth(X, wrt_p, config) * smooth] if smooth else [])])
     r, J, E = (_white(factors, values) for values in (
-        distances, derivatives(partial(shape.distance, p), q), by_errors))
+        distances, derivatives(partial(shape.distance, p), q), wrt_errors))
     at = _Whitened(factors, r, J, E, np.asarray(np.linalg.pinv(J), dtype=float))
     root = np.eye(E.shape[1])  # of the covariance of the errors
     root[:6, :6] = root_of(C)
     measured = _measured(shape, at, q, root, config.verify.certificate)
 
     # the most likely errors, by the distances and by the values with a nominal one
-    A = np.vstack([at.remainder(E), -measured.by_error])
+    A = np.vstack([at.remainder(E), -measured.wrt_error])
     b = np.append(at.remainder(r), measured.deviation)
     prior = np.append(LARGEST_ERROR ** -2.0, np.ones(E.shape[1] - 6))
     inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)))
@@ -367,13 +367,13 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
         weakest_error=weakest_error, weakest_error_std=weakest_error_std, distances=distances,
         distance_std=np.hypot(np.concatenate([np.linalg.norm(factor, axis=1)
                                               for factor in factors]),
-                              np.linalg.norm(by_errors[:, 6:], axis=1)),
+                              np.linalg.norm(wrt_errors[:, 6:], axis=1)),
         region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
         error=error[:6], p_error=float(chi2_sf(left, freedom)),
         p_no_error=float(chi2_sf((without - left) / scale, 6)),
         largest_error=largest_error, largest_error_std=largest_error_std, residuals=r,
-        by_unknowns=np.hstack([unknowns, E[:, 6:]]))
+        wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
 def _squares(A: Array, b: Array, prior: Array) -> float:
@@ -384,10 +384,10 @@ def _squares(A: Array, b: Array, prior: Array) -> float:
 
 def _scatter(at: _Whitened, root: Array, distances: Array) -> Scatter:
     """Return whether distances (m,) agree with the noise and with what the calibration claims."""
-    by_error = at.remainder(at.E) @ root
-    square = _squares(by_error, at.remainder(at.r), np.ones(len(root)))
+    wrt_error = at.remainder(at.E) @ root
+    square = _squares(wrt_error, at.remainder(at.r), np.ones(len(root)))
     m, k = at.J.shape
-    expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), by_error]), at.factors) if (
+    expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), wrt_error]), at.factors) if (
         m <= MOST_DISTANCES) else math.nan
     size = np.abs(distances)
     return Scatter(m, float(size.mean()), float(size.std()), float(np.sqrt((size ** 2).mean())),
@@ -400,21 +400,21 @@ class _Measured:
     The measured values, and those with a nominal one.
 
     region: as of Fit
-    deviation: (v,) from the nominal values, white; by_error: (v, 6 + s) by the errors
+    deviation: (v,) from the nominal values, white; wrt_error: (v, 6 + s) by the errors
     """
 
     quantities: tuple[Quantity, ...]
     region: float
     deviation: Array
-    by_error: Array
+    wrt_error: Array
 
 
 def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: float) -> _Measured:
     """Return the values of a shape q (k,); certificate: U of nominal lengths."""
     values, F = shape.values(q), derivatives(shape.values, q)
-    by_error = F @ at.gain @ at.E
-    by_claim, by_smooth = np.split(by_error @ root, [6], axis=1)
-    covariance, claimed = F @ at.gain @ at.gain.T @ F.T, by_claim @ by_claim.T
+    wrt_error = F @ at.gain @ at.E
+    wrt_claim, wrt_smooth = np.split(wrt_error @ root, [6], axis=1)
+    covariance, claimed = F @ at.gain @ at.gain.T @ F.T, wrt_claim @ wrt_claim.T
     unseen = np.abs(F - F @ at.gain @ at.J).max(axis=1, initial=0.0) > OPEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
@@ -422,7 +422,7 @@ def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: f
     covariance[known, known] += is_length[known] * (certificate / COVERAGE_FACTOR) ** 2
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     factor = np.linalg.cholesky(covariance[block])  # the smooth error is one of the errors
-    covariance += by_smooth @ by_smooth.T
+    covariance += wrt_smooth @ wrt_smooth.T
     region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     covariance[unseen, unseen] = np.inf
     stds, claims = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (covariance, claimed))
@@ -430,14 +430,14 @@ def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: f
         tuple(replace(quantity, value=float(value), std=float(std), claimed=float(claim))
               for quantity, value, std, claim in zip(shape.quantities, values, stds, claims,
                                                      strict=True)),
-        region, np.linalg.solve(factor, deviation), np.linalg.solve(factor, by_error[known]))
+        region, np.linalg.solve(factor, deviation), np.linalg.solve(factor, wrt_error[known]))
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
     """Return the largest displacement (m) by a move (6,) of covariance C, and its 1 sigma."""
-    by_move = se3.by_perturbation(lever)
-    sizes = np.linalg.norm(by_move @ move, axis=1)
-    worst = by_move[np.argmax(sizes)]
+    wrt_move = se3.wrt_perturbation(lever)
+    sizes = np.linalg.norm(wrt_move @ move, axis=1)
+    worst = wrt_move[np.argmax(sizes)]
     return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
 
 
@@ -448,8 +448,8 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
 
     information (6, 6): about the calibration's error in its mount; error (6,): the estimated one.
     """
-    by_move = se3.by_perturbation(lever)
-    shift = np.einsum('mik,mil->kl', by_move, by_move) / len(lever)  # mean square displacement
+    wrt_move = se3.wrt_perturbation(lever)
+    shift = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)  # mean square displacement
     shift += 1e-12 * np.trace(shift) * np.eye(6)
     power, directions = scipy.linalg.eigh(information, shift)
     worst = directions[:, 0]  # displaces the points by 1 m RMS
@@ -514,8 +514,8 @@ def fit_without_outliers(groups: Numbers,
     p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
     def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
-        found, r, by_unknowns, group_of_point = fitted(used)
-        squares, freedom = _predicted(r, by_unknowns, group_of_point, used)
+        found, r, wrt_unknowns, group_of_point = fitted(used)
+        squares, freedom = _predicted(r, wrt_unknowns, group_of_point, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
         return found, squares, freedom
 
@@ -527,14 +527,14 @@ def fit_without_outliers(groups: Numbers,
     return at(None, groups)[0], p, []
 
 
-def _predicted(r: Array, by_unknowns: Array, group_of_point: Numbers, groups: Numbers
+def _predicted(r: Array, wrt_unknowns: Array, group_of_point: Numbers, groups: Numbers
                ) -> tuple[Array, Numbers]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
     What a group alone determines is no part of it.
     """
-    U, s, _ = np.linalg.svd(by_unknowns, full_matrices=False)
+    U, s, _ = np.linalg.svd(wrt_unknowns, full_matrices=False)
     U *= s / np.hypot(s, 1.0)  # U U' r is what the unknowns take up
     left = r - U @ (U.T @ r)
     squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)

@@ -28,7 +28,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Observations
-from handeye_ros.frames import in_mount, mounted, sensor_axes
+from handeye_ros.frames import mount_poses, mount_poses_of, sensor_axes
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
@@ -71,7 +71,7 @@ def _stations(routine: Routine, recordings: Sequence[Sequence[Sample]], X: Array
               surface: str = '') -> StationSet:
     """Return the points of recordings on what a routine measures; surface: a remark."""
     samples = [sample for one in recordings for sample in one]
-    poses = mounted(samples, config)
+    poses = mount_poses_of(samples, config)
     return StationSet(poses, _observed(routine, samples, poses @ X),
                       np.array([sample.stamp for sample in samples], dtype=np.int64),
                       tuple(map(len, recordings)), surface=surface)
@@ -83,7 +83,7 @@ def _shown(routine: Routine, samples: Sequence[Sample], X: Array, calibration: C
     offset_text = choice = ''
     if config.sampling.moving and samples:
         samples, offset_text = _at_offset(routine, samples, X, calibration, config)
-    T = mounted(samples, config) @ X
+    T = mount_poses_of(samples, config) @ X
     if config.verify.near:
         samples = _in_region(samples, T, config.verify.near)
     if routine.target == 'plane':
@@ -113,7 +113,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         poses.append(flange.T_base_flange[seen])
         stamps += [profiles[index].stamp for index in seen.tolist()]
         counts.append(len(seen))
-    return StationSet(in_mount(np.concatenate(poses), config), rows.observations(),
+    return StationSet(mount_poses(np.concatenate(poses), config), rows.observations(),
                       np.array(stamps, dtype=np.int64), tuple(counts), are_passes=True)
 
 
@@ -240,7 +240,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
 
     def distances(x: Array) -> Array:
         """Return the distances from the shape; x: its unknowns and the offset."""
-        return shape.distance(obs.in_base(in_mount(clocked.at(x[-1]).T_base_flange, config), X),
+        return shape.distance(obs.in_base(mount_poses(clocked.at(x[-1]).T_base_flange, config), X),
                               x[:-1])
 
     x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)

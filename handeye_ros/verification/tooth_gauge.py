@@ -59,7 +59,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
     found = shape.stations
     rays = found.poses[found.observations.station, :3, :3] @ X[:3, 2]
-    by_range = np.abs((shape.by_point(p[on_gauge], q) * rays).sum(axis=1))
+    by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
     good, scatter = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
         np.stack([found.bag_of_point, face[on_gauge], tooth[on_gauge]], axis=1),

@@ -146,7 +146,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
         found = fit_shape(shape, X, calibration.covariance, config, smooth)
-        return (shape, found), found.residuals, found.by_unknowns, shape.stations.group_of_point
+        return (shape, found), found.residuals, found.wrt_unknowns, shape.stations.group_of_point
 
     (shape, found), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
