@@ -178,7 +178,7 @@ class SessionFiles:
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]
         file = self.append(STOP, config, seen, joints)
-        return replace(stop, poses=(), profiles=(), source=partial(load, file, stop.began))
+        return replace(stop, poses=(), profiles=(), reader=partial(load, file, stop.began))
 
     def append(self, kind: str, config: Config, stop: Stop = NO_STOP,
                joints: Sequence[tuple[int, bytes]] = ()) -> Path:
@@ -369,7 +369,7 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
         began, refused = int(values['began']), str(values['refused'])
-        stop = Stop(began, source=partial(load, file, began), number=int(values['number']),
+        stop = Stop(began, reader=partial(load, file, began), number=int(values['number']),
                     result=Reject(began, refused, final=True) if refused else NOT_EVALUATED)
         return (str(values['event']), with_values(Config(), settings, str(file)), stop,
                 bool(values['taken']))

@@ -37,8 +37,8 @@ class Observations:
     station: (m,) index of the pose, ascending
     points: (m, 2) metres
     kind: (m,) index of the condition in the target's kinds
-    noise: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
-    source: (m,) observations of a station with equal source share e
+    error_factor: (m, 2, 2) factor L: the point's error is L @ e, e of unit covariance
+    error_number: (m,) observations of a station with equal error_number share e
     ending: (m,) how the face ends at an edge point (numbered from 1), 0 for other points; edge
         points have a variance factor of their own
     outward: (m, 2) unit vector out of the face
@@ -49,8 +49,8 @@ class Observations:
     station: NDArray[np.intp]
     points: Array
     kind: NDArray[np.intp]
-    noise: Array
-    source: NDArray[np.intp]
+    error_factor: Array
+    error_number: NDArray[np.intp]
     ending: NDArray[np.intp]
     outward: Array
     shape_std: Array
@@ -62,7 +62,7 @@ class Observations:
     @property
     def error_source(self) -> NDArray[np.intp]:
         """Return a number (m,) that those observations share that share an error e."""
-        return (self.station << 32) + self.source
+        return (self.station << 32) + self.error_number
 
     def same(self, other: Observations) -> bool:
         """Return whether others are the same points with the same labels."""
@@ -269,12 +269,12 @@ def station_groups(observations: Observations) -> tuple[StationGroup, ...]:
     """Return the stations of observations, grouped by their number of observations."""
     grouped = []
     for rows in rows_by_count(observations.station):
-        points, source = observations.points[rows], observations.source[rows]
+        points, number = observations.points[rows], observations.error_number[rows]
         second = observations.ending[rows] > 0
         apart = points[:, :, None] - points[:, None, :]
         # 0.01 m: correlation length of the sensor's distortion
         correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
-        shared = (source[:, :, None] == source[:, None, :]).astype(float)
+        shared = (number[:, :, None] == number[:, None, :]).astype(float)
         pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
         grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
     return tuple(grouped)
@@ -439,8 +439,8 @@ class Linear:
     @cached_property
     def wrt_feature(self) -> Array:
         """Return the derivative (..., m, 2) by the feature's unit errors."""
-        noise = self.problem.observations.noise
-        return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, noise))
+        factor = self.problem.observations.error_factor
+        return np.asarray(np.einsum('...mi,mij->...mj', self.wrt_point, factor))
 
     def wrt_twists(self, twists: Array) -> Array:
         """Return the derivatives (m, k) by parameters that move the poses by twists (n, 6, k)."""

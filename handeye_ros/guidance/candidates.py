@@ -212,7 +212,7 @@ def _linear(template: Problem, solution: Solution, poses: Array, points: Array, 
     """Return the stations at poses (n, 4, 4) with points (n, c, 2) and noise (n,) as factor."""
     many = template.observations.repeated(len(poses), points.reshape(-1, 2))
     factors = np.repeat(noise, len(template.observations))[:, None, None]
-    many = replace(many, noise=many.noise * factors)
+    many = replace(many, error_factor=many.error_factor * factors)
     return linearise(replace(template, poses=poses, observations=many), solution.estimate)
 
 

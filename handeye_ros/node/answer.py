@@ -105,14 +105,14 @@ class LiveAnswer:
         self.why_missing = ''
         self.asked_settings: dict[str, Any] | None = None
         self._asked: tuple[object, Future[str]] | None = None  # last attempt: from what, message
-        self._solved: set[int] = set()  # numbers of the samples of the last answer
+        self._answer_numbers: set[int] = set()  # numbers of the samples of the last answer
         self._saved: exports.Saved | None = None  # the files of this answer
         self._saved_as: tuple[Any, ...] = ()  # their folder, formats, record and times
 
     @property
     def withdrawn(self) -> bool:
         """Return whether there was an answer that is not valid any more."""
-        return self.calibration is None and bool(self._solved)
+        return self.calibration is None and bool(self._answer_numbers)
 
     @property
     def saved(self) -> str:
@@ -121,7 +121,7 @@ class LiveAnswer:
 
     def difference(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
-        now, before = _numbers(session), self._solved
+        now, before = _numbers(session), self._answer_numbers
         differences = ' and '.join(
             f'{len(numbers)} {what}'
             for numbers, what in ((before - now, 'removed'), (now - before, 'added')) if numbers)
@@ -204,16 +204,16 @@ class LiveAnswer:
         sampled = {stop.began for stop in now.stops if stop.sample}
         without_sample = [T for began, T in live.without_sample.items() if began not in sampled]
         basis = self._basis()
-        message = live.compute(
-            COMPUTED if asked else '', partial(self._put, basis, session, asked),
+        message = live.run_job(
+            COMPUTED if asked else '', partial(self._accept, basis, session, asked),
             review_of, session, config, self.seen, without_sample,
             asked or self.calibration is not None)
         if asked:
             self._asked = basis, message
         return message
 
-    def _put(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
-             ) -> str:
+    def _accept(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
+                ) -> str:
         """
         Put the review and, if it was asked for, the answer; return the message about that.
 
@@ -238,7 +238,7 @@ class LiveAnswer:
                   {'session': live.path}]
         self.calibration = replace(calibration,
                                    provenance={**calibration.provenance, 'inputs': inputs})
-        self._solved, self.why_missing, self._saved = _numbers(session), '', None
+        self._answer_numbers, self.why_missing, self._saved = _numbers(session), '', None
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:

@@ -195,7 +195,7 @@ class LiveSession:
         """Have the worker look for what is due; threads that meet here at worst ask twice."""
         if not self._woken:
             self._woken = True
-            self.worker.later(self._go_on)
+            self.worker.run_later(self._go_on)
 
     def _go_on(self) -> None:
         """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
@@ -207,27 +207,27 @@ class LiveSession:
         self.files.sync()
         trim_memory()
 
-    def compute(self, what: str, put: Callable[[Future[Any]], Result],
+    def run_job(self, name: str, accept: Callable[[Future[Any]], Result],
                 function: Callable[..., Any], *args: Any) -> Future[Result]:
         """
-        Begin a long computation in another process; return the future of what put makes of it.
+        Begin a long computation in another process; return the future of what accept returns.
 
-        what: in words, '' for what nobody waits for; put: called by the worker.
+        name: in words, '' for what nobody waits for; accept: called by the worker with the result.
         """
         answered = Future[Result]()
 
         def finish(job: Future[Any]) -> None:
-            self.running.remove(what)
+            self.running.remove(name)
             try:
-                answered.set_result(put(job))
+                answered.set_result(accept(job))
             except Exception as error:
                 answered.set_exception(error)
                 if not isinstance(error, HandeyeError):
                     raise
             self.wake()  # samples or settings may have changed meanwhile
 
-        self.running.append(what)
-        self.pool.submit(function, *args).add_done_callback(partial(self.worker.later, finish))
+        self.running.append(name)
+        self.pool.submit(function, *args).add_done_callback(partial(self.worker.run_later, finish))
         return answered
 
     # what others tell of it
@@ -300,7 +300,7 @@ class LiveSession:
 
     def _process(self, stop: Stop, over: bool) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if not over and self.session.is_closed(stop):
+        if not over and self.session.is_finished(stop):
             return
         if self.verification.routine:
             with suppress(DataError):
@@ -312,7 +312,7 @@ class LiveSession:
             stop = self._stored(stop)
         except InputError as error:
             # an earlier part of the stop has fewer profiles, but is on the disk
-            stop = earlier if earlier and earlier.source else replace(
+            stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
         self._put(stop, over)
         if earlier is None or bool(earlier.sample) != bool(stop.sample):
@@ -325,7 +325,7 @@ class LiveSession:
     def _process_again(self, number: int) -> None:
         """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
         stop = self._known(number)
-        if stop and not stop.source:  # it could not be stored before
+        if stop and not stop.reader:  # it could not be stored before
             with suppress(InputError):
                 self._put(self._stored(self._with_result(stop)[0]), over=False)
         elif stop and not stop.final_reason:

@@ -63,7 +63,7 @@ class Worker(ThreadPoolExecutor):
         super().__init__(1, 'worker')
         self._changed, self.failure = changed, ''
 
-    def later(self, work: Callable[..., object], *args: Any) -> None:
+    def run_later(self, work: Callable[..., object], *args: Any) -> None:
         """Do something, and then call changed."""
         self.submit(self._report, work, *args)
 

@@ -151,7 +151,7 @@ class LiveVerification:
             parts = [*parts, Part()]
         with live.lock:
             for stop in live.session.copied().remaining():  # they began before
-                live.session.close(stop)
+                live.session.mark_finished(stop)
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
         return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
@@ -167,7 +167,7 @@ class LiveVerification:
         assert routine
         if over:
             with live.lock:
-                live.session.close(stop)
+                live.session.mark_finished(stop)
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')
@@ -195,10 +195,10 @@ class LiveVerification:
         with live.lock:
             parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
                              poses=part.poses.copy()) for part in self._parts]
-        return live.compute(VERIFIED, partial(self._put, self._parts), result_of_parts,
+        return live.run_job(VERIFIED, partial(self._accept, self._parts), result_of_parts,
                             self.routine, parts, calibration, live.config)
 
-    def _put(self, parts: list[Part], job: Future[Verification]) -> str:
+    def _accept(self, parts: list[Part], job: Future[Verification]) -> str:
         """Write the verdict on parts, and end their verification; return the message."""
         live, result = self._live, result_or_ended(job)
         verified = live.config.verify.calibration

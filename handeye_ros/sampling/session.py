@@ -76,7 +76,7 @@ class Session(Copyable):
         self._finder = StopFinder(self._config.sampling)
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
-        self._closed: set[int] = set()  # beginnings of stops that are not returned (again)
+        self._finished: set[int] = set()  # beginnings of stops that are not returned (again)
         self._passed_by = 0  # stops in manual mode
         self._unseen = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
@@ -159,8 +159,8 @@ class Session(Copyable):
 
     def _with_their_profiles(self, stops: Sequence[Stop]) -> list[Stop]:
         """Return stops with their profiles, without those that were returned before."""
-        new = [stop for stop in stops if stop.began not in self._closed]
-        self._closed |= {stop.began for stop in new}
+        new = [stop for stop in stops if stop.began not in self._finished]
+        self._finished |= {stop.began for stop in new}
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
@@ -171,13 +171,13 @@ class Session(Copyable):
                     profile.out_of_plane, np.nanmean(profile.points, axis=0))
         return stop
 
-    def is_closed(self, stop: Stop) -> bool:
+    def is_finished(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
-        return stop.began in self._closed
+        return stop.began in self._finished
 
-    def close(self, stop: Stop) -> None:
+    def mark_finished(self, stop: Stop) -> None:
         """Mark a stop, so that it is not returned again."""
-        self._closed.add(stop.began)
+        self._finished.add(stop.began)
 
     def current_stop(self) -> Stop:
         """
@@ -250,7 +250,7 @@ class Session(Copyable):
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        poses, sampling, count = self._pose_stream, self._config.sampling, len(self._closed)
+        poses, sampling, count = self._pose_stream, self._config.sampling, len(self._finished)
         if sampling.mode == 'still' and self._finder.short > count and (
                 0 < count < targets.target_for(self._config).min_samples):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
@@ -335,7 +335,7 @@ class Session(Copyable):
     @property
     def unasked(self) -> str:
         """Return in words that the robot stopped but no sample was requested, '' otherwise."""
-        if self._closed or not self._passed_by:
+        if self._finished or not self._passed_by:
             return ''
         return (f'the robot stood still {self._passed_by} times, but no sample was requested: '
                 'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
@@ -393,7 +393,7 @@ class Session(Copyable):
             return None
         self._next_check = began, CHECK_LATER * next_check
         stop, known = self._finder.current(), self._stops.get(began)
-        if stop is None or self.is_closed(stop) or (known and known.sample):
+        if stop is None or self.is_finished(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < NO_PROFILE_PATIENCE else 0
@@ -414,12 +414,12 @@ class Session(Copyable):
         self._stops[stop.began] = stop
         self.last_number = max(self.last_number, stop.number)
         if over:
-            self.close(stop)
+            self.mark_finished(stop)
         return stop
 
     def remove(self, stop: Stop) -> None:
         """Forget the result of a stop, which is closed."""
-        self.close(stop)
+        self.mark_finished(stop)
         self._stops.pop(stop.began, None)
 
     def restore(self, stops: Sequence[Stop], last_number: int, frame_id: str) -> None:

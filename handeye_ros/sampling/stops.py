@@ -47,7 +47,7 @@ class Stop:
 
     began: stamp of the first pose (ns), which identifies the stop, though a long one forgets it
     poses, profiles: in the order of their stamps
-    source: of a stop on the disk, which holds no messages itself: reads them for a configuration
+    reader: of a stop on the disk, which holds no messages itself: reads them for a configuration
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """
@@ -55,7 +55,7 @@ class Stop:
     began: int
     poses: tuple[TimedPose, ...] = ()
     profiles: tuple[AnyProfile, ...] = ()
-    source: Callable[[Config], Stop] | None = None
+    reader: Callable[[Config], Stop] | None = None
     number: int = 0
     result: Sample | Reject = NOT_EVALUATED
 
@@ -72,10 +72,10 @@ class Stop:
 
     def load(self, config: Config) -> Stop:
         """Return the stop with its messages."""
-        if self.source is None:
+        if self.reader is None:
             return self
-        messages = self.source(config)
-        return replace(self, poses=messages.poses, profiles=messages.profiles, source=None)
+        messages = self.reader(config)
+        return replace(self, poses=messages.poses, profiles=messages.profiles, reader=None)
 
     @property
     def start(self) -> int:
@@ -113,7 +113,7 @@ class Stop:
     def trimmed(self, config: Config) -> Stop:
         """Return the stop reduced to what its sample needs, to be evaluated elsewhere."""
         alone = replace(self, result=NOT_EVALUATED)
-        if self.source or config.sampling.moving:
+        if self.reader or config.sampling.moving:
             return alone
         profiles = self.steady(config)
         poses = around(self.poses, [profile.stamp for profile in profiles])

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
-SOURCES_PER_FEATURE = 64  # per feature, at most
+ERRORS_PER_FEATURE = 64  # per feature, at most
 # share of the RMS of each degree: the first are the largest
 FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 
@@ -42,22 +42,22 @@ class ObservationRows:
     """Collects the conditions of a target, feature by feature."""
 
     points: list[Array] = field(default_factory=list)
-    noise: list[Array] = field(default_factory=list)
+    error_factor: list[Array] = field(default_factory=list)
     numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
     outward: list[Array] = field(default_factory=list)
     shape_std: list[float] = field(default_factory=list)
 
-    def add(self, station: int, point: Array, kind: int, noise: Array, source: int,
+    def add(self, station: int, point: Array, kind: int, factor: Array, error: int,
             edge: EdgePoint | None = None) -> None:
         """Append one condition; see Observations. edge: the edge that the point is on, or None."""
-        self.add_points(station, point[None], kind, noise[None], source, edge)
+        self.add_points(station, point[None], kind, factor[None], error, edge)
 
-    def add_points(self, station: int, points: Array, kind: int, noise: Array, source: int = 0,
+    def add_points(self, station: int, points: Array, kind: int, factor: Array, error: int = 0,
                    edge: EdgePoint | None = None) -> None:
         """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
         self.points.append(points)
-        self.noise.append(noise)
-        self.numbers.append((station, kind, source, 1 + ENDINGS.index(edge.ending) if edge else 0))
+        self.error_factor.append(factor)
+        self.numbers.append((station, kind, error, 1 + ENDINGS.index(edge.ending) if edge else 0))
         self.outward.append(edge.direction if edge else NO_OUTWARD)
         self.shape_std.append(edge.shape_std if edge else 0.0)
 
@@ -66,16 +66,16 @@ class ObservationRows:
         count = [len(points) for points in self.points]
         first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
         numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
-        station, kind, source, ending = np.repeat(numbers, count, axis=1)
+        station, kind, error, ending = np.repeat(numbers, count, axis=1)
         return Observations(
             station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
-            np.concatenate([np.empty((0, 2, 2)), *self.noise]),
-            source + np.arange(len(first)) - first, ending,
+            np.concatenate([np.empty((0, 2, 2)), *self.error_factor]),
+            error + np.arange(len(first)) - first, ending,
             np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
             np.repeat(np.array(self.shape_std), count))
 
 
-def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int, kind: int
+def add_face(rows: ObservationRows, station: int, line: FaceLine, error: int, kind: int
              ) -> None:
     """Append the normal points of a face line, or two decorrelated points where it has none."""
     across = np.array([-line.direction[1], line.direction[0]])
@@ -83,12 +83,12 @@ def add_face(rows: ObservationRows, station: int, line: FaceLine, source: int, k
     if not len(points):
         points = line.centre + np.outer([-1.0, 1.0], line.spread * line.direction)
         std = np.full(2, line.std * 2 ** 0.5)
-    noise = np.zeros((len(points), 2, 2))
-    noise[:, :, 0] = std[:, None] * across
-    rows.add_points(station, points, kind, noise, source)
+    factor = np.zeros((len(points), 2, 2))
+    factor[:, :, 0] = std[:, None] * across
+    rows.add_points(station, points, kind, factor, error)
 
 
-def edge_noise(edge: EdgePoint) -> Array:
+def edge_error_factor(edge: EdgePoint) -> Array:
     """Return the factor (2, 2) of an edge point's covariance."""
     along = edge.direction
     across = np.array([-along[1], along[0]])
@@ -134,11 +134,11 @@ class FaceTarget(ProfileTarget):
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of a face line or an edge point."""
         if isinstance(feature, FaceLine):
-            add_face(rows, station, feature, SOURCES_PER_FEATURE * number, number % self.faces)
+            add_face(rows, station, feature, ERRORS_PER_FEATURE * number, number % self.faces)
         elif isinstance(feature, EdgePoint):
             for kind in self.edge_kinds:
-                rows.add(station, self.edge_place(feature), kind, edge_noise(feature),
-                         SOURCES_PER_FEATURE * number, feature)
+                rows.add(station, self.edge_place(feature), kind, edge_error_factor(feature),
+                         ERRORS_PER_FEATURE * number, feature)
 
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the point (2,) that is on the edge."""
@@ -146,7 +146,7 @@ class FaceTarget(ProfileTarget):
 
     def pieces(self, observations: Observations) -> NDArray[np.intp]:
         """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
-        return observations.source // (self.faces * SOURCES_PER_FEATURE)
+        return observations.error_number // (self.faces * ERRORS_PER_FEATURE)
 
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""

@@ -117,12 +117,12 @@ class StationSet:
         """
         obs, noise = self.observations, config.noise
         wrt_mount = self.rotated_to_mount(wrt_p)
-        wrt_feature = np.einsum('mi,ij,mjk->mk', wrt_mount, X[:3, [0, 2]], obs.noise)
+        wrt_feature = np.einsum('mi,ij,mjk->mk', wrt_mount, X[:3, [0, 2]], obs.error_factor)
         wrt_pose = self.wrt_pose(X, wrt_p, config) * np.repeat(
             [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
         covariances, first = [], np.flatnonzero(np.diff(self.group_of_point)) + 1
         for rows in np.split(np.arange(len(obs)), first):
-            shared = obs.source[rows, None] == obs.source[rows]
+            shared = obs.error_number[rows, None] == obs.error_number[rows]
             covariances.append((wrt_feature[rows] @ wrt_feature[rows].T) * shared
                                + wrt_pose[rows] @ wrt_pose[rows].T
                                + LEAST_NOISE ** 2 * np.eye(len(rows)))

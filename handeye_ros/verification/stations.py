@@ -33,7 +33,7 @@ from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
-from handeye_ros.targets.target import edge_noise, ObservationRows
+from handeye_ros.targets.target import edge_error_factor, ObservationRows
 from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
@@ -135,7 +135,7 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
             nearest = min(np.flatnonzero(stop == number), key=away.__getitem__)
             edge = edges[nearest][1]
             for direction in range(2 if is_line else 3):
-                rows.add(int(number), edge.point, direction, edge_noise(edge), 0)
+                rows.add(int(number), edge.point, direction, edge_error_factor(edge), 0)
     return rows.observations()
 
 

@@ -63,12 +63,12 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     good, scatter = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
         np.stack([found.bag_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
-        SMALLEST_SCATTER * float(np.median(found.observations.noise[:, 1, 0])))
+        SMALLEST_SCATTER * float(np.median(found.observations.error_factor[:, 1, 0])))
     obs = found.observations.select(good)
-    noise = np.zeros_like(obs.noise)
-    noise[:, 1, 0] = np.maximum(obs.noise[:, 1, 0], scatter[good])
-    return _shape(replace(found, observations=replace(obs, noise=noise)), frame, pitch, height,
-                  tooth[on_gauge][good], q)
+    factor = np.zeros_like(obs.error_factor)
+    factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], scatter[good])
+    found = replace(found, observations=replace(obs, error_factor=factor))
+    return _shape(found, frame, pitch, height, tooth[on_gauge][good], q)
 
 
 def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scatter: float

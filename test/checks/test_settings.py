@@ -49,7 +49,7 @@ def made(name: str) -> Recorded:
 def test_a_stored_stop_is_thinned_as_one_of_a_bag_is() -> None:
     seen = made('sphere')
     whole = pipeline.gather(seen.profiles, seen.poses, seen.config).stops[0]
-    stored = replace(whole, poses=(), profiles=(), source=lambda config: whole)
+    stored = replace(whole, poses=(), profiles=(), reader=lambda config: whole)
     few, same = (thinned(stop, seen.config) for stop in (stored, whole))
     assert few.profiles == same.profiles and len(few.profiles) < len(whole.profiles)
 
