@@ -19,6 +19,7 @@ NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 # keys of estimated values: two times (s), and how much faster the clock of the profiles runs
 TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
 QUATERNION_TOLERANCE = 1e-3  # of its length
+ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
 MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 
 
@@ -210,8 +211,8 @@ class EdgePoint:
     direction: (2,) unit vector along the face line, out of the face
     std: 1 sigma along the direction
     std_across: 1 sigma across it
-    ending: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen), 'gap'
-        (nothing behind it) or 'open' (the driver does not say)
+    ending: of ENDINGS: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen),
+        'gap' (nothing behind it) or 'open' (the driver does not say)
     drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
         without a visible wall, else 0
     shapes: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the best,

@@ -137,29 +137,31 @@ def estimated_variances(covariance: Array, value: Array, first: NDArray[np.intp]
     block's first parameter; largest: (d,) bound of the variance.
     """
     counts = np.diff([*first, len(value)])
-    ratios, along = np.diag(covariance).copy(), value.copy()  # posterior over prior variance
+    # along the axes in which a block's parameters are independent: posterior over prior variance
+    ratios, along = np.diag(covariance).copy(), value.copy()
     for start, count in zip(first.tolist(), counts.tolist(), strict=True):
         if count > 1:
             block = slice(start, start + count)
             ratios[block], axes = eigen(covariance[block, block])
             along[block] = axes.T @ value[block]
     ratios = np.clip(ratios, 1e-12, 1 - 1e-9)
+    # without a prior: the information of the data about each parameter, and its gradient
     present = np.repeat(before, counts)
-    # what the data alone say, all other unknowns free: information and its gradient
     information, gradient = (1 / ratios - 1) / present, along / (ratios * np.sqrt(present))
-    v = TRIED_VARIANCES[:, None]
-    f = 1 + v * information
-    posterior = v / f
-    fitted = posterior * gradient ** 2
-    evidence = 0.5 * np.add.reduceat(fitted - np.log(f), first, axis=1)
-    evidence[v > largest] = -np.inf
-    square = np.add.reduceat(posterior * (1 + fitted), first, axis=1)
-    fitted = np.add.reduceat(fitted, first, axis=1)
-    single = counts == 1
-    prior = np.where(single, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
-    for_estimate = _moment_matched(MAP_PRIOR[:, None] + evidence, fitted)
-    for_report = _moment_matched(prior + evidence, square)
-    return for_estimate, for_report
+    # with each variance that is tried, of each parameter: its posterior variance (s, q), and the
+    # first term of (6), its squared estimate over that variance
+    tried = TRIED_VARIANCES[:, None]
+    growth = 1 + tried * information
+    variance = tried / growth
+    explained = variance * gradient ** 2
+    # of each block (s, d): the log likelihood, and the moments to match, for estimate and report
+    evidence = 0.5 * np.add.reduceat(explained - np.log(growth), first, axis=1)
+    evidence[tried > largest] = -np.inf
+    of_estimate = np.add.reduceat(explained, first, axis=1)
+    of_report = np.add.reduceat(variance * (1 + explained), first, axis=1)
+    prior = np.where(counts == 1, SINGLE_PRIOR[:, None], CONSERVATIVE_PRIOR[:, None])
+    return (_moment_matched(MAP_PRIOR[:, None] + evidence, of_estimate),
+            _moment_matched(prior + evidence, of_report))
 
 
 def _moment_matched(posterior: Array, moment: Array) -> Array:

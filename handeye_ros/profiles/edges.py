@@ -31,7 +31,7 @@ from itertools import pairwise
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint
+from handeye_ros.data import Array, EdgePoint, ENDINGS
 from handeye_ros.profiles.edge_rounding import rounding_of
 from handeye_ros.profiles.segment import returned, Segment, STEEPEST_SURFACE
 import numpy as np
@@ -168,39 +168,41 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
                   if s is not end.behind[0] or not _is_bevel(end, s, further)), None)
     # a driver that leaves lost points out does not say where the field of view ends
     marks_lost = len(end.returns) < size
-    if other is None:
-        if marks_lost and end.lost(end.column + 1, size) < GAP_COLUMNS:
-            return AT_BORDER
-        ending = 'gap' if marks_lost else 'open'
+    if other:
+        further = further[further < other.first]
+        ending = _ending_before(end, other, further)
+    elif not marks_lost:
+        ending = 'open'
     else:
-        start, least = other.first, smallest_step(end, other)
-        further = further[further < start]
-        corner = _meet_in_a_corner(end, other, further)
-        # a surface that turns away from the sensor leaves the line over its whole length
-        rise = end.rise_of(other.last if corner else start)
-        if corner:
-            ending = 'roof'
-            if rise > 0:
-                return AT_NEARER
-        elif rise > least:
-            ending = 'gap'
-            if abs(end.points[start, 0] - end.points[end.column, 0]) <= SHADOW_SLOPE * rise:
-                return AT_NEARER
-        elif rise < -least:
-            last = int(further[-1]) if len(further) else end.column
-            ending = 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
-        else:
-            return AT_BEND
+        ending = 'gap' if end.lost(end.column + 1, size) >= GAP_COLUMNS else AT_BORDER
+    if ending not in ENDINGS:
+        return ending
     room = min(end.column, size - 1 - end.column) * end.pitch
     if marks_lost and room < LEAST_TO_VIEW_END:
         return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
                 f'(move it {LEAST_TO_VIEW_END * 1e3:.0f} mm or more into the view)')
-    if ending == 'roof' and other is not None:
+    if other and ending == 'roof':
         return _corner(end, other)
     wall = _wall(end, further)
     if wall:
         return end.edge(*wall, 'roof')
     return _last_point(end, further, other if ending in ('step', 'shadow') else None, ending)
+
+
+def _ending_before(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> str:
+    """Return how a face ends before another surface, or in words why it has no edge there."""
+    start, least = other.first, smallest_step(end, other)
+    if _meet_in_a_corner(end, other, further):
+        # a surface that turns away from the sensor leaves the line over its whole length
+        return 'roof' if end.rise_of(other.last) <= 0 else AT_NEARER
+    rise = end.rise_of(start)
+    if rise > least:
+        hidden = abs(end.points[start, 0] - end.points[end.column, 0]) > SHADOW_SLOPE * rise
+        return 'gap' if hidden else AT_NEARER
+    if rise < -least:
+        last = int(further[-1]) if len(further) else end.column
+        return 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
+    return AT_BEND
 
 
 def smallest_step(end: FaceEnd, other: Segment) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array
+from handeye_ros.data import Array, ENDINGS
 from handeye_ros.estimation.problem import (
     Estimate,
     Observations,
@@ -27,7 +27,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
-from handeye_ros.targets.target import ENDINGS, FACE, FaceTarget, xyz
+from handeye_ros.targets.target import FACE, FaceTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 

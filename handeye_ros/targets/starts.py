@@ -92,32 +92,27 @@ def linear_candidates(problem: Problem, frames: Array, across: slice, count: int
     obs, W = problem.observations, frames[:, :, across]
     R, a = problem.poses[obs.station, :3, :3], problem.poses[obs.station, :3, 3]
     middle = problem.poses[:, :3, 3].mean(axis=0)
-    u, v = obs.points.T[:, :, None, None]
-    rows = np.concatenate([u * R, v * R, R, (middle - a)[:, :, None]], axis=2)
-    # sums over the observations are formed once, then multiplied by the axes of each frame
-    flat, q = rows.reshape(len(rows), -1), W.shape[2]
-    squares = (flat.T @ flat).reshape(3, 10, 3, 10).swapaxes(1, 2).reshape(9, 100)
-    own = (W @ np.swapaxes(W, 1, 2)).reshape(-1, 9) @ squares
-    products = np.empty((len(W), 10 + q, 10 + q))
-    unknown = np.append(np.arange(9), 9 + q)  # r1, r3, t, and the right-hand side
-    products[:, unknown[:, None], unknown] = own.reshape(-1, 10, 10)
-    mixed = -np.swapaxes(W, 1, 2) @ rows.sum(axis=0)
-    products[:, 9:9 + q, unknown], products[:, unknown, 9:9 + q] = mixed, np.swapaxes(mixed, 1, 2)
-    products[:, 9:9 + q, 9:9 + q] = len(rows) * np.eye(q)
-    N, right = products[:, :-1, :-1], products[:, :-1, -1:]
-    scale = np.sqrt(np.einsum('kii->ki', N))
-    scaled = N / scale[:, None] / scale[..., None] + 1e-12 * np.eye(N.shape[1])
-    x = np.linalg.solve(scaled, right / scale[..., None]) / scale[..., None]
-    both = np.concatenate([x, np.full((len(x), 1, 1), -1.0)], axis=1)
-    residual = (np.swapaxes(both, 1, 2) @ products @ both)[:, 0, 0]
-    rms, x = np.sqrt(np.maximum(residual, 0.0) / (len(rows) * q)), x[..., 0]
-    r1, r3 = x[:, :3], x[:, 3:6]
+    x, z = obs.points.T[:, :, None, None]
+    # in the base: derivatives (m, 3, 9) of the points by r1, r3 and t, and what they must add to
+    known = np.concatenate([x * R, z * R, R, (middle - a)[:, :, None]], axis=2)
+    m, (k, _, q) = len(known), W.shape
+    along = (np.swapaxes(W, 1, 2)[:, None] @ known).reshape(k, m * q, 10)
+    A = np.concatenate([along[..., :9], np.tile(-np.eye(q), (k, m, 1))], axis=2)
+    b = along[..., 9:]
+    # least squares of each frame; what the points do not show, such as r3 of one height, is 0
+    transposed = np.swapaxes(A, 1, 2)
+    N = transposed @ A
+    scale = np.sqrt(np.einsum('kii->ki', N))[..., None]
+    scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(9 + q)
+    solved = np.linalg.solve(scaled, transposed @ b / scale) / scale
+    rms = np.sqrt(((A @ solved - b) ** 2).mean(axis=(1, 2)))
+    r1, r3, c = solved[:, :3, 0], solved[:, 3:6, 0], solved[:, 9:]
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
     best = np.argsort(rms / 1e-3 + defect)[:count]
-    T = se3.transform(frames[best], middle + (W[best] @ x[best, 9:, None])[..., 0])
-    return [Estimate(*each) for each in zip(nearest_transform(x[best]), T.reshape(-1, 16),
-                                            strict=True)]
+    T = se3.transform(frames[best], middle + (W[best] @ c[best])[..., 0])
+    return [Estimate(*each) for each in zip(nearest_transform(solved[best, :, 0]),
+                                            T.reshape(-1, 16), strict=True)]
 
 
 def nearest_transform(x: Array) -> Array:

@@ -18,14 +18,13 @@ from typing import ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
+from handeye_ros.data import Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
 from handeye_ros.estimation.problem import Conditions, Linear, Observations, Target
 import numpy as np
 from numpy.typing import NDArray
 
-ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; numbered from 1
 NO_OUTWARD = np.zeros(2)  # the outward direction at points that are no edges
 FACE = 0  # the kind of a condition on a face, in every target that has them
 ERRORS_PER_FEATURE = 64  # per feature, at most

@@ -343,22 +343,13 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
     root[:6, :6] = root_of(C)
     measured = _measured(shape, at, q, root, config.verify.certificate)
 
-    # the most likely errors, by the distances and by the values with a nominal one
-    A = np.vstack([at.remainder(E), -measured.wrt_error])
-    b = np.append(at.remainder(r), measured.deviation)
-    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(E.shape[1] - 6))
-    inverse = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)))
-    error = np.asarray(inverse @ A.T @ b, dtype=float)
-    left, without = (_squares(A[:, first:], b, prior[first:]) for first in (0, 6))
-    left -= float(error[:6] ** 2 @ prior[:6])
-    known = len(measured.deviation)
-    freedom = max(max(len(r) - len(q), 1) + known - 6, 1)
-    scale = max(left / freedom, 1.0)
-    of_calibration = inverse[:6, :6]
+    found = _likeliest_errors(at, measured)
+    error, known = found.error, len(measured.deviation)
+    scale = max(found.left / found.freedom, 1.0)
     smallest_error, weakest_direction, weakest_error, weakest_error_std = _weakest(
-        np.linalg.inv(of_calibration) - np.diag(prior[:6]), lever, error[:6], mount_frame(config))
+        found.information, lever, error, mount_frame(config))
     largest_error, largest_error_std = largest_displacement(
-        lever, error[:6], scale * of_calibration)
+        lever, error, scale * found.covariance)
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
@@ -370,10 +361,43 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
                               np.linalg.norm(wrt_errors[:, 6:], axis=1)),
         region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
-        error=error[:6], p_error=float(chi2_sf(left, freedom)),
-        p_no_error=float(chi2_sf((without - left) / scale, 6)),
+        error=error, p_error=float(chi2_sf(found.left, found.freedom)),
+        p_no_error=float(chi2_sf((found.without - found.left) / scale, 6)),
         largest_error=largest_error, largest_error_std=largest_error_std, residuals=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """
+    The most likely errors of the calibration, from distances and values with a nominal one.
+
+    error: (6,); information, covariance: (6, 6) of it, the first without its prior
+    left, without: sum of squares that is left with this error, and with none
+    freedom: degrees of freedom of left
+    """
+
+    error: Array
+    information: Array
+    covariance: Array
+    left: float
+    without: float
+    freedom: int
+
+
+def _likeliest_errors(at: _Whitened, measured: _Measured) -> _Errors:
+    """Return the errors of the calibration; those of the robot have their variance as prior."""
+    A = np.vstack([at.remainder(at.E), -measured.wrt_error])
+    b = np.append(at.remainder(at.r), measured.deviation)
+    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(at.E.shape[1] - 6))
+    covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
+    error, of_calibration = (covariance @ A.T @ b)[:6], covariance[:6, :6]
+    left, without = (_squares(A[:, first:], b, prior[first:]) for first in (0, 6))
+    left -= float(error ** 2 @ prior[:6])
+    m, k = at.J.shape
+    information = np.asarray(np.linalg.inv(of_calibration), dtype=float) - np.diag(prior[:6])
+    freedom = max(max(m - k, 1) + len(measured.deviation) - 6, 1)
+    return _Errors(error, information, of_calibration, left, without, freedom)
 
 
 def _squares(A: Array, b: Array, prior: Array) -> float:
