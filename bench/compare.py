@@ -119,7 +119,7 @@ class Poses:
         poses = Views(config, views, T)
         yield 'A X = X B', poses.solve().X
         (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
-        known, _ = poses.adjusted(poses.closed_form(), np.array(
+        known, _ = poses.fit_with_variances(poses.closed_form(), np.array(
             [camera + robot, camera_turn, robot_turn]))
         yield 'A X = X B, noise known', known.state[0]
         yield 'CN105021139A', cn105021139a.solve_motions(*cn105021139a.motions(T, views))

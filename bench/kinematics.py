@@ -25,7 +25,7 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.robot.estimate import adjusted, ArmFit
+from handeye_ros.robot.estimate import ArmFit, estimate_weights
 from handeye_ros.robot.points import arm_problem_of, PointRows
 from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
 from handeye_ros.robot.selection import ArmOutcome, solve
@@ -243,7 +243,8 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     start = arm_problem_of_sources(sources, arm_of(robot.urdf()))
     stops = start.fit.stops
     used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
-    outcome = solve(replace(start, fit=adjusted(replace(start.fit, used=used)), q=stops.q[used]))
+    fit = estimate_weights(replace(start.fit, used=used))
+    outcome = solve(replace(start, fit=fit, q=stops.q[used]))
     before, after = (float(np.sqrt((stops.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     # the flange that counts is the one that the last axis carries: what lies behind it is the

@@ -56,7 +56,7 @@ Progress: TypeAlias = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Stations:
+class ComparedStations:
     """
     The stations for all estimators, with the solution of the target's own method.
 
@@ -84,7 +84,7 @@ class Stations:
         """Return points (k, 3) in the sensor plane over which errors are reported."""
         return field_points()
 
-    def subset(self, stations: NDArray[np.intp]) -> Stations:
+    def subset(self, stations: NDArray[np.intp]) -> ComparedStations:
         """Return some of the stations (ascending indices)."""
         return replace(self, samples=tuple(self.samples[i] for i in stations),
                        problem=self.problem.subset(stations))
@@ -106,7 +106,7 @@ class _GivenTransform(Problem):
         return super().free_columns[6:]
 
 
-Given: TypeAlias = Stations | Values
+Given: TypeAlias = ComparedStations | Values
 
 
 @dataclass(frozen=True)
@@ -123,9 +123,9 @@ class Estimator:
     refit: bool = True
 
 
-def _by_method(name: str) -> Callable[[Stations], Array]:
+def _by_method(name: str) -> Callable[[ComparedStations], Array]:
     """Return the fit by one of the own methods."""
-    def fit(stations: Stations) -> Array:
+    def fit(stations: ComparedStations) -> Array:
         config = replace(stations.config, method=name)
         solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
         require_certain(solution.reported_covariance, config, missing_motion(solution, config))
@@ -133,7 +133,7 @@ def _by_method(name: str) -> Callable[[Stations], Array]:
     return fit
 
 
-def _line_on_one_edge(stations: Stations) -> Array:
+def _line_on_one_edge(stations: ComparedStations) -> Array:
     """Return the fit of the line to the plate's edge with more points."""
     kind = stations.problem.observations.kind
     edge = max((plate.P, plate.Q), key=lambda k: int((kind == k).sum()))
@@ -146,14 +146,14 @@ def _line_on_one_edge(stations: Stations) -> Array:
     return _by_method('line')(replace(stations, samples=tuple(samples)))
 
 
-def _edges(stations: Stations) -> tuple[Array, Array, Array]:
+def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
     """Return poses (n, 4, 4), points (n, 2) and edges (n,) of the points of a plate's edges."""
     obs = stations.problem.observations
     obs = obs.select((obs.kind == plate.P) | (obs.kind == plate.Q))
     return stations.problem.poses[obs.station], obs.points, np.array(plate.KINDS)[obs.kind]
 
 
-def _ball(stations: Stations) -> tuple[Array, Array]:
+def _ball(stations: ComparedStations) -> tuple[Array, Array]:
     """Return poses (n, 4, 4), and the centres (n, 3) of the ball as the sensor sees it."""
     radius = stations.config.target.radius
     if radius <= 0:
@@ -169,7 +169,7 @@ def _ball(stations: Stations) -> tuple[Array, Array]:
         radius, np.where(centre[:, 1] < 0, -1.0, 1.0))
 
 
-def _zheng(stations: Stations) -> Array:
+def _zheng(stations: ComparedStations) -> Array:
     obs = stations.problem.observations
     edge = obs.kind == line.EDGE_Y  # each point is there twice, for y and for z
     to_plane = zheng2018.T_plane_x_plane_y
@@ -293,7 +293,7 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     seconds = time.perf_counter() - start
     # the others know no motion
     used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
-    given = Stations(used, config, solution.problem, solution.estimate, solution.noise)
+    given = ComparedStations(used, config, solution.problem, solution.estimate, solution.noise)
     rejected = len(samples) + len(rejects) - len(used)
     return _compared(given, solution.estimate.X, answer.refusal, seconds, rejected, T_true, folds,
                      progress)

@@ -87,7 +87,7 @@ class RawProfile:
     fetch: returns the serialised message
     convert: makes a Profile of it with a configuration, or raises UnusableMessageError
     config: the default configuration
-    held: memory that it takes (bytes), 0 if it is in a file
+    held_bytes: memory that it takes, 0 if it is in a file
     rows: number of profiles in the message
     reach: it was taken at most this long before and after its stamp (ns)
     """
@@ -97,7 +97,7 @@ class RawProfile:
     fetch: Callable[[], bytes]
     convert: Callable[[bytes, ProfileConfig], Profile]
     config: ProfileConfig
-    held: int = 0
+    held_bytes: int = 0
     rows: int = 1
     reach: tuple[int, int] = (0, 0)
 
@@ -215,8 +215,8 @@ class EdgePoint:
         'gap' (nothing behind it) or 'open' (the driver does not say)
     drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
         without a visible wall, else 0
-    shapes: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the best,
-        empty without a bend
+    shape_log_odds: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the
+        best, empty without a bend
     arc_offset: (2,) from the point to the middle of the end's arc if it is a rounding
     arc_std: 1 sigma of this position along the direction
     shape_std: 1 sigma of the edge position from its uncertain shape, common to all ends
@@ -228,7 +228,7 @@ class EdgePoint:
     std_across: float
     ending: str = 'step'
     drop: Array = field(default_factory=lambda: np.zeros(2))
-    shapes: Array = field(default_factory=lambda: np.empty(0))
+    shape_log_odds: Array = field(default_factory=lambda: np.empty(0))
     arc_offset: Array = field(default_factory=lambda: np.zeros(2))
     arc_std: float = 0.0
     shape_std: float = 0.0
@@ -275,8 +275,8 @@ class Sample:
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for
     trajectory: trajectory of a moving robot (sampling.trajectory)
-    offsets: from the stamp to the time of its pose, of the rotation behind the position (s), and
-        drift (sampling.sweep)
+    clock_values: from the stamp to the time of its pose, of the rotation behind the position (s),
+        and drift (sampling.sweep)
     of_pass: samples of the single profiles of a pass, whose middle one this sample repeats
     """
 
@@ -286,7 +286,7 @@ class Sample:
     profiles: int = 1
     flipped: tuple[Feature, ...] | None = None
     trajectory: Any = None
-    offsets: tuple[float, ...] = (0.0,)
+    clock_values: tuple[float, ...] = (0.0,)
     of_pass: tuple[Sample, ...] = ()
 
     @property

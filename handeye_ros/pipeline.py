@@ -120,7 +120,7 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
         session.add_pose(pose)
     for profile in require_each('profiles', profiles, Profile, RawProfile):
         session.add_profile(profile)
-    session.finish()
+    session.evaluate_remaining()
     session.require_stops()
     return session
 

@@ -120,7 +120,7 @@ def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) 
     moving = [i for i, sample in enumerate(used) if sample.moving]
     if not moving:
         return np.empty((0, 3))
-    stamps = np.array([used[i].stamp + round(used[i].offsets[0] * 1e9) for i in moving])
+    stamps = np.array([used[i].stamp + round(used[i].clock_values[0] * 1e9) for i in moving])
     twists = used[moving[0]].trajectory.at(stamps).twists
     return np.column_stack([(stamps - stamps[0]) * 1e-9,
                             rms_by(station, residuals, len(used))[moving],
@@ -185,18 +185,18 @@ def agreements(answer: Answer, samples: Sequence[Sample], config: Config
         predicted = residual.copy()
     others = [k for k in range(n) if not by_answer[k]]
     residual[others] = predicted[others] = _of_others(
-        [samples[k] for k in others], answer.samples[0].offsets, solution, config)
+        [samples[k] for k in others], answer.samples[0].clock_values, solution, config)
     return tuple(None if np.isnan(residual[k]) else Agreement(
         float(residual[k]), float(predicted[k]), bool(by_answer[k])) for k in range(n))
 
 
-def _of_others(samples: Sequence[Sample], offsets: Sequence[float], solution: Solution,
+def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solution: Solution,
                config: Config) -> Array:
     """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
     ones = list(passes_expanded(samples))
     number = np.repeat(np.arange(len(samples)), [len(s.parts) for s in samples])
     if any(one.moving for one in ones):
-        at = ClockedPoses.of(ones).at(*offsets)
+        at = ClockedPoses.of(ones).at(*clock_values)
         ones = [replace(one, T_base_flange=T) for one, T, inside in zip(
             ones, at.T_base_flange, at.inside, strict=True) if inside]
         number = number[at.inside]

@@ -109,19 +109,19 @@ def perturb(T: Array, delta: Array) -> Array:
                      T[..., :3, 3] + delta[..., :3])
 
 
-def wrt_perturbation(arms: Array) -> Array:
+def wrt_perturbation(levers: Array) -> Array:
     """
     Return the derivatives (..., 3, 6) of points by a perturbation of their frame.
 
-    arms (..., 3): from its origin to the points, in the axes of the parent frame.
+    levers (..., 3): from its origin to the points, in the axes of the parent frame.
     """
-    wrt_shift = np.broadcast_to(np.eye(3), (*arms.shape, 3))
-    return np.concatenate([wrt_shift, -skew(arms)], axis=-1)
+    wrt_shift = np.broadcast_to(np.eye(3), (*levers.shape, 3))
+    return np.concatenate([wrt_shift, -skew(levers)], axis=-1)
 
 
-def mapped_covariance(arms: Array, covariance: Array) -> Array:
-    """Return the mean covariance (3, 3) of points at arms (k, 3), by that of their frame."""
-    J = wrt_perturbation(arms)
+def mapped_covariance(levers: Array, covariance: Array) -> Array:
+    """Return the mean covariance (3, 3) of points at levers (k, 3), by that of their frame."""
+    J = wrt_perturbation(levers)
     return np.asarray(np.einsum('kij,jl,kml->im', J, covariance, J) / len(J))
 
 

@@ -118,8 +118,8 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     """
     require_type('config', config, Config)
     converter = ProfileReader(config.profile)
-    clouds = _Topic('profile_topic', config.profile_topic, CLOUD_TYPE,
-                    lambda raw: converter.take(raw.data, raw.fetch))
+    clouds = _Recorded('profile_topic', config.profile_topic, CLOUD_TYPE,
+                       lambda raw: converter.take(raw.data, raw.fetch))
     topics, poses_of = _pose_source(config, arm)
     reader = _read_topics(Path(path), (clouds, *topics), progress)
     profiles: list[RawProfile] = []
@@ -147,7 +147,7 @@ def read_poses(path: Path, config: Config, arm: Arm | None = None) -> Recording:
     return Recording((), poses, joints, reader.warnings, reader.files)
 
 
-def _read_topics(path: Path, topics: Sequence[_Topic],
+def _read_topics(path: Path, topics: Sequence[_Recorded],
                  progress: Callable[[float], None] = lambda share: None) -> Reader:
     """Pass every message to its topic; return the reader of the bag."""
     # if two settings name one topic, the first gets its messages; its type refuses the second
@@ -166,7 +166,7 @@ class _Joints:
     values: Array
 
 
-class _Topic:
+class _Recorded:
     """Receives the messages of a topic in recording order; tells which are usable, in order."""
 
     def __init__(self, key: str, name: str, kind: str, convert: Callable[[Raw], Any]) -> None:
@@ -278,7 +278,7 @@ Poses: TypeAlias = tuple[Sequence[TimedPose], Array | None]
 
 
 def _pose_source(config: Config, arm: Arm | None
-                 ) -> tuple[Sequence[_Topic], Callable[[Reader], Poses]]:
+                 ) -> tuple[Sequence[_Recorded], Callable[[Reader], Poses]]:
     """
     Return the topics with the flange poses, and what makes poses of their messages.
 
@@ -287,19 +287,20 @@ def _pose_source(config: Config, arm: Arm | None
     if config.kinematics and not arm:
         arm = read_arm(Path(config.kinematics))
     if arm:
-        joints = _Topic('joint_topic', config.joint_topic, JOINTS_TYPE,
-                        lambda raw: _joints(arm, raw.data))
+        joints = _Recorded('joint_topic', config.joint_topic, JOINTS_TYPE,
+                           lambda raw: _joints(arm, raw.data))
         return (joints,), partial(_of_arm, arm, joints)
     if config.pose_source == 'tf':
-        moving, static = (_Topic('pose_source', name, TF_TYPE,
-                                 lambda raw: transforms_from_cdr(raw.data))
+        moving, static = (_Recorded('pose_source', name, TF_TYPE,
+                                    lambda raw: transforms_from_cdr(raw.data))
                           for name in ('/tf', '/tf_static'))
         return (moving, static), partial(_of_tree, config, moving, static)
-    poses = _Topic('pose_topic', config.pose_topic, POSE_TYPE, lambda raw: pose_from_cdr(raw.data))
+    poses = _Recorded('pose_topic', config.pose_topic, POSE_TYPE,
+                      lambda raw: pose_from_cdr(raw.data))
     return (poses,), partial(_of_topic, poses)
 
 
-def _of_topic(topic: _Topic, reader: Reader) -> Poses:
+def _of_topic(topic: _Recorded, reader: Reader) -> Poses:
     poses = topic.ordered(reader)
     (frame, most), *others = Counter(pose.parent_frame for pose in poses).most_common()
     strays = len(poses) - most
@@ -312,7 +313,7 @@ def _of_topic(topic: _Topic, reader: Reader) -> Poses:
     return [pose for pose in poses if pose.parent_frame == frame], None
 
 
-def _of_tree(config: Config, moving: _Topic, static: _Topic, reader: Reader) -> Poses:
+def _of_tree(config: Config, moving: _Recorded, static: _Recorded, reader: Reader) -> Poses:
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
     for transforms in static.items:  # first: a node that starts late publishes them late
         tracker.add(transforms, static=True)
@@ -327,7 +328,7 @@ def _of_tree(config: Config, moving: _Topic, static: _Topic, reader: Reader) -> 
     return _fitting('/tf', found, reader.warnings), None
 
 
-def _of_arm(arm: Arm, topic: _Topic, reader: Reader) -> Poses:
+def _of_arm(arm: Arm, topic: _Recorded, reader: Reader) -> Poses:
     joints = topic.ordered(reader)
     return _forward(arm, joints), np.array([one.values for one in joints])
 

@@ -474,7 +474,7 @@ def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) ->
         reach = (round(fraction * duration), round((1.0 - fraction) * duration))
     first = raw.stamp - round(fraction * (raw.rows - 1) * step)
     stamps = [first + round(index * step) for index in range(raw.rows)]
-    return [replace(raw, stamp=stamp, rows=1, held=raw.held // raw.rows,
+    return [replace(raw, stamp=stamp, rows=1, held_bytes=raw.held_bytes // raw.rows,
                     fetch=partial(_row_message, raw.fetch, index, stamp), reach=reach)
             for index, stamp in enumerate(stamps)]
 

@@ -45,7 +45,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     samples: in the order of the stations of the problem. Too little rotation of the poses is
     reported before a move, since it can look like one.
     """
-    stated, refusal = Explanation.of(solution), contradiction(solution)
+    stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
         require_sign(samples, problem.config, stated, clocks=refusal is not None)
     if refusal or solution.variance_factor >= MISFIT_FACTOR:

@@ -14,7 +14,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
-from handeye_ros.checks.hypotheses import Explanation, explanation_of, Hypothesis, refuse_better
+from handeye_ros.checks.hypotheses import (
+    Explanation,
+    explanation_of_results,
+    Hypothesis,
+    refuse_better,
+)
 from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
@@ -72,8 +77,9 @@ def require_same_clock(session: Session, config: Config) -> None:
     limit = max(LARGEST_REST_RATIO * float(np.quantile(changes, STILL_SHARE)), SMALLEST_CHANGE)
     stills = [_still(*part, limit, config) for part in seen]
     # compared are the stops in which the profiles come to rest, whatever they show as it is set
-    stated = explanation_of([stop.sample for (stop, _), still in zip(found, stills, strict=True)
-                             if still.sample], config)
+    stated = explanation_of_results([
+        stop.sample for (stop, _), still in zip(found, stills, strict=True) if still.sample],
+        config)
     refuse_better(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
                            if abs(_offset(stills, behind)) > SMALLEST_OFFSET])
 
@@ -140,9 +146,9 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
     def refit() -> Explanation:
-        return explanation_of([replace(still.sample, T_base_flange=stills[k - behind].pose)
-                               if 0 <= k - behind < len(stills) else None
-                               for k, still in enumerate(stills) if still.sample], config)
+        return explanation_of_results([replace(still.sample, T_base_flange=stills[k - behind].pose)
+                                       if 0 <= k - behind < len(stills) else None
+                                       for k, still in enumerate(stills) if still.sample], config)
 
     def refusal(fit: Explanation) -> DataError:
         late = _offset(stills, behind)

@@ -15,9 +15,9 @@ from functools import partial
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
     Explanation,
-    explanation_of,
+    explanation_of_problem,
+    explanation_of_results,
     Hypothesis,
-    problem_explanation,
     refuse_better,
 )
 from handeye_ros.data import Array, Sample
@@ -43,15 +43,16 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
     poses = problem.robot_poses
     if trajectory:
         some = evenly_chosen(len(samples), FEWER_SAMPLES)
-        samples, stated = [samples[i] for i in some], replace(stated, q=stated.q[:, some])
+        samples = [samples[i] for i in some]
+        stated = replace(stated, squares=stated.squares[:, some])
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
 
     def refit(T: Array) -> Explanation:
         if trajectory is None:
-            return problem_explanation(replace(problem, poses=mount_poses(T, problem.config)))
+            return explanation_of_problem(replace(problem, poses=mount_poses(T, problem.config)))
         moved = replace(trajectory, values=np.column_stack([T[:, :3, 3], se3.quaternion(T)]))
-        return explanation_of([replace(sample, trajectory=moved) for sample in samples],
-                              problem.config)
+        return explanation_of_results([replace(sample, trajectory=moved) for sample in samples],
+                                      problem.config)
 
     def undone(name: str, T: Array, advice: str) -> Hypothesis:
         """Return the hypothesis that T (n, 4, 4) are the poses without an error."""

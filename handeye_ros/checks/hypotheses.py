@@ -49,15 +49,16 @@ class Explanation:
     """
     What an explanation makes of some stops: one consensus, or those of two parts of them.
 
-    parts: none where nothing fits; q: (2, n) of (13), in sigmas and in metres, of the stops that
-    are compared, inf for one that is not explained.
+    parts: none where nothing fits
+    squares: (2, n) q of (13), in sigmas and in metres, of the stops that are compared, inf for one
+        that is not explained
     """
 
     parts: tuple[Solution, ...]
-    q: Array
+    squares: Array
 
     @classmethod
-    def of(cls, *parts: Solution) -> Explanation:
+    def of_solutions(cls, *parts: Solution) -> Explanation:
         """Return the explanation whose stations, those of each part in turn, are the stops."""
         return cls(parts, np.hstack([_squares(part) for part in parts]))
 
@@ -81,7 +82,7 @@ class Explanation:
     def agrees(self) -> bool:
         """Return whether most stops fit, about as well as the configured noise predicts."""
         return bool(self.redundancy > 0 and self.variance_factor < CONVINCING_SQUARE
-                    and self.fitting > (1 - LARGEST_DROPPED_SHARE) * self.q.shape[1])
+                    and self.fitting > (1 - LARGEST_DROPPED_SHARE) * self.squares.shape[1])
 
     @property
     def believable(self) -> bool:
@@ -91,7 +92,7 @@ class Explanation:
     @property
     def fitting(self) -> int:
         """Return the number of stops that fit."""
-        return int(np.isfinite(self.q[0]).sum())
+        return int(np.isfinite(self.squares[0]).sum())
 
     def evidence_against(self, stated: Explanation) -> float:
         """Return twice the log of the odds for this fit against the stated one."""
@@ -102,7 +103,8 @@ class Explanation:
         m = min(int(np.median(np.concatenate([p.ranks for p in fit.parts]))) for fit in fits)
         unit = min(fit.parts[0].expected_rms for fit in fits) ** 2
         return min(deviance(before / one, m) - deviance(after / one, m)
-                   for before, after, one in zip(stated.q, self.q, (1.0, unit), strict=True))
+                   for before, after, one in zip(stated.squares, self.squares, (1.0, unit),
+                                                 strict=True))
 
     def compared(self, stated: Explanation, change: str) -> str:
         """Return in words what fits as set, and what with a change."""
@@ -114,7 +116,7 @@ class Explanation:
             return 'no stop fits'
         rms = math.sqrt(np.mean([part.residual_rms ** 2 for part in self.parts]))
         what = 'profiles' if self.parts[0].full_problem.config.sampling.moving else 'stops'
-        return f'{self.fitting} of {self.q.shape[1]} {what} fit ({mm(rms)} RMS)'
+        return f'{self.fitting} of {self.squares.shape[1]} {what} fit ({mm(rms)} RMS)'
 
 
 def _squares(found: Solution) -> Array:
@@ -129,7 +131,7 @@ def _squares(found: Solution) -> Array:
     return q
 
 
-def problem_explanation(problem: Problem, all_starts: bool = False) -> Explanation:
+def explanation_of_problem(problem: Problem, all_starts: bool = False) -> Explanation:
     """
     Return the fit of a problem whose stations are all the stops.
 
@@ -137,16 +139,16 @@ def problem_explanation(problem: Problem, all_starts: bool = False) -> Explanati
     """
     found = (robust_solution(problem, np.random.default_rng(0), subsets=True)
              if all_starts else quick_solution(problem))
-    return Explanation.of(found) if found else Explanation.nothing(len(problem.poses))
+    return Explanation.of_solutions(found) if found else Explanation.nothing(len(problem.poses))
 
 
-def explanation_of(results: Sequence[Sample | Reject | None], config: Config,
-                   all_starts: bool = False, clocks: bool = True) -> Explanation:
+def explanation_of_results(results: Sequence[Sample | Reject | None], config: Config,
+                           all_starts: bool = False, clocks: bool = True) -> Explanation:
     """
     Return the fit of what stops gave.
 
-    results: of each of the stops that are compared; all_starts: see problem_explanation; clocks:
-    of a sweep, search them anew, as these results show them.
+    results: of each of the stops that are compared; all_starts: see explanation_of_problem;
+    clocks: of a sweep, search them anew, as these results show them.
     """
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
@@ -155,8 +157,8 @@ def explanation_of(results: Sequence[Sample | Reject | None], config: Config,
         return every
     if clocks:
         ordered = synchronised(ordered, config).samples
-    fit = problem_explanation(problem_at_poses(ordered, config), all_starts)
-    every.q[:, [number[sample.stamp] for sample in ordered]] = fit.q
+    fit = explanation_of_problem(problem_at_poses(ordered, config), all_starts)
+    every.squares[:, [number[sample.stamp] for sample in ordered]] = fit.squares
     return replace(every, parts=fit.parts)
 
 

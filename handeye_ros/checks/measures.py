@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from handeye_ros.checks.hypotheses import Explanation, Hypothesis, problem_explanation
+from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import covariance_of
@@ -37,7 +37,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target
     # if a free shape explains more stations, the refinement can decide about the shape
-    fit, stated_fit = Explanation.of(other), Explanation.of(agreed)
+    fit, stated_fit = Explanation.of_solutions(other), Explanation.of_solutions(agreed)
     complete = fit.believable and other.fully_used - agreed.fully_used > 0.1 * len(problem.poses)
     return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
 
@@ -92,7 +92,7 @@ def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
     T[:, :3, 3] /= 1 + scale
 
     def refit() -> Explanation:
-        fit = problem_explanation(replace(problem, poses=mount_poses(T, problem.config)))
+        fit = explanation_of_problem(replace(problem, poses=mount_poses(T, problem.config)))
         most = fit.variance_factor < 0.5 * agreed.variance_factor
         return fit if most else Explanation.nothing(len(T))
     return [Hypothesis(refit, lambda fit: _scales_differ(

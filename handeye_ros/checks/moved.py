@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 SENSOR, TARGET = range(2)  # a body that moves: the first index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOST_CHANGES = 40  # possible moments of a small move
-STEP_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
+MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZE_FACTORS = (1.0, 0.25)  # factors on it, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 STRONG_EVIDENCE = 5.0
@@ -65,7 +65,8 @@ def _move_before(problem: Problem, k: int) -> Hypothesis:
     def refit() -> Explanation:
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [k]))
-        return Explanation.of(first, second) if first and second else Explanation.nothing(n)
+        return (Explanation.of_solutions(first, second) if first and second
+                else Explanation.nothing(n))
 
     def refusal(fit: Explanation) -> DataError:
         first, second = (part.estimate.X for part in fit.parts)
@@ -113,7 +114,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         least = max(least, config.noise.robot_smooth)
     if evidence < STRONG_EVIDENCE or size < least:
         return agreed, ''
-    p_value = _steps_at(agreed, moved, moments).p_value
+    p_value = _move_sums(agreed, moved, moments).p_value
     if p_value >= WARNING_P:
         return agreed, ''
     what, frame = (('sensor', mount_frame(config)) if body == SENSOR
@@ -145,12 +146,12 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
             further = _blocks_of_move(conservative, body, int(moments[one[1]]))
             tried[one] = reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _steps_at(agreed, tried[one], moments).gains()[body]
+            gains = _move_sums(agreed, tried[one], moments).gains()[body]
     (body, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
     return body, k, moved
 
 
-def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _MoveSums:
+def _move_sums(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _MoveSums:
     """Return the sums for moves of a solution, with the noise of that with a move."""
     return _MoveSums.of(solution_at(agreed.problem, agreed.estimate, moved.noise), moments)
 
@@ -158,7 +159,7 @@ def _steps_at(agreed: Solution, moved: Solution, moments: NDArray[np.intp]) -> _
 def _size(moved: Solution, body: int) -> tuple[float, float, float]:
     """Return shift (m), turn (rad) of the move in a solution, and that of the points seen (m)."""
     step = moved.nuisance[:6] * np.repeat([block.std for block in moved.blocks[:2]], 3)
-    seen = step[:3] + np.cross(step[3:], _arms(moved)[body])
+    seen = step[:3] + np.cross(step[3:], _levers(moved)[body])
     return (float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])),
             rms(np.linalg.norm(seen, axis=1)))
 
@@ -169,22 +170,22 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
 
     body: SENSOR, in the mount, or TARGET, in the base; station: the first after the move.
     """
-    columns = np.hsplit(_wrt_steps(solution), 2)[body]
+    columns = np.hsplit(_wrt_moves(solution), 2)[body]
     columns[solution.problem.observations.station < station] = 0.0
-    return tuple(ParameterBlock(name, columns[:, part], float(STEP_STD[part][0]),
+    return tuple(ParameterBlock(name, columns[:, part], float(MOVE_STD[part][0]),
                                 largest_variance=1.0)
                  for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
-def _wrt_steps(solution: Solution) -> Array:
+def _wrt_moves(solution: Solution) -> Array:
     """Return the derivatives (m, 12) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
-    about = se3.cross(_arms(solution)[TARGET], linear.wrt_base)
+    about = se3.cross(_levers(solution)[TARGET], linear.wrt_base)
     steps = np.hstack([linear.jacobian[:, :6], linear.wrt_base, about])
-    return np.asarray(steps * np.tile(STEP_STD, 2))
+    return np.asarray(steps * np.tile(MOVE_STD, 2))
 
 
-def _arms(solution: Solution) -> tuple[Array, Array]:
+def _levers(solution: Solution) -> tuple[Array, Array]:
     """Return the points (m, 3) from what a sensor, and a target, turns about when it moves."""
     p = solution.problem.points_in_base(solution.linear.estimate.X)
     return solution.linear.lever, p - p.mean(axis=0)
@@ -210,7 +211,7 @@ class _MoveSums:
     def of(cls, solution: Solution, moments: NDArray[np.intp]) -> _MoveSums:
         """Return the sums at a solution."""
         whiten = whitening(solution.linear, solution.noise)
-        D, J = whiten(_wrt_steps(solution)), solution.jacobian
+        D, J = whiten(_wrt_moves(solution)), solution.jacobian
         rows = np.split(np.arange(len(D)), np.searchsorted(
             solution.problem.observations.station, moments))
         scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5

@@ -14,7 +14,12 @@ from functools import partial
 from itertools import permutations
 
 from handeye_ros import targets
-from handeye_ros.checks.hypotheses import Explanation, explanation_of, Hypothesis, refuse_better
+from handeye_ros.checks.hypotheses import (
+    Explanation,
+    explanation_of_results,
+    Hypothesis,
+    refuse_better,
+)
 from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
@@ -37,18 +42,18 @@ def require_settings(session: Session, config: Config) -> None:
     seen = with_common_shape([r for r in results if isinstance(r, Sample)])
     with_edge = {s.stamp for s in seen if any(isinstance(f, EdgePoint) for f in s.features)}
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
-    stated = explanation_of(results, config, all_starts=True)  # as a solve starts
+    stated = explanation_of_results(results, config, all_starts=True)  # as a solve starts
 
     def refit(values: dict[str, str]) -> Explanation:
         """Return the fit of the stops, read with other values of settings."""
-        as_changed = changed(config, values)
+        as_changed = with_settings(config, values)
         glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
                   for stop in stops]
         if 2 * sum(isinstance(result, Sample) for result in glance) < len(stops):
             return Explanation.nothing(len(stops))  # most show nothing: read no more of them
-        fit = explanation_of([result_of(stop, as_changed) for stop in stops], as_changed)
+        fit = explanation_of_results([result_of(stop, as_changed) for stop in stops], as_changed)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
-            fit = replace(fit, q=np.where(edges, np.inf, fit.q))
+            fit = replace(fit, squares=np.where(edges, np.inf, fit.squares))
         return fit if _within_noise(fit) else Explanation.nothing(len(stops))
 
     refuse_better(stated, [
@@ -78,7 +83,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
     clocks: of a sweep, those of the samples are in doubt too.
     """
     asked = [k for k, sample in enumerate(samples) if sample.flipped is not None]
-    stated = replace(stated, q=stated.q[:, asked])
+    stated = replace(stated, squares=stated.squares[:, asked])
     others = [replace(samples[k], features=seen) if (seen := samples[k].flipped) else None
               for k in asked]
     flipped = flipped_range(config)
@@ -93,7 +98,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
             'and no clamp or second plate', reason='misfit')
 
     refuse_better(stated, [Hypothesis(
-        partial(explanation_of, others, flipped, clocks=clocks), refusal)])
+        partial(explanation_of_results, others, flipped, clocks=clocks), refusal)])
 
 
 def _within_noise(fit: Explanation) -> bool:
@@ -121,7 +126,7 @@ def _changes(config: Config) -> Iterator[dict[str, str]]:
     yield from (change | sign for change in (*kinds, *axes))
 
 
-def changed(config: Config, values: dict[str, str]) -> Config:
+def with_settings(config: Config, values: dict[str, str]) -> Config:
     """Return the configuration with other values; measures of another target are reset."""
     if 'target.type' in values:
         config = replace(config, method='auto', target=replace(config.target, radius=0.0, size=()))

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from handeye_ros.checks.hypotheses import explanation_of
-from handeye_ros.checks.settings import changed, thinned
+from handeye_ros.checks.hypotheses import explanation_of_results
+from handeye_ros.checks.settings import thinned, with_settings
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Sample
 from handeye_ros.errors import DataError
@@ -55,12 +55,12 @@ def require_one_surface(session: Session, config: Config) -> None:
     if not target_for(config).essential:
         return
     taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
-    as_plane = changed(config, {'target.type': 'plane'})
-    fit = explanation_of([result_of(thinned(stop, config), as_plane) for stop in taken],
-                         as_plane, all_starts=True)
+    as_plane = with_settings(config, {'target.type': 'plane'})
+    fit = explanation_of_results([result_of(thinned(stop, config), as_plane) for stop in taken],
+                                 as_plane, all_starts=True)
     if not fit.believable:
         return
-    estimate, seen = fit.parts[0].estimate, np.isfinite(fit.q[0])
+    estimate, seen = fit.parts[0].estimate, np.isfinite(fit.squares[0])
     T_plane_mount = inverse(estimate.state.reshape(4, 4))
     heights = np.array([
         _height(stop.sample, T_plane_mount @ mount_poses(stop.sample.T_base_flange, config)
@@ -68,8 +68,9 @@ def require_one_surface(session: Session, config: Config) -> None:
     beside = np.abs(heights) > SMALLEST_DISTANCE
     if (beside & seen).sum() < FEWEST_STOPS:
         return
-    others = explanation_of([stop.sample for stop, other in zip(taken, ~beside, strict=True)
-                             if other], config, all_starts=True)
+    others = explanation_of_results([
+        stop.sample for stop, other in zip(taken, ~beside, strict=True) if other],
+        config, all_starts=True)
     if others.agrees:  # as few as they may be: it is the plane that tells the surfaces apart
         raise OtherSurfaceError([taken[k] for k in np.flatnonzero(beside)],
                                 float(np.median(np.abs(heights[beside]))), int(seen.sum()),

@@ -110,8 +110,8 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     return with_assignments(load(file, base) if file else base, given)
 
 
-def calibrated(file: Path, config: Path | None, assignments: list[str],
-               kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
+def open_calibration(file: Path, config: Path | None, assignments: list[str],
+                     kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import read_calibration, use_config

@@ -8,13 +8,13 @@ from typing import Annotated, TYPE_CHECKING
 from handeye_ros.cli.common import (
     app,
     Assignments,
-    calibrated,
     CalibrationFile,
     collect_samples,
     File,
     KinematicsFile,
     MeasureConfig,
     NoPath,
+    open_calibration,
     OutFile,
     progress_bar,
     read_bag,
@@ -69,15 +69,15 @@ def verify(
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
-    answer, settings = calibrated(calibration, config, assignments, kinematics)
+    opened, settings = open_calibration(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
     if routine.in_passes:
-        measured, rejects = stations_of_passes(_passes(bags, answer, settings), settings), ()
+        measured, rejects = stations_of_passes(_passes(bags, opened, settings), settings), ()
     else:
-        samples, rejects = zip(*(_stops(bag, answer, settings) for bag in bags), strict=True)
-        measured = stations_of(routine, samples, answer, settings)
+        samples, rejects = zip(*(_stops(bag, opened, settings) for bag in bags), strict=True)
+        measured = stations_of(routine, samples, opened, settings)
     result = verification.with_provenance(
-        verification.verify(routine, measured, answer, settings, list(chain(*rejects))), bags,
+        verification.verify(routine, measured, opened, settings, list(chain(*rejects))), bags,
         calibration)
     content = verification.plain_values(result)
     show(verification_file.table(content))
@@ -137,7 +137,7 @@ def check(
     from handeye_ros.output import write_atomically
     from handeye_ros.verification.check import check_recording, plain_values
     import yaml
-    calibration, settings = calibrated(against, config, assignments, kinematics)
+    calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
         recording = read_bag(bag, settings)

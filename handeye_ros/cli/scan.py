@@ -9,7 +9,6 @@ from handeye_ros.cli.common import (
     app,
     Assignments,
     Bag,
-    calibrated,
     CalibrationFile,
     File,
     Folder,
@@ -18,6 +17,7 @@ from handeye_ros.cli.common import (
     MeasureConfig,
     NoPath,
     one_of,
+    open_calibration,
     progress_bar,
     stream_recording,
 )
@@ -57,10 +57,10 @@ def scan(
     from handeye_ros.scanning.cloud import require_format, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)
-    answer, settings = calibrated(calibration, config, assignments, kinematics)
-    scanner = Scanner(answer, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
+    sensor, settings = open_calibration(calibration, config, assignments, kinematics)
+    scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
-    with stream_recording(bag, settings, 'reading the poses', answer) as (source, track, update):
+    with stream_recording(bag, settings, 'reading the poses', sensor) as (source, track, update):
         def pieces() -> 'Iterator[Points]':
             for points in scanner.scan(source.returns(), track):
                 yield points
@@ -142,8 +142,8 @@ def _cloud(path: Path, calibration: Path | None, config: Path | None, assignment
     if calibration is None:
         raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
                          'calibration of its sensor: --calibration FILE')
-    answer, settings = calibrated(calibration, config, assignments)
-    scanner = Scanner(answer, settings, ScanOptions(voxel=THINNING_SIZE))
-    with stream_recording(path, settings, 'scanning', answer) as (source, track, _):
+    sensor, settings = open_calibration(calibration, config, assignments)
+    scanner = Scanner(sensor, settings, ScanOptions(voxel=THINNING_SIZE))
+    with stream_recording(path, settings, 'scanning', sensor) as (source, track, _):
         rows = np.concatenate(list(scanner.scan(source.returns(), track)))
     return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

@@ -56,7 +56,7 @@ class ParameterBlock:
         None: no change
     best_fit(linear): (6, k) derivatives of the transform that maps points best, (9); None: none
     parameter: index of the target's parameter that it is, None for a mere correction of residuals
-    pose_values: which values of the pose model it is, likewise
+    pose_slice: which values of the pose model it is, likewise
     value: (k,) of these parameters at present
     least_variance, largest_variance: bounds of the variance over the configured one
     report: key in the answer, '' for none
@@ -69,7 +69,7 @@ class ParameterBlock:
     twists: Array | None = None
     best_fit: Callable[[Linear], Array] | None = None
     parameter: int | None = None
-    pose_values: slice | None = None
+    pose_slice: slice | None = None
     value: Array | None = None
     least_variance: float = 0.0
     largest_variance: float = 400.0  # 20 times the sigma
@@ -215,7 +215,7 @@ def pose_model(linear: Linear) -> Blocks:
     for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
         some = slice(int(end) - count, int(end))
         own = twists[:, :, some]
-        yield ParameterBlock(name, linear.wrt_twists(own) * std, std, own, pose_values=some,
+        yield ParameterBlock(name, linear.wrt_twists(own) * std, std, own, pose_slice=some,
                              value=problem.pose_values[some],
                              least_variance=model.least_variance, report=name)
 

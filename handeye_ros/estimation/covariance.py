@@ -41,23 +41,25 @@ def with_contamination(solution: Solution, dropped: int) -> Solution:
     if weight <= 0:
         return solution
     configured = solution_at(solution.problem, solution.estimate, Noise())
-    wrong = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
+    # whitened derivatives by an error of each station's pose, in sigmas of a wrong one
+    wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
     log_odds, explained = np.empty((2, n))
     squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
-    for at in configured.problem.station_groups:
-        i = configured.problem.observations.station[at.rows[:, 0]]
-        K, J = wrong[at.rows], configured.jacobian[at.rows]
+    for group in configured.problem.station_groups:
+        i = configured.problem.observations.station[group.rows[:, 0]]
+        K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
+        # the pose error as further unknowns, eliminated: of unit covariance a priori
         across = np.swapaxes(J, 1, 2) @ K
-        moved = configured.covariance @ across
-        inside = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ moved
-        slope = np.einsum('sci,sc->si', K, configured.postfit_residuals[at.rows])
-        size = np.linalg.solve(inside, slope[..., None])
-        explained[i] = (slope * size[..., 0]).sum(axis=1)
-        log_odds[i] = (explained[i] - np.linalg.slogdet(inside)[1]) / 2
-        to_transform = moved[:, :6]
-        shift = to_transform @ size
+        gain = configured.covariance @ across
+        information = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ gain
+        slope = np.einsum('sci,sc->si', K, configured.postfit_residuals[group.rows])
+        error = np.linalg.solve(information, slope[..., None])
+        explained[i] = (slope * error[..., 0]).sum(axis=1)
+        log_odds[i] = (explained[i] - np.linalg.slogdet(information)[1]) / 2
+        to_transform = gain[:, :6]
+        shift = to_transform @ error
         squares[i] = shift @ np.swapaxes(shift, 1, 2) + to_transform @ np.linalg.solve(
-            inside, np.swapaxes(to_transform, 1, 2))
+            information, np.swapaxes(to_transform, 1, 2))
     log_odds += np.log(PRIOR_ODDS_WRONG + dropped / (n + dropped))
     most = max(0.0, float(log_odds.max()))
     odds = np.exp(log_odds - most)  # each is the only wrong one
@@ -85,10 +87,11 @@ def budget(solution: Solution) -> Budget:
     for block, own in slices(conservative.blocks, conservative.unknowns):
         gain = conservative.covariance[:6, own]
         parts[block.name] = gain @ gain.T
-    away, inside = solution.shift_of_report, conservative.covariance[:6, :6]
+    away = solution.shift_of_report
     parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
-    parts['fit against a free pose'] = solution.transform_covariance - inside - np.outer(
-        away, away) - sum(solution.added_covariances.values())
+    parts['best-fit transform'] = (
+        solution.transform_covariance - conservative.covariance[:6, :6] - np.outer(away, away)
+        - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),
                   _term(solution, 'all', solution.transform_covariance), len(solution.used))
@@ -98,10 +101,10 @@ def _of_noise(conservative: Solution) -> dict[str, Array]:
     """Return the parts (6, 6) of C that come from the white errors of sensor and poses, (3)."""
     parts = {'sensor, white': np.zeros((6, 6)), 'poses, white': np.zeros((6, 6))}
     groups = conservative.problem.station_groups
-    for at, root in zip(groups, conservative.whitening.roots, strict=True):
-        V = covariance_parts(conservative.linear, at)
+    for group, root in zip(groups, conservative.whitening.roots, strict=True):
+        V = covariance_parts(conservative.linear, group)
         V = V * conservative.noise.variance_factors[:len(V), None, None, None]
-        J = conservative.jacobian[at.rows]
+        J = conservative.jacobian[group.rows]
         gain = (J @ conservative.covariance[:, :6]).swapaxes(1, 2) @ root
         for name, some in zip(parts, (V[:3].sum(axis=0), V[3:].sum(axis=0)), strict=True):
             parts[name] += (gain @ some @ gain.swapaxes(1, 2)).sum(axis=0)
@@ -111,7 +114,7 @@ def _of_noise(conservative: Solution) -> dict[str, Array]:
 def _term(solution: Solution, name: str, part: Array) -> Term:
     """Return the sigmas of a part (6, 6) of the covariance."""
     points = box(solution.problem.observations.points, (-1, 0, 1))
-    arms = points @ solution.estimate.X[:3, [0, 2]].T
-    mapped = np.trace(se3.mapped_covariance(arms, part))
+    levers = points @ solution.estimate.X[:3, [0, 2]].T
+    mapped = np.trace(se3.mapped_covariance(levers, part))
     squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)
     return Term(name, *(float(max(square, 0.0) ** 0.5) for square in squares))

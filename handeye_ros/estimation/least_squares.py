@@ -83,11 +83,11 @@ class System(Generic[S]):
         """
         root = np.ones(len(self.item)) if weights is None else np.sqrt(weights)[self.item]
 
-        def linear(rows: Rows) -> tuple[Whitener, Array, Array]:
+        def whitened_at(rows: Rows) -> tuple[Whitener, Array, Array]:
             whiten = rows.whitener()
             return whiten, whiten(rows.residuals) * root, whiten(rows.jacobian()) * root[:, None]
 
-        state, (whiten, r, J), damping = start, linear(self.rows(start)), 1e-4
+        state, (whiten, r, J), damping = start, whitened_at(self.rows(start)), 1e-4
         for _ in range(iterations):
             step = _damped_steps(J, r, np.array(damping))
             moved = self.retract(state, step)
@@ -101,7 +101,7 @@ class System(Generic[S]):
                     or after >= before * (1 - 1e-14)):  # the rounding of the derivatives is left
                 break
             damping = max(damping / DAMPING_FACTOR ** 2, 1e-14)
-            whiten, r, J = linear(rows)
+            whiten, r, J = whitened_at(rows)
         return state
 
     def reweighted(self, state: S, weights: Array) -> S:
@@ -280,18 +280,18 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
     n = int(system.item[-1]) + 1
 
     def squares(state: S) -> Array:
-        rows = system.rows(state)
-        return np.asarray((rows.whitener()(rows.residuals) ** 2).reshape(n, -1).mean(axis=1))
+        current = system.rows(state)
+        return np.asarray((current.whitener()(current.residuals) ** 2).reshape(n, -1).mean(axis=1))
 
     def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
         good = np.isin(np.arange(n), used)
         state = system.least_squares(before.state if before else near, good.astype(float))
         at = system.rows(state)
         whiten = at.whitener()
-        r, J, rows = whiten(at.residuals), whiten(at.jacobian()), good[system.item]
-        covariance = covariance_of(J[rows])
-        left_out = leave_one_out(r[rows], J[rows], covariance, system.item[rows])
-        variance = float(r[rows] @ r[rows] / max(rows.sum() - J.shape[1], 1))
+        r, J, kept = whiten(at.residuals), whiten(at.jacobian()), good[system.item]
+        covariance = covariance_of(J[kept])
+        left_out = leave_one_out(r[kept], J[kept], covariance, system.item[kept])
+        variance = float(r[kept] @ r[kept] / max(kept.sum() - J.shape[1], 1))
         return Adjusted(state, used, r.reshape(n, -1), left_out.reshape(len(used), -1),
                         covariance * max(1.0, variance), variance)
 

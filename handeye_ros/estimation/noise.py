@@ -127,8 +127,8 @@ def whitening(linear: Linear, noise: Noise) -> Whitening:
         inverse_roots(total_covariance(linear, at, noise)) for at in groups))
 
 
-def estimated_variances(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
-                        largest: Array) -> tuple[Array, Array]:
+def prior_variances(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,
+                    largest: Array) -> tuple[Array, Array]:
     """
     Return the scales of blocks, (6), for the estimate and for the report, as variances (d,).
 

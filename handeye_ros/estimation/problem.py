@@ -258,10 +258,10 @@ class StationGroup:
     shared: Array
     components: Array
 
-    def every(self, step: int) -> StationGroup:
-        """Return every step-th of the stations."""
-        return StationGroup(self.rows[::step], self.correlation[::step], self.shared[::step],
-                            self.components[:, ::step])
+    def thinned(self, stride: int) -> StationGroup:
+        """Return every stride-th of the stations."""
+        return StationGroup(self.rows[::stride], self.correlation[::stride], self.shared[::stride],
+                            self.components[:, ::stride])
 
 
 @lru_cache(maxsize=8)  # an estimation asks for those of one problem again and again

@@ -75,7 +75,7 @@ def quick_solution(problem: Problem) -> Solution | None:
     try:
         for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
             trial = refined_robustly(problem, start)
-            if misfit(trial) < LARGEST_SQUARE:
+            if typical_station_square(trial) < LARGEST_SQUARE:
                 return without_outliers(trial)
     except (HandeyeError, np.linalg.LinAlgError):
         pass
@@ -140,7 +140,7 @@ def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
 
     start = linearise(reassigned(problem, estimate), estimate)
     at = graduated(start, mean_squares, refit)
-    return replace(Solution.at(at, LUMPED), full_problem=problem)
+    return replace(Solution.of_linear(at, LUMPED), full_problem=problem)
 
 
 def station_squares(solution: Solution) -> Array:
@@ -157,7 +157,7 @@ def _is_undetermined(solution: Solution) -> bool:
     return fewer and bool(np.linalg.eigvalsh(solution.covariance)[-1] > 1.0)
 
 
-def misfit(solution: Solution) -> float:
+def typical_station_square(solution: Solution) -> float:
     """Return the square that most stations are below; large if a direction is undetermined."""
     spread = typical_square(station_squares(solution))
     return max(spread, 2 * LARGEST_SQUARE) if _is_undetermined(solution) else spread
@@ -184,7 +184,7 @@ def is_convincing(solution: Solution) -> bool:
     far = squares > LARGEST_SQUARE * max(1.0, typical_square(squares))
     unused = solution.full_problem.shows_essential & ~solution.problem.shows_essential
     enough = UNRIVALLED_SQUARE if solution.full_problem.ambiguous else CONVINCING_SQUARE
-    return misfit(solution) <= enough and bool((far | unused).mean() <= 0.1)
+    return typical_station_square(solution) <= enough and bool((far | unused).mean() <= 0.1)
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:

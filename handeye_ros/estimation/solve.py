@@ -37,10 +37,10 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import (
     covariance_parts,
-    estimated_variances,
     LUMPED,
     Noise,
     PRIOR_FREEDOM,
+    prior_variances,
     total_covariance,
     Whitening,
     whitening,
@@ -53,7 +53,7 @@ from numpy.typing import NDArray
 CONVERGED_SIGMAS = 0.1
 ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
-PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
+MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ class Solution:
     conservative_twin: Solution | None = None
 
     @classmethod
-    def at(cls, linear: Linear, noise: Noise, blocks: tuple[ParameterBlock, ...] | None = None
-           ) -> Solution:
+    def of_linear(cls, linear: Linear, noise: Noise,
+                  blocks: tuple[ParameterBlock, ...] | None = None) -> Solution:
         """Return the solution of a linearised problem; blocks: by default all of the problem."""
         if blocks is None:
             blocks = () if noise.lumped else blocks_at(linear)
@@ -189,8 +189,8 @@ class Solution:
             after = self.nuisance[own] * block.std
             if block.parameter is not None and block.value is not None:
                 delta[block.parameter] = (after - block.value)[0]
-            elif block.pose_values is not None:
-                values[block.pose_values] = after
+            elif block.pose_slice is not None:
+                values[block.pose_slice] = after
         state = problem.target.retract(estimate.state, delta)
         if len(values):
             problem = problem.with_pose_values(values)
@@ -204,10 +204,10 @@ class Solution:
 
     def estimated_factors(self, stated: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
-        sums = np.zeros((len(PRIOR_FACTORS), 2))
-        every = -(-len(self.problem.poses) // MANY_STATIONS)
+        sums = np.zeros((len(MAP_PRIOR_FACTORS), 2))
+        stride = -(-len(self.problem.poses) // MANY_STATIONS)
         for group, roots in zip(self.problem.station_groups, self.whitening.roots, strict=True):
-            at, root = group.every(every), roots[::every]
+            at, root = group.thinned(stride), roots[::stride]
             V = covariance_parts(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
             r = self.postfit_residuals[at.rows]
@@ -220,12 +220,12 @@ class Solution:
             np.maximum(sums[:, 1], 0.0) + PRIOR_FREEDOM)
         return np.asarray(np.clip(after, 1e-4, 1e8))
 
-    def estimated_variances(self) -> tuple[Array, Array]:
+    def prior_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
         x, covariance = self._step, self.covariance
         u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
         largest = np.array([block.largest_variance for block in self.configured_blocks])
-        return estimated_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
+        return prior_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
 
     def with_variances(self, variances: Array) -> Solution:
         """Return the solution with variances (d,) of blocks, relative to the configured ones."""
@@ -236,7 +236,7 @@ class Solution:
     def with_factors(self, factors: Array) -> Solution:
         """Return the solution with other variance factors (5,), at the same estimate."""
         noise = replace(self.noise, variance_factors=factors)
-        return Solution.at(self.linear, noise, self.configured_blocks)
+        return Solution.of_linear(self.linear, noise, self.configured_blocks)
 
     def rescaled(self, steps: int) -> Solution:
         """
@@ -246,7 +246,7 @@ class Solution:
         """
         found = self
         for _ in range(steps if self.configured_blocks else 0):
-            _, variances = found.estimated_variances()
+            _, variances = found.prior_variances()
             if np.abs(np.log(variances / found._tau_squared)).max() < 0.03:
                 break
             found = found.with_variances(variances)
@@ -474,7 +474,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
         problem = problem.with_pose_values(part.problem.pose_values)
         near = solution_at(problem, part.linear.estimate, part.noise)
-        best = Solution.at(near.relinearise(), near.noise)
+        best = Solution.of_linear(near.relinearise(), near.noise)
         return _with_conservative(best, part.conservative.noise, 0)
     found, diverged = _iterated(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
@@ -495,7 +495,7 @@ def _iterated(found: Solution) -> tuple[Solution, bool]:
         factors, before = found.estimated_factors(), found.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
         noise = replace(found.noise, variance_factors=factors)
-        found = Solution.at(found.relinearise(), noise).rescaled(1)
+        found = Solution.of_linear(found.relinearise(), noise).rescaled(1)
         if size < CONVERGED_SIGMAS and steady:
             break
     return found, False
@@ -506,11 +506,12 @@ def _with_final_scales(found: Solution) -> Solution:
     best = found
     if found.configured_blocks:
         conservative = found.rescaled(LAST_STEPS - 1)
-        for_estimate, for_report = conservative.estimated_variances()
+        for_estimate, for_report = conservative.prior_variances()
         best, found = found.with_variances(for_estimate), found.with_variances(for_report)
     for _ in range(LAST_STEPS):
-        best = best.with_factors(best.estimated_factors(PRIOR_FACTORS))
-    return _with_conservative(Solution.at(best.relinearise(), best.noise), found.noise, LAST_STEPS)
+        best = best.with_factors(best.estimated_factors(MAP_PRIOR_FACTORS))
+    best = Solution.of_linear(best.relinearise(), best.noise)
+    return _with_conservative(best, found.noise, LAST_STEPS)
 
 
 def _with_conservative(best: Solution, noise: Noise, steps: int) -> Solution:
@@ -522,13 +523,13 @@ def _with_conservative(best: Solution, noise: Noise, steps: int) -> Solution:
 
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     """Return the solution at an estimate."""
-    return Solution.at(linearise(problem, estimate), noise)
+    return Solution.of_linear(linearise(problem, estimate), noise)
 
 
 def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
     """Return a solution with noise and prior scales estimated again, and further blocks."""
     linear = linearise(solution.problem, solution.estimate)
-    found = Solution.at(linear, solution.noise, (*further, *blocks_at(linear)))
+    found = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
         found = found.with_factors(found.estimated_factors()).rescaled(2)
     return found

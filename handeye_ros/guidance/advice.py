@@ -129,8 +129,8 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     if not sweeping:
         surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
         proposal = propose(solution, samples, config, surely, mapped, without_sample)
-    enough, why = judged(sigmas, proposal.std if proposal else None, largest_cause(solution),
-                         len(samples))
+    enough, why = enough_and_why(sigmas, proposal.std if proposal else None,
+                                 largest_cause(solution), len(samples))
     if enough and found.refusal:
         enough, why = False, str(found.refusal)
     sentences = [why, *offset_notes(solution)]
@@ -186,8 +186,8 @@ def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
     return (cause, share) if share >= SMALLEST_CAUSE else None
 
 
-def judged(sigmas: Sequence[Sigma], expected: float | None,
-           largest: tuple[Cause, float] | None, count: int) -> tuple[bool, str]:
+def enough_and_why(sigmas: Sequence[Sigma], expected: float | None,
+                   largest: tuple[Cause, float] | None, count: int) -> tuple[bool, str]:
     """
     Return whether the samples are sufficient, and the reason.
 

@@ -65,8 +65,8 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
     most, best = 0.0, None
     for station in templates(problem):
         template = problem.subset(np.array([station]))
-        sensors, places = _drawn(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
-                                 anchor_of(template, 0), view, config, rng)
+        sensors, places = _random_poses(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
+                                        anchor_of(template, 0), view, config, rng)
         poses = sensors @ se3.inverse(X)
         allowed = _allowed(mount_poses(poses, config), taken, without_sample, config)
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
@@ -104,8 +104,8 @@ def _anchored(problem: Problem, obs: Observations) -> NDArray[np.bool_]:
     return at_edge if at_edge.any() else ~at_edge
 
 
-def _drawn(T: Array, first: Array, anchor: Array, view: View, config: Config,
-           rng: np.random.Generator) -> tuple[Array, Array]:
+def _random_poses(T: Array, first: Array, anchor: Array, view: View, config: Config,
+                  rng: np.random.Generator) -> tuple[Array, Array]:
     """
     Return poses (n, 4, 4) of the sensor, and the places (n, 2) where each sees the anchor.
 
@@ -152,11 +152,11 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     """
     obs = template.observations
     anchored = _anchored(template, obs)
-    together = (obs.points[:, None] == obs.points).all(axis=2).astype(float)  # one point's
+    same_point = (obs.points[:, None] == obs.points).all(axis=2).astype(float)  # one point's
 
     # move the template's points, and cut what is then outside the view
     points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]
-    points = _on_target(template, solution, poses, points, together)
+    points = _on_target(template, solution, poses, points, same_point)
     anchors = points[:, anchored].mean(axis=1, keepdims=True)
     outward = np.maximum((points - anchors) @ BORDER_NORMALS.T, 1e-9)
     room = view.offsets - anchors @ BORDER_NORMALS.T
@@ -167,19 +167,19 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     if not len(poses):
         none = obs.select(obs.station < 0)
         return replace(template, poses=poses, observations=none), places[large]
-    points = _on_target(template, solution, poses, points, together)
+    points = _on_target(template, solution, poses, points, same_point)
     linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
-    kept = np.flatnonzero(_seen_alike(linear, points, together,
+    kept = np.flatnonzero(_seen_alike(linear, points, same_point,
                                       linearise(template, solution.estimate), view))
     return linear.problem.subset(kept), points[kept][:, anchored].mean(axis=1)
 
 
-def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, view: View
+def _seen_alike(linear: Linear, points: Array, same_point: Array, before: Linear, view: View
                 ) -> NDArray[np.bool_]:
     """
     Return which stations see the target as the template does; before: the template's problem.
 
-    points: (n, c, 2) of the stations of linear; together: (c, c) 1 where conditions are of one.
+    points: (n, c, 2) of the stations of linear; same_point: (c, c) 1 where conditions are of one.
     """
     problem, obs, target = linear.problem, before.problem.observations, linear.problem.target
     sampling = problem.config.sampling
@@ -188,18 +188,18 @@ def _seen_alike(linear: Linear, points: Array, together: Array, before: Linear, 
     good = view.room(points).min(axis=1) > -1e-4
     good &= np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
     # steeply: moves along the laser line show at an edge, moves in the plane at a face
-    of_edges = np.isin(obs.kind, target.essential_kinds) @ together > 0
-    steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ together
+    of_edges = np.isin(obs.kind, target.essential_kinds) @ same_point > 0
+    steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
     good &= (steep > np.sin(strict.min_crossing_angle) ** 2).all(axis=1)
     # from the same side as the template; the conditions of a point depend on the choice of axes
     seen = before.wrt_point[:, 1]
-    size = np.sqrt(seen ** 2 @ together)
-    towards = (A[..., 1] * seen) @ together > SMALLEST_COSINE * size
+    size = np.sqrt(seen ** 2 @ same_point)
+    towards = (A[..., 1] * seen) @ same_point > SMALLEST_COSINE * size
     good &= (towards | (size <= SMALLEST_COSINE)).all(axis=1)
     # with as much of the faces as is needed to find what lies between them
     if target.faces == 2:
         good &= _corner_seen(A, points, before, view)
-    elif len(obs) == together[0].sum():  # an edge point alone
+    elif len(obs) == same_point[0].sum():  # an edge point alone
         good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)
     # and with the same labels
     labelled = target.reassign(problem.observations, problem.points_in_base(linear.estimate.X),
@@ -217,14 +217,14 @@ def _linear(template: Problem, solution: Solution, poses: Array, points: Array, 
 
 
 def _on_target(template: Problem, solution: Solution, poses: Array, points: Array,
-               together: Array) -> Array:
-    """Return points (n, c, 2) moved onto the target by least steps, together: (c, c) same one."""
+               same_point: Array) -> Array:
+    """Return points (n, c, 2) moved onto the target by least steps; same_point: (c, c)."""
     shape = points.shape[:2]
     for _ in range(STEPS_TO_TARGET):
         linear = _linear(template, solution, poses, points, np.ones(len(poses)))
         g, A = linear.residuals.reshape(*shape, 1), linear.wrt_point.reshape(*shape, 2)
-        normal = np.einsum('cd,ndi,ndj->ncij', together, A, A) + 1e-6 * np.eye(2)
-        step = np.linalg.solve(normal, (together @ (A * g))[..., None])[..., 0]
+        normal = np.einsum('cd,ndi,ndj->ncij', same_point, A, A) + 1e-6 * np.eye(2)
+        step = np.linalg.solve(normal, (same_point @ (A * g))[..., None])[..., 0]
         points = points - np.clip(step, -0.05, 0.05)
     return points
 
@@ -269,7 +269,7 @@ def with_one_more(solution: Solution, seen: Problem) -> Array:
     seen: equally many observations at each. The blocks count as errors of the station.
     """
     C, noise = solution.reported_covariance, replace(solution.noise, lumped=True)
-    A = Solution.at(linearise(seen, solution.estimate), noise).jacobian
+    A = Solution.of_linear(linearise(seen, solution.estimate), noise).jacobian
     A = A.reshape(len(seen.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix
     carried = A @ C

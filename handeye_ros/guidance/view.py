@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Sample
-from handeye_ros.results.scene import drawn
+from handeye_ros.results.scene import lines_and_spots
 from handeye_ros.results.truth_file import field_points
 import numpy as np
 
@@ -67,7 +67,7 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
     There must be one sample, or one point, at least.
     """
-    lines, spots = drawn(feature for sample in samples for feature in sample.features)
+    lines, spots = lines_and_spots(feature for sample in samples for feature in sample.features)
     points = [*lines, *spots, *([] if seen is None else [seen])]
     return View((extremes(np.concatenate(points)) @ BORDER_NORMALS.T).max(axis=0))
 

@@ -300,7 +300,7 @@ class LiveSession:
 
     def _process(self, stop: Stop, over: bool) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if not over and self.session.is_finished(stop):
+        if not over and self.session.was_handed_out(stop):
             return
         if self.verification.routine:
             with suppress(DataError):

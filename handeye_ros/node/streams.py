@@ -80,7 +80,7 @@ class NoExecutor(MutuallyExclusiveCallbackGroup):
 
 
 @dataclass(eq=False)
-class _Topic:
+class _Subscribed:
     """
     A topic that is read.
 
@@ -141,15 +141,16 @@ class Streams:
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
         receiver.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
-        self._topics = [_Topic(counts['profile'], PointCloud2, config.profile_topic,
-                               self._on_profile, RELIABLE_QOS, 'profile_topic')]
+        self._topics = [_Subscribed(counts['profile'], PointCloud2, config.profile_topic,
+                                    self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if add_joints and not config.kinematics:
-            self._topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
-                                       partial(_on_joints, add_joints), BEST_EFFORT_QOS))
+            self._topics.append(_Subscribed(
+                MessageCount('joint state'), JointState, config.joint_topic,
+                partial(_on_joints, add_joints), BEST_EFFORT_QOS))
         for message, name, key, read in pose_topics(config, self._tracker):
             qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(name, RELIABLE_QOS)
-            self._topics.append(_Topic(counts['pose'], message, name,
-                                       partial(self._on_poses, read), qos, key))
+            self._topics.append(_Subscribed(counts['pose'], message, name,
+                                            partial(self._on_poses, read), qos, key))
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
@@ -166,7 +167,7 @@ class Streams:
         for topic in self._topics:
             self._node.destroy_subscription(topic.subscription)
 
-    def _subscribe(self, topic: _Topic) -> None:
+    def _subscribe(self, topic: _Subscribed) -> None:
         self._full_name(topic.name)  # raises InputError
         topic.subscription = self._node.create_subscription(
             topic.message, topic.name, topic.receive, topic.qos, callback_group=self._group,
@@ -220,7 +221,7 @@ class Streams:
                 self._subscribe(topic)
                 self._node.destroy_subscription(old)
 
-    def _drain(self, topic: _Topic) -> int:
+    def _drain(self, topic: _Subscribed) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
         handle, log = topic.subscription.handle, self._node.get_logger()
         with handle:
@@ -276,7 +277,7 @@ class Streams:
                 **{topic.messages.kind: self._why_silent(topic)
                    for topic in self._topics if topic.key}}
 
-    def _why_silent(self, topic: _Topic) -> str:
+    def _why_silent(self, topic: _Subscribed) -> str:
         """Return why no messages of a topic arrive, '' if there is a publisher."""
         name, message_type = self._full_name(topic.name), MESSAGE_TYPES[topic.message]
         types = {info.topic_type for info in self._publishers(name)}

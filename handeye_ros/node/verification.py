@@ -144,14 +144,14 @@ class LiveVerification:
                 raise InputError('verify.routine is not set, so there is nothing to measure: set '
                                  'it to the artefact under the sensor (docs/measure.md)')
             routine, parts = routine_of(live.config.verify.routine), [Part()]
-            possible = routine.parts(len(live.config.verify.lengths))
+            possible = routine.recordings_for(len(live.config.verify.lengths))
             self._calibration()  # may read a file
             dropped = self.text and f'; what was measured before is dropped ({self.text})'
         elif not parts[-1].is_empty:
             parts = [*parts, Part()]
         with live.lock:
             for stop in live.session.copied().remaining():  # they began before
-                live.session.mark_finished(stop)
+                live.session.mark_handed_out(stop)
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
         return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
@@ -167,7 +167,7 @@ class LiveVerification:
         assert routine
         if over:
             with live.lock:
-                live.session.mark_finished(stop)
+                live.session.mark_handed_out(stop)
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')

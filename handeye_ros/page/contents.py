@@ -23,7 +23,7 @@ from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes
 from handeye_ros.results import calibration_file, exports, table
-from handeye_ros.results.scene import profile_picture, rounded, shape
+from handeye_ros.results.scene import outline_of, profile_picture, rounded
 from handeye_ros.review import stop_snapshot
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
@@ -206,7 +206,8 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     config, advice = live.config, live.answer.review.advice
     solution = live.answer.review.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
-    samples = [(o.number, o.sample.T_base_flange) for o in live.copied().stops if o.sample]
+    samples = [(stop.number, stop.sample.T_base_flange) for stop in live.copied().stops
+               if stop.sample]
     pose = live.pose
     aim = advice.next.T_base_flange if advice.next else None
     extreme_points = live.answer.seen
@@ -215,16 +216,17 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     offset = extreme_points - extreme_points.sum(axis=0) / max(len(extreme_points), 1)
     outline = extreme_points[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
 
-    def drawn(T_base_flange: Array | None) -> Any:
+    def as_rows(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
             (mount_poses(T_base_flange, config) @ X)[:3])
 
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
-        'view': rounded(outline), 'live': drawn(pose),
-        'stations': [{'number': number, 'T': drawn(T)} for number, T in samples],
-        'next': drawn(aim), 'aim': None if pose is None or aim is None else _motion_to(pose, aim),
+        'view': rounded(outline), 'live': as_rows(pose),
+        'stations': [{'number': number, 'T': as_rows(T)} for number, T in samples],
+        'next': as_rows(aim),
+        'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
         **(_target(solution, config) if solution else {'edges': [], 'outline': []})}
 
@@ -251,8 +253,8 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     anchors = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
     in_sensor = np.insert(anchors, 1, 0.0, axis=1)  # (x, range) as (x, 0, range)
     points = se3.apply(problem.poses @ estimate.X, in_sensor[:, None])[:, 0]
-    form = shape(problem.target.describe(estimate.state, solution.target_std),
-                 config.target.size, points)
+    form = outline_of(problem.target.describe(estimate.state, solution.target_std),
+                      config.target.size, points)
     ball = form.ball and (rounded(form.ball[0]), form.ball[1])
     return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
             'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}

@@ -39,15 +39,15 @@ class EndRounding:
     The rounding at the end of a face in one profile.
 
     depth: of its end (m)
-    shapes: (k + 1,) log likelihoods of roundings with the k TRIED_RADII, and of a bevel, 0 for
-        the best
+    shape_log_odds: (k + 1,) log likelihoods of roundings with the k TRIED_RADII, and of a bevel,
+        0 for the best
     middle: (out, below) of the part of the rounding that is located best (m)
     middle_std: 1 sigma of its outward position for a given radius. The steepest points have most
         weight, so the middle hardly depends on the best radius.
     """
 
     depth: float
-    shapes: Array
+    shape_log_odds: Array
     middle: tuple[float, float]
     middle_std: float
 

@@ -55,7 +55,7 @@ MOST_FURTHER = 80  # columns behind a face that may still be its bent end or its
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4
-ROUNDED_SIGMAS = 2.0  # an end that is lower than this is bent
+BENT_END_SIGMAS = 2.0  # an end that is lower than this is bent
 FLAT_SIGMAS = 3.0  # largest distance of a face point below the face line
 STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
 SHORTEST_ROUNDING = 20  # points before the last one of a face that may be bent
@@ -186,7 +186,7 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
     wall = _wall(end, further)
     if wall:
         return end.edge(*wall, 'roof')
-    return _last_point(end, further, other if ending in ('step', 'shadow') else None, ending)
+    return _edge_before_drop(end, further, other if ending in ('step', 'shadow') else None, ending)
 
 
 def _ending_before(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> str:
@@ -315,8 +315,8 @@ def _end_of_face(end: FaceEnd, u: Array, v: Array) -> float:
     return float(u[flat - 1]) if flat else 0.0
 
 
-def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None, ending: str
-                ) -> EdgePoint:
+def _edge_before_drop(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None, ending: str
+                      ) -> EdgePoint:
     """
     Return the end of a plate before a drop, the further columns included.
 
@@ -330,12 +330,12 @@ def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None,
     step = min(max(step, 0.0), pitch) if len(further) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
-    mixed, width = _transition(end, int(plate[-1]), ground)
-    place = last + (step * (1 + mixed) / 2 if not width else pitch * width)
-    std = math.sqrt(pitch ** 2 * ((1 + min(mixed, 2)) ** 2 / 12 + LOST_STD ** 2)
-                    + (RAMP_STD * pitch * 2 * width) ** 2)
+    mixed_columns, ramp_columns = _transition(end, int(plate[-1]), ground)
+    place = last + (step * (1 + mixed_columns) / 2 if not ramp_columns else pitch * ramp_columns)
+    std = math.sqrt(pitch ** 2 * ((1 + min(mixed_columns, 2)) ** 2 / 12 + LOST_STD ** 2)
+                    + (RAMP_STD * pitch * 2 * ramp_columns) ** 2)
     edge = end.edge(place, std, ending)
-    if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < ROUNDED_SIGMAS * noise / LAST_POINTS ** 0.5:
+    if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
     # the end is bent: its last points are the worst
     before = end.segment.columns[-max(2 * len(further), SHORTEST_ROUNDING):]
@@ -345,7 +345,8 @@ def _last_point(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None,
     # an end that goes down but not outwards is no bend, but a hardly visible wall
     depth = min(bend.depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)
     (out, below), (_, outwards, downwards) = bend.middle, end.frame
-    return replace(edge, drop=depth * downwards, shapes=bend.shapes, arc_std=bend.middle_std,
+    return replace(edge, drop=depth * downwards, shape_log_odds=bend.shape_log_odds,
+                   arc_std=bend.middle_std,
                    arc_offset=(out - place) * outwards + below * downwards)
 
 
@@ -365,9 +366,9 @@ def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, f
     x, z = points.take(columns, axis=0).T
     height = np.abs(z - end.segment.height(x))
     share = (height - height[0]) / (np.abs(ground.height(x) - end.segment.height(x)) - height[0])
-    mixed = int((share[1:-1] < 0.8).sum())
-    if mixed <= MOST_STRAY:
-        return (mixed if len(columns) == len(points) else 0), 0.0
+    mixed_columns = int((share[1:-1] < 0.8).sum())
+    if mixed_columns <= MOST_STRAY:
+        return (mixed_columns if len(columns) == len(points) else 0), 0.0
     after = max(int(np.argmax(share > 0.5)), 1)
     part = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
-    return mixed, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))
+    return mixed_columns, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))

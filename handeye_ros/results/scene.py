@@ -86,7 +86,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
         dots(name, color, se3.apply(stop.T_mount @ X, in_sensor(plane, config)), 2.0)
     seen = np.concatenate([np.empty((0, 3)), *(
         se3.apply(stop.T_mount @ X, in_sensor(in_plane(stop.features), config)) for stop in used)])
-    target = shape(calibration.target, config.target.size, seen)
+    target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
         line('target', TARGET_COLOUR, outline)
     for edge in target.edges:
@@ -112,11 +112,11 @@ def rounded(values: Array | Sequence[float]) -> Any:
 
 def in_plane(features: Iterable[Feature]) -> Array:
     """Return points (k, 2) of the sensor plane that represent features: ends, edges, arcs."""
-    lines, spots = drawn(features)
+    lines, spots = lines_and_spots(features)
     return np.concatenate([np.empty((0, 2)), *lines, *spots])
 
 
-def drawn(features: Iterable[Feature]) -> tuple[list[Array], list[Array]]:
+def lines_and_spots(features: Iterable[Feature]) -> tuple[list[Array], list[Array]]:
     """Return the lines (n, 2) and the single points (1, 2) of features in the sensor plane."""
     lines, spots = [], []
     for f in features:
@@ -136,7 +136,7 @@ def profile_picture(points: Array, features: Iterable[Feature]) -> dict[str, Any
     points: (n, 2) metres, as many as there are pixels at most; features: found in it.
     """
     points = points[np.isfinite(points).all(axis=1)]
-    lines, spots = drawn(features)
+    lines, spots = lines_and_spots(features)
     return {'points': rounded(points[::-(-len(points) // MOST_OF_PROFILE) or 1]),
             'lines': [rounded(line) for line in lines],
             'spots': [rounded(spot[0]) for spot in spots]}
@@ -157,7 +157,7 @@ class Outline:
     ball: tuple[Array, float] | None = None
 
 
-def shape(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Outline:
+def outline_of(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Outline:
     """
     Return the shape of a target as stored in calibration.yaml.
 

@@ -22,7 +22,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.estimation.noise import estimated_variances
+from handeye_ros.estimation.noise import prior_variances
 from handeye_ros.robot.residuals import ArmState, ArmStops
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ class ArmFit:
     @property
     def stds(self) -> Array:
         """Return the prior sigmas (p,) of the errors of arm and robot, as estimated."""
-        return self.state.stds * np.sqrt(self.variances[self.state.kinds])
+        return self.state.stds * np.sqrt(self.variances[self.state.kind_numbers])
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -104,10 +104,10 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
     """Return noise and variances as a fit shows them; conservative: those for the report."""
     variances, u = fit.variances, fit.stops.unknowns
     if len(variances):
-        order = np.argsort(fit.state.kinds, kind='stable')
+        order = np.argsort(fit.state.kind_numbers, kind='stable')
         sigma, covariance = fit.stds[order], fit.covariance[u:, u:][np.ix_(order, order)]
-        first = np.searchsorted(fit.state.kinds[order], np.arange(len(variances)))
-        variances = estimated_variances(
+        first = np.searchsorted(fit.state.kind_numbers[order], np.arange(len(variances)))
+        variances = prior_variances(
             covariance / np.outer(sigma, sigma), fit.state.errors[order] / sigma, first,
             variances, np.full(len(variances), LARGEST_SCALE))[int(conservative)]
     (r, J), axis = fit.linear, fit.rows % fit.stops.axes
@@ -118,7 +118,7 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
     return np.maximum(noise, LEAST_NOISE), variances
 
 
-def adjusted(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS) -> ArmFit:
+def estimate_weights(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS) -> ArmFit:
     """Return a fit with estimated weights; see estimated_weights."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
@@ -134,7 +134,7 @@ def without_outliers(fit: ArmFit) -> ArmFit:
     every = np.arange(len(fit.stops))
 
     def fitted_to(before: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
-        return adjusted(replace(before or fit, used=np.isin(every, used)))
+        return estimate_weights(replace(before or fit, used=np.isin(every, used)))
 
     def judged(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
         _, item = np.unique(found.stops.station[found.rows], return_inverse=True)
@@ -147,13 +147,14 @@ def without_outliers(fit: ArmFit) -> ArmFit:
 def first_fit(stops: ArmStops, state: ArmState, used: NDArray[np.bool_], noise: float = 1.0
               ) -> ArmFit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
-    return adjusted(ArmFit(stops, state, np.full(stops.axes, noise), np.zeros(0), used).solved())
+    fit = ArmFit(stops, state, np.full(stops.axes, noise), np.zeros(0), used)
+    return estimate_weights(fit.solved())
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
     """Return the fit with the errors of an arm, at their configured sigmas."""
     state = replace(fit.state, arm=arm)
-    return replace(fit, state=state, variances=np.ones(len(set(state.kinds)))).solved()
+    return replace(fit, state=state, variances=np.ones(len(set(state.kind_numbers)))).solved()
 
 
 def reported_covariance(fit: ArmFit, chosen: ArmState) -> tuple[ArmFit, Array]:
@@ -164,7 +165,7 @@ def reported_covariance(fit: ArmFit, chosen: ArmState) -> tuple[ArmFit, Array]:
     X and these errors, and a smooth remaining error of the robot, which neighbouring stops have
     in common.
     """
-    wide = adjusted(fit, conservative=True)
+    wide = estimate_weights(fit, conservative=True)
     of_arm, noise = wide.variances, wide.noise
     stops = replace(wide.stops, root=smooth_basis(wide.state.arm.forward(wide.stops.q)))
     wide = replace(wide, stops=stops, state=replace(

@@ -111,9 +111,9 @@ class ArmPoints:
         to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
         values = to_fixed @ (at - target)[:, :, None]
         wrt_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
-        wrt_shift, arm = (to_fixed, at - T[:, :3, 3]) if self.in_hand else (
+        wrt_shift, from_flange = (to_fixed, at - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
-        wrt_pose = np.concatenate([wrt_shift, -wrt_shift @ se3.skew(arm)], axis=2)
+        wrt_pose = np.concatenate([wrt_shift, -wrt_shift @ se3.skew(from_flange)], axis=2)
         return Residuals(values.ravel(), wrt_own.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
 
     def moved(self, target: Array, step: Array) -> Array:
@@ -155,7 +155,7 @@ class ArmState:
                          np.full(len(self.smooth), SMOOTH_ERROR_STD))
 
     @property
-    def kinds(self) -> NDArray[np.intp]:
+    def kind_numbers(self) -> NDArray[np.intp]:
         """Return the number of the kind of each (p,), from 0; the smooth ones are the last."""
         _, own = np.unique(ERROR_KINDS[np.nonzero(self.arm.free)[1]], return_inverse=True)
         return np.append(own, np.full(len(self.smooth), own.max(initial=-1) + 1))

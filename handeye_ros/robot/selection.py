@@ -28,8 +28,8 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
-    adjusted,
     ArmFit,
+    estimate_weights,
     MINIMUM,
     reported_covariance,
     with_arm,
@@ -59,13 +59,13 @@ class Model:
     A fit with some kinds of errors.
 
     left_out: (n,) cross-validation errors (m)
-    misfit: their variance over the predicted one, of the worst region, at least 1: more shows
-        errors of the arm that the model does not include
+    variance_ratio: their variance over the predicted one, of the worst region, at least 1: more
+        shows errors of the arm that the model does not include
     """
 
     fit: ArmFit
     left_out: Array
-    misfit: float
+    variance_ratio: float
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -154,7 +154,7 @@ def solve(problem: ArmProblem) -> ArmOutcome:
     if richest.residual_rms > problem.limit or richest.used.mean() < LEAST_AGREEING:
         raise _contradiction(problem)
     offsets = without_outliers(with_arm(fit, problem.arm.freed([OFFSET])))
-    alone = adjusted(replace(fit, used=richest.used))
+    alone = estimate_weights(replace(fit, used=richest.used))
     fold = _regions(fit.stops.q)
     models = tuple(Model(replace(each, used=richest.used), *_left_out(each, fold))
                    for each in (alone, offsets, richest))
@@ -163,7 +163,7 @@ def solve(problem: ArmProblem) -> ArmOutcome:
         chosen = model if _better(model, chosen) else chosen
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
-    return ArmOutcome(models, chosen, covariance * models[-1].misfit, _known(chosen.fit),
+    return ArmOutcome(models, chosen, covariance * models[-1].variance_ratio, _known(chosen.fit),
                       wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
@@ -180,15 +180,16 @@ def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
 
 
 def _left_out(fit: ArmFit, fold: NDArray[np.intp]) -> tuple[Array, float]:
-    """Return the errors (n,) of stops, each predicted without its region, and Model.misfit."""
-    errors, misfit = np.empty(len(fit.stops)), 1.0
+    """Return the errors (n,) of stops predicted without their regions, and the variance ratio."""
+    errors, variance_ratio = np.empty(len(fit.stops)), 1.0
     for number in np.unique(fold):
-        without = adjusted(replace(fit, used=fit.used & (fold != number)), rounds=FOLD_ROUNDS)
+        rest = replace(fit, used=fit.used & (fold != number))
+        without = estimate_weights(rest, rounds=FOLD_ROUNDS)
         errors[fold == number] = fit.stops.distances(without.state)[fold == number]
         r, J = replace(without, used=fit.used & (fold == number)).linear
         predicted = len(r) + np.sum((J @ without.covariance) * J)
-        misfit = max(misfit, float(r @ r / max(predicted, 1.0)))
-    return errors, misfit
+        variance_ratio = max(variance_ratio, float(r @ r / max(predicted, 1.0)))
+    return errors, variance_ratio
 
 
 def _better(model: Model, simpler: Model) -> bool:

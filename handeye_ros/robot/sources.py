@@ -74,7 +74,7 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
 
 def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Array:
     """Return the joint values (n, joints) at samples, from those (k, joints) of the poses read."""
-    times = np.array([sample.stamp + round(sample.offsets[0] * 1e9) for sample in samples])
+    times = np.array([sample.stamp + round(sample.clock_values[0] * 1e9) for sample in samples])
     stamps, first = np.unique([pose.stamp for pose in read.poses], return_index=True)
     after = np.searchsorted(stamps, times)
     gaps = np.minimum(*(np.abs(stamps[np.clip(after - k, 0, len(stamps) - 1)] - times)
@@ -110,10 +110,11 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
     return ArmProblem(fit, problem.config.limits.residual, problem.in_hand, every,
-                      lambda *change: max(_misfit(source, arm, *change) for source in sources))
+                      lambda *change: max(_median_residual(source, arm, *change)
+                                          for source in sources))
 
 
-def _misfit(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
+def _median_residual(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
     """Return the median residual (m) of the stops; see residual_with of ArmProblem."""
     in_hand = source.problem.in_hand != other_side
     config = replace(source.problem.config,

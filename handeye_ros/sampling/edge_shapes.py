@@ -50,8 +50,8 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
             if isinstance(f, EdgePoint) and f.ending != 'roof']
     if len(ends) < 3 or np.median([end.drop_depth for end in ends]) <= SHARP_DEPTH:
         return EdgeShape()
-    log_odds = np.sum([_blurred(end.shapes) for end in ends if len(end.shapes)] or NO_INFORMATION,
-                      axis=0)
+    bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
+    log_odds = np.sum([_blurred(odds) for odds in bent] or NO_INFORMATION, axis=0)
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
         return EdgeShape(*_radius(log_odds[:-1]))
     depth = np.array([end.drop_depth for end in ends])

@@ -232,13 +232,13 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
 def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.bool_]
                    ) -> tuple[Array, Array, float]:
     """Return shapes, arc and arc_std of edges at points (n, 2) if most of them are rounded."""
-    bent = good & [len(edge.shapes) > 0 for edge in edges]
+    bent = good & [len(edge.shape_log_odds) > 0 for edge in edges]
     if 2 * bent.sum() <= good.sum():
         return np.empty(0), np.zeros(2), 0.0
     used = [edge for edge, chosen in zip(edges, bent, strict=True) if chosen]
     middles = points[bent] + [edge.arc_offset for edge in used]
     times = min(len(used), MOST_INDEPENDENT)
-    shapes = np.mean([edge.shapes for edge in used], axis=0) * times
+    shapes = np.mean([edge.shape_log_odds for edge in used], axis=0) * times
     std = float(np.median([edge.arc_std for edge in used])) / times ** 0.5
     return shapes - shapes.max(), middles.mean(axis=0) - points[good].mean(axis=0), std
 

@@ -28,7 +28,7 @@ from handeye_ros.sampling.stops import (
     Stop,
     StopFinder,
 )
-from handeye_ros.sampling.stream import Copyable, LARGEST_STEP, Stream
+from handeye_ros.sampling.stream import Copyable, REORDER_TIME, Stream
 from handeye_ros.sampling.sweep import passes_expanded
 import numpy as np
 
@@ -76,9 +76,9 @@ class Session(Copyable):
         self._finder = StopFinder(self._config.sampling)
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
-        self._finished: set[int] = set()  # beginnings of stops that are not returned (again)
-        self._passed_by = 0  # stops in manual mode
-        self._unseen = 0  # stops dropped while waiting for profiles
+        self._handed_out: set[int] = set()  # beginnings of stops that are not returned (again)
+        self._unasked_stops = 0  # stops in manual mode
+        self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         # of the first profile of each stop: beside the plane, and means along the line and range
         self._out_of_plane: dict[int, Array] = {}
@@ -102,7 +102,7 @@ class Session(Copyable):
             if stop and self._config.sampling.by_itself:
                 self._waiting.append(stop)
             elif stop:
-                self._passed_by += 1
+                self._unasked_stops += 1
 
     def add_profile(self, profile: AnyProfile) -> None:
         """Take a laser profile; one that cannot be used is dropped with a warning."""
@@ -111,7 +111,7 @@ class Session(Copyable):
     def keep_waiting(self, most: int) -> None:
         """Limit the number of stops that wait for profiles; the oldest are dropped and counted."""
         excess = max(len(self._waiting) - most, 0)
-        self._unseen += excess
+        self._expired_stops += excess
         del self._waiting[:excess]
 
     def completed(self) -> list[Stop]:
@@ -120,10 +120,10 @@ class Session(Copyable):
             return self._before_setting_back()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
-        self._profiles.add(self._profile_stream.released(now - LARGEST_STEP, now + LARGEST_STEP))
+        self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
         over = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in over]
-        stops = self._with_their_profiles(over)
+        stops = self._hand_out(over)
         # only what stops that wait, the current one, and those to come, can use is kept
         first, last = self._finder.window()
         self._profiles.keep(min([first, *(s.start for s in self._waiting)]),
@@ -155,12 +155,12 @@ class Session(Copyable):
     def _current_and_waiting(self) -> list[Stop]:
         current = self._finder.current() if self._config.sampling.by_itself else None
         stops, self._waiting = [*self._waiting, *([current] if current else [])], []
-        return self._with_their_profiles(stops)
+        return self._hand_out(stops)
 
-    def _with_their_profiles(self, stops: Sequence[Stop]) -> list[Stop]:
+    def _hand_out(self, stops: Sequence[Stop]) -> list[Stop]:
         """Return stops with their profiles, without those that were returned before."""
-        new = [stop for stop in stops if stop.began not in self._finished]
-        self._finished |= {stop.began for stop in new}
+        new = [stop for stop in stops if stop.began not in self._handed_out]
+        self._handed_out |= {stop.began for stop in new}
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
@@ -171,13 +171,13 @@ class Session(Copyable):
                     profile.out_of_plane, np.nanmean(profile.points, axis=0))
         return stop
 
-    def is_finished(self, stop: Stop) -> bool:
+    def was_handed_out(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
-        return stop.began in self._finished
+        return stop.began in self._handed_out
 
-    def mark_finished(self, stop: Stop) -> None:
+    def mark_handed_out(self, stop: Stop) -> None:
         """Mark a stop, so that it is not returned again."""
-        self._finished.add(stop.began)
+        self._handed_out.add(stop.began)
 
     def current_stop(self) -> Stop:
         """
@@ -217,7 +217,7 @@ class Session(Copyable):
                             'the sample again; otherwise let only one node publish poses',
                             reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
-        if max(POSES_MISSING_TIME, 5 * poses.period) < silence < LARGEST_STEP / NS:
+        if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses(silence)
 
     @property
@@ -250,12 +250,12 @@ class Session(Copyable):
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        poses, sampling, count = self._pose_stream, self._config.sampling, len(self._finished)
-        if sampling.mode == 'still' and self._finder.short > count and (
+        poses, sampling, count = self._pose_stream, self._config.sampling, len(self._handed_out)
+        if sampling.mode == 'still' and self._finder.short_rests > count and (
                 0 < count < targets.target_for(self._config).min_samples):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
-                            f'times, and {self._finder.short} times for less: stay longer at each '
-                            'stop, or lower sampling.still_time', reason='no_stops')
+                            f'times, and {self._finder.short_rests} times for less: stay longer '
+                            'at each stop, or lower sampling.still_time', reason='no_stops')
         if count or self.last_number:
             return
         if not poses.count:
@@ -270,18 +270,19 @@ class Session(Copyable):
                             'more often, also while the robot stands still, or raise '
                             'sampling.max_pose_gap', reason='sparse_poses')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
-                        f'{poses.count} poses, but for {self._finder.longest / NS:.2g} s at most: '
-                        'stop at each sample, or lower sampling.still_time; if its poses are '
-                        'noisy, raise sampling.still_translation and sampling.still_rotation; if '
-                        'the robot moves all the time, set sampling.mode to moving',
+                        f'{poses.count} poses, but for {self._finder.longest_rest / NS:.2g} s at '
+                        'most: stop at each sample, or lower sampling.still_time; if its poses '
+                        'are noisy, raise sampling.still_translation and sampling.still_rotation; '
+                        'if the robot moves all the time, set sampling.mode to moving',
                         reason='no_stops')
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
         dropped = [self._profiles.warning] if self._profiles.warning else []
-        if self._unseen:
-            dropped.append(f'gave up {self._unseen} stops, the oldest that waited for profiles')
+        if self._expired_stops:
+            dropped.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
+                           'profiles')
         out_of_plane = max((abs(float(seen[0])) for seen in self._out_of_plane.values()),
                            default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
@@ -335,9 +336,9 @@ class Session(Copyable):
     @property
     def unasked(self) -> str:
         """Return in words that the robot stopped but no sample was requested, '' otherwise."""
-        if self._finished or not self._passed_by:
+        if self._handed_out or not self._unasked_stops:
             return ''
-        return (f'the robot stood still {self._passed_by} times, but no sample was requested: '
+        return (f'the robot stood still {self._unasked_stops} times, but no sample was requested: '
                 'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
                 'sampling.mode to still')
 
@@ -349,15 +350,16 @@ class Session(Copyable):
     @property
     def samples(self) -> tuple[Sample, ...]:
         """Return the samples, without those of samples.exclude."""
-        return passes_expanded([o.sample for o in self.stops
-                               if o.sample and not self.excludes(o)])
+        return passes_expanded([stop.sample for stop in self.stops
+                               if stop.sample and not self.excludes(stop)])
 
     @property
     def rejects(self) -> tuple[Reject, ...]:
         """Return the stops without a sample or with an excluded one, with the reasons."""
-        return tuple(o.result if isinstance(o.result, Reject) else
-                     Reject(o.result.stamp, f'sample {o.number} is excluded by samples.exclude')
-                     for o in self.stops if o.sample is None or self.excludes(o))
+        return tuple(stop.result if isinstance(stop.result, Reject) else
+                     Reject(stop.result.stamp,
+                            f'sample {stop.number} is excluded by samples.exclude')
+                     for stop in self.stops if stop.sample is None or self.excludes(stop))
 
     def excludes(self, stop: Stop) -> bool:
         """Return whether samples.exclude contains the sample of a stop."""
@@ -368,7 +370,7 @@ class Session(Copyable):
         return config if config.robot_base_frame else replace(
             config, robot_base_frame=self.base_frame)
 
-    def finish(self) -> list[Sample | Reject]:
+    def evaluate_remaining(self) -> list[Sample | Reject]:
         """
         Return what all remaining stops give, including the current one.
 
@@ -393,7 +395,7 @@ class Session(Copyable):
             return None
         self._next_check = began, CHECK_LATER * next_check
         stop, known = self._finder.current(), self._stops.get(began)
-        if stop is None or self.is_finished(stop) or (known and known.sample):
+        if stop is None or self.was_handed_out(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < NO_PROFILE_PATIENCE else 0
@@ -414,12 +416,12 @@ class Session(Copyable):
         self._stops[stop.began] = stop
         self.last_number = max(self.last_number, stop.number)
         if over:
-            self.mark_finished(stop)
+            self.mark_handed_out(stop)
         return stop
 
     def remove(self, stop: Stop) -> None:
         """Forget the result of a stop, which is closed."""
-        self.mark_finished(stop)
+        self.mark_handed_out(stop)
         self._stops.pop(stop.began, None)
 
     def restore(self, stops: Sequence[Stop], last_number: int, frame_id: str) -> None:

@@ -180,8 +180,8 @@ class StopFinder(Copyable):
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
     began: stamp of the first pose of the current stop
-    longest: time that the robot stood still so far (ns)
-    short: number of times that it did so for SHORT_REST, but not for sampling.still_time
+    longest_rest: time that the robot stood still so far (ns)
+    short_rests: number of times that it did so for SHORT_REST, but not for sampling.still_time
     """
 
     def __init__(self, sampling: SamplingConfig) -> None:
@@ -190,7 +190,7 @@ class StopFinder(Copyable):
         self._run: deque[TimedPose] = deque()  # poses since the robot stopped
         self._recent: deque[TimedPose] = deque()  # poses of the last MOTION_TIME
         self.began = self._latest = -1
-        self.longest = self.short = 0
+        self.longest_rest = self.short_rests = 0
 
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
@@ -206,8 +206,8 @@ class StopFinder(Copyable):
         ended = self.current()
         if self._run:
             stood = self._run[-1].stamp - self._run[0].stamp
-            self.longest = max(self.longest, stood)
-            self.short += ended is None and stood >= SHORT_REST
+            self.longest_rest = max(self.longest_rest, stood)
+            self.short_rests += ended is None and stood >= SHORT_REST
         self._run, self.began = deque([pose]), pose.stamp
         return ended
 
@@ -229,7 +229,8 @@ class StopFinder(Copyable):
         first, last = self._recent[0], self._recent[-1]
         seconds = (last.stamp - first.stamp) / NS
         return Motion(float(np.linalg.norm(last.translation - first.translation)) / seconds,
-                      _turned(first, last) / seconds, (last.stamp - self._run[0].stamp) / NS)
+                      _angle_between(first, last) / seconds,
+                      (last.stamp - self._run[0].stamp) / NS)
 
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
@@ -246,7 +247,7 @@ class StopFinder(Copyable):
             return True
         # a rest is one pass, too: a robot at rest shows nothing new
         return (math.dist(pose.translation, first.translation) <= limits.still_translation
-                and _turned(first, pose) <= limits.still_rotation)
+                and _angle_between(first, pose) <= limits.still_rotation)
 
     def _extend(self, pose: TimedPose) -> None:
         """Add a pose to a stop; a long one keeps its first seconds, on request its last."""
@@ -260,7 +261,7 @@ class StopFinder(Copyable):
         return pose.stamp - self._run[0].stamp > LONGEST_STOP or len(self._run) > MOST_POSES
 
 
-def _turned(a: TimedPose, b: TimedPose) -> float:
+def _angle_between(a: TimedPose, b: TimedPose) -> float:
     """Return the angle between close orientations (rad): twice |q1 - q2|."""
     apart = math.dist(a.quaternion, b.quaternion)  # of three numbers much quicker than numpy
     return 2 * (apart if apart < 1.0 else min(apart, math.dist(a.quaternion, -b.quaternion)))
@@ -289,7 +290,7 @@ class ProfileBuffer(Copyable):
         """Add the next profiles."""
         for profile in profiles:
             self.items.append(profile)
-            self._bytes += _held(profile)
+            self._bytes += _bytes_of(profile)
             while self._bytes > self._most and len(self.items) > 1:
                 self.dropped += 1
                 self._forget(slice(0, 1))
@@ -301,9 +302,9 @@ class ProfileBuffer(Copyable):
         self._forget(slice(0, bisect_left(self.items, first, key=by_stamp)))
 
     def _forget(self, part: slice) -> None:
-        self._bytes -= sum(map(_held, self.items[part]))
+        self._bytes -= sum(map(_bytes_of, self.items[part]))
         del self.items[part]
 
 
-def _held(profile: AnyProfile) -> int:
-    return profile.held if isinstance(profile, RawProfile) else 0
+def _bytes_of(profile: AnyProfile) -> int:
+    return profile.held_bytes if isinstance(profile, RawProfile) else 0

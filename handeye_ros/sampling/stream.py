@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-LARGEST_STEP = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
+REORDER_TIME = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
 LAST_STAMP = 2 ** 63 - 1  # ns; largest stamp
 
 MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
@@ -66,10 +66,10 @@ class Stream(Copyable, Generic[Stamped]):
     def __init__(self, kind: str) -> None:
         """Start with none; kind: what the messages are, for the warnings."""
         self._kind = kind
-        self._held: Stamped | None = None
+        self._pending: Stamped | None = None
         self._dropped: Counter[str] = Counter()
         self._first = self._before = 0  # stamp of the first message, messages before a restart
-        self._steps, self._last_step = 0, 0.0  # how often the clock was set back; last by (s)
+        self._set_backs, self._last_set_back = 0, 0.0  # of the clock; the last by (s)
         self.latest = -1
         self.count = 0
         self.late = False
@@ -103,9 +103,9 @@ class Stream(Copyable, Generic[Stamped]):
         """Return one sentence for each reason for which messages were dropped."""
         frames = {f'of frame "{frame}"' if frame != OTHER_FRAME else f'of {OTHER_FRAME}': count
                   for frame, count in self._strays.items()}
-        steps = (f'the clock of the {self._kind}s was set back by {self._last_step:.1f} s '
-                 f'({self._steps} times): sampling continues in the new time',)
-        return (*(steps if self._steps else ()),
+        steps = (f'the clock of the {self._kind}s was set back by {self._last_set_back:.1f} s '
+                 f'({self._set_backs} times): sampling continues in the new time',)
+        return (*(steps if self._set_backs else ()),
                 *(f'dropped a {self._kind} {reason} ({count} times)'
                   for reason, count in {**frames, **self._dropped}.items()))
 
@@ -121,20 +121,20 @@ class Stream(Copyable, Generic[Stamped]):
         if frame != self.frame and not self._adopted(frame):
             return []
         self._strays_in_a_row = 0
-        held = self._held
-        if held and held.stamp - item.stamp > LARGEST_STEP:
-            self._held = None
+        held = self._pending
+        if held and held.stamp - item.stamp > REORDER_TIME:
+            self._pending = None
             self._dropped['whose stamp lies far ahead of the next one'] += 1
         passed = self.released(0, item.stamp - 1)
-        newest = max(self.latest, self._held.stamp if self._held else -1)
+        newest = max(self.latest, self._pending.stamp if self._pending else -1)
         self.late = item.stamp < newest
         self.repeats = self.repeats + 1 if item.stamp == newest else 0
         if item.stamp <= newest:
             self._dropped['whose stamp is not later than the one before'] += 1
             if self.late:
                 self._note_late(item.stamp)
-        elif item.stamp - self.latest > LARGEST_STEP:
-            self._held = item
+        elif item.stamp - self.latest > REORDER_TIME:
+            self._pending = item
         else:
             passed.append(self._passed(item))
         return passed
@@ -147,7 +147,7 @@ class Stream(Copyable, Generic[Stamped]):
         self._strays[frame if known else OTHER_FRAME] += 1
         self._strays_in_a_row += 1
         self._strayed = self.latest
-        given = not self.count and self._held is None  # by a session that continues
+        given = not self.count and self._pending is None  # by a session that continues
         if given or self.count > FEW_STRAYS or self._strays[frame] < 10:
             return False
         self._strays, self._forgiven = Counter({str(self.frame): self.count}), 0
@@ -157,7 +157,7 @@ class Stream(Copyable, Generic[Stamped]):
 
     def _note_late(self, stamp: int) -> None:
         """Count a late message; many in a row, in order, show that the clock was set back."""
-        far = self.latest - stamp > LARGEST_STEP
+        far = self.latest - stamp > REORDER_TIME
         if not far or self._late_since < 0 or stamp < self._late_last:
             self._late_since, self._late_count = (stamp if far else -1), 0
         self._late_last = stamp
@@ -168,18 +168,18 @@ class Stream(Copyable, Generic[Stamped]):
     def restart(self) -> None:
         """Continue in the time of the next message."""
         if self.set_back:
-            self._steps, self._last_step = self._steps + 1, self.set_back * 1e-9
+            self._set_backs, self._last_set_back = self._set_backs + 1, self.set_back * 1e-9
         self._before = self.count
-        self._held, self.latest, self.late = None, -1, False
+        self._pending, self.latest, self.late = None, -1, False
         self._strayed = -1  # strays before are of the past
         self.set_back, self._late_since = 0, -1
 
     def released(self, first: int, last: int) -> list[Stamped]:
         """Return the message held back if its stamp lies between two given ones."""
-        held = self._held
+        held = self._pending
         if held is None or not first <= held.stamp <= last:
             return []
-        self._held = None
+        self._pending = None
         return [self._passed(held)]
 
     def _passed(self, item: Stamped) -> Stamped:
@@ -202,14 +202,14 @@ def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
     """
     Return which messages fit the order of the majority; None if too many do not.
 
-    stamps: in the order of recording (ns); deviations up to LARGEST_STEP from the order fit.
+    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit.
     """
     if (stamps[1:] >= stamps[:-1]).all():
         return np.ones(len(stamps), dtype=bool)
     rising = _longest_rising(stamps.tolist())
     before = np.maximum.accumulate(np.where(rising, stamps, -1))
     after = np.minimum.accumulate(np.where(rising, stamps, LAST_STAMP)[::-1])[::-1]
-    fits = (stamps >= before - LARGEST_STEP) & (stamps - LARGEST_STEP <= after)
+    fits = (stamps >= before - REORDER_TIME) & (stamps - REORDER_TIME <= after)
     wrong = len(fits) - np.count_nonzero(fits)
     few = wrong <= max(FEW_STRAYS, FEW_SHARE * len(fits)) and 2 * wrong < len(fits)
     return fits if few or not wrong else None
@@ -220,7 +220,7 @@ def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
     fits = in_order(stamps)
     if fits is None:
         back = np.maximum.accumulate(stamps) - stamps
-        index = int(np.argmax(back > LARGEST_STEP))
+        index = int(np.argmax(back > REORDER_TIME))
         raise DataError(f'the stamps {of} jump back by {back[index] * 1e-9:.1f} s at message '
                         f'{index + 1}: two runs seem to be mixed (a bag recorded in a loop?); '
                         'record one run', reason='two_runs')

@@ -139,7 +139,7 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
         (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    found = (*next(s.offsets for s in samples if s.moving), 0.0, 0.0)
+    found = (*next(s.clock_values for s in samples if s.moving), 0.0, 0.0)
     return replace(problem, pose_model=model, pose_values=np.array([found[k] for k in unknown]))
 
 
@@ -192,12 +192,12 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))
     found = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
-    offsets, at = _poses_at(samples, found)
+    values, at = _poses_at(samples, found)
     if not at.inside.all():  # profiles in gaps between the poses pull the offset
         part = problem.subset(np.flatnonzero(at.inside))
         found = _refined(part.with_pose_values(found.problem.pose_values), found.estimate)
-        offsets, at = _poses_at(samples, found)
-    paired = [replace(sample, T_base_flange=T, offsets=offsets)
+        values, at = _poses_at(samples, found)
+    paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True)
               if inside]
     rejects = [Reject(sample.stamp, NO_POSES)

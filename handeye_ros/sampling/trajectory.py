@@ -61,7 +61,7 @@ class Trajectory:
     max_gap: float
 
     @cached_property
-    def gap(self) -> float:
+    def longest_bridged(self) -> float:
         """Return the longest time (s) between two poses that is interpolated."""
         period = float(np.median(np.diff(self.stamps))) * 1e-9 if len(self.stamps) > 1 else 0.0
         return min(self.max_gap, max(4.0 * period, 0.06))
@@ -69,7 +69,7 @@ class Trajectory:
     @cached_property
     def pieces(self) -> tuple[_Piece, ...]:
         """Return the pieces between the gaps."""
-        ends = np.flatnonzero(np.diff(self.stamps) > self.gap * 1e9) + 1
+        ends = np.flatnonzero(np.diff(self.stamps) > self.longest_bridged * 1e9) + 1
         parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
         return tuple(_fitted(stamps, values) for stamps, values in parts
                      if len(stamps) >= FEWEST_POSES)
@@ -200,15 +200,15 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
     t, values = _averaged(t, values)
-    spline, best, information = _smoothed(t, values)
+    spline, pose_std, information = _smoothed(t, values)
     # in units of 1 mm and 5 mrad: smaller residuals are no outliers
     off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
     usual = 1.4826 * np.median(off, axis=0)
     good = (off <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
     if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses
-        spline, best, information = _smoothed(t[good], values[good])
-    return _Piece(int(stamps[0]), int(stamps[-1]), spline, best, information)
+        spline, pose_std, information = _smoothed(t[good], values[good])
+    return _Piece(int(stamps[0]), int(stamps[-1]), spline, pose_std, information)
 
 
 def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Any]:

@@ -12,10 +12,10 @@ from handeye_ros.simulate.recording import (
     simulate,
     simulate_samples,
     Simulated,
-    Station,
+    TrueStation,
     Truth,
 )
 from handeye_ros.simulate.scenario import FAULTS, Scenario, SCENARIOS
 
 __all__ = ['FAULTS', 'FILE_SCENES', 'SCENARIOS', 'Scenario', 'Simulated', 'SimulatedFiles',
-           'Station', 'Truth', 'settings', 'simulate', 'simulate_samples']
+           'TrueStation', 'Truth', 'settings', 'simulate', 'simulate_samples']

@@ -30,7 +30,7 @@ EXPOSURE_INSTANTS = 5  # rendered per exposure
 
 
 @dataclass(frozen=True, eq=False)
-class Station:
+class TrueStation:
     """
     A station of the robot with its true values.
 
@@ -62,7 +62,7 @@ class Truth:
 
     T_flange_sensor: Array
     T_base_target: Array
-    stations: tuple[Station, ...]
+    stations: tuple[TrueStation, ...]
     time_offset: float | None = None
 
 
@@ -135,7 +135,8 @@ class Cell:
         T_true_standard = self.distortion.T_true_reported if self.distortion else np.eye(4)
         T = self.T_mount_best @ T_true_standard @ FRAMES[
             self.scenario.layout.frame].T_standard_sensor
-        stations = tuple(Station(int(start), int(end), *values) for (start, end), *values in zip(
+        stations = tuple(TrueStation(int(start), int(end), *of_stop)
+                         for (start, end), *of_stop in zip(
             spans, self.stops.labels, self.stops.points, self.T_base_flange,
             self.T_base_flange_reported, strict=True))
         return Truth(T, self.T_world_target, stations)

@@ -28,7 +28,7 @@ def is_solved_from_files(config: Config) -> bool:
         return False
     for key, value, fitting in (('method', config.method, ('auto', name)),
                                 ('calibration_type', config.calibration_type,
-                                 FILE_TARGETS[name][0].mounts)):
+                                 FILE_TARGETS[name][0].calibration_types)):
         if value not in fitting:
             raise BadValueError(key, value, f'{" or ".join(fitting)} with target.type {name}')
     return True

@@ -55,7 +55,7 @@ class Views(Lists):
     """
 
     name = 'hand_eye'
-    mounts = ('eye_in_hand', 'eye_on_base')
+    calibration_types = ('eye_in_hand', 'eye_on_base')
     advice = 'take more poses, turned by 30 degrees or more about two axes'
     check = 'are both lists of the same moments, is no pose inverted, and which are the units?'
     over = 'the positions of the target in the file'
@@ -69,10 +69,10 @@ class Views(Lists):
     def solve(self) -> TableAnswer:
         """Return the least squares, weighted by the noise that its residuals show."""
         state = self.closed_form()
-        fit, whiten = self.adjusted(state, _first_variances(self.differences(state),
-                                                            self.causes(state)))
+        fit, whiten = self.fit_with_variances(state, _first_variances(self.differences(state),
+                                                                      self.causes(state)))
         for _ in range(2):
-            fit, whiten = self.adjusted(fit.state, self.variances(fit.state, fit.used))
+            fit, whiten = self.fit_with_variances(fit.state, self.variances(fit.state, fit.used))
         state, used = fit.state, fit.used
         off = _lengths(self.differences(state))
         left_out = _lengths(np.asarray(np.linalg.solve(whiten[used], fit.left_out[..., None])))
@@ -85,7 +85,7 @@ class Views(Lists):
                            np.isin(np.arange(len(off)), used), off[:, 0], residual, holdout,
                            angle, target)
 
-    def adjusted(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
+    def fit_with_variances(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
         """Return the fit for variances (3,) of the causes, and what whitens the views."""
         whiten = inverse_roots(np.tensordot(np.maximum(variances, SMALLEST_VARIANCE),
                                             self.causes(state), 1))

@@ -28,7 +28,7 @@ class Pairs(Lists):
     """The same points (n, 3) in the frame of the sensor and in the robot's base; metres."""
 
     name = 'points'
-    mounts = ('eye_on_base',)
+    calibration_types = ('eye_on_base',)
     advice = 'take more points, spread over a larger volume'
     check = 'do both lists hold the same points in the same order, and which are their units?'
     over = 'the points of the file'

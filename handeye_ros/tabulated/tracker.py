@@ -54,7 +54,7 @@ class TrackerSession(Values):
     q30: float
 
     name = 'tracker'
-    mounts = ('eye_in_hand',)
+    calibration_types = ('eye_in_hand',)
     advice = 'measure a longer arc and line, sweep over more of ball and faces'
     check = 'which face is which, h0 and h1, and the readings of P3?'
     over = FIELD_TEXT

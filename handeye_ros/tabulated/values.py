@@ -46,7 +46,7 @@ class Values(ABC):
     The values of a target's files. A sample is a row of a table, or a profile.
 
     name: of the target
-    mounts: supported calibration types
+    calibration_types: supported calibration types
     advice: what makes an answer more certain
     check: what to check where values contradict each other
     over: `field` in words
@@ -55,7 +55,7 @@ class Values(ABC):
     config: Config
 
     name: ClassVar[str]
-    mounts: ClassVar[tuple[str, ...]]
+    calibration_types: ClassVar[tuple[str, ...]]
     advice: ClassVar[str]
     check: ClassVar[str]
     over: ClassVar[str]

@@ -44,7 +44,7 @@ CONDITIONS_OF_EDGE = 2  # of one edge point
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
 
 
-def _turns(observations: Observations, p: Array, state: Array) -> Array:
+def _face_angles(observations: Observations, p: Array, state: Array) -> Array:
     """Return the angle (n,) of the face of each station about the line, from y (rad)."""
     T, face = state.reshape(4, 4), observations.kind == FACE
     local = ((p[face] - T[:3, 3]) @ T[:3, :3])[:, 1:]
@@ -53,7 +53,7 @@ def _turns(observations: Observations, p: Array, state: Array) -> Array:
     return np.asarray(np.where((y == 0) & (z == 0), np.pi / 2, np.arctan2(z, y)))
 
 
-def _nearness(problem: Problem, estimate: Estimate) -> float:
+def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     """Return the distance (m) from the line within which most stations have an edge point."""
     edge = problem.observations.select(problem.observations.kind == EDGE_Y)
     away = _away(edge.in_base(problem.poses, estimate.X), estimate.state)
@@ -80,7 +80,7 @@ def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     """Return the estimate with the target's z along the normal of the most frequent face."""
     T = estimate.state.reshape(4, 4)
     p = problem.points_in_base(estimate.X)
-    angle = 2 * _turns(problem.observations, p, estimate.state)
+    angle = 2 * _face_angles(problem.observations, p, estimate.state)
     near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
     middle = angle[np.argmax(near.sum(axis=1))]
     chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]
@@ -143,11 +143,11 @@ class Line(FaceTarget):
         problem = some_of(replace(whole, config=alone), rng)
         for parts in one_end(problem):
             found = (e for part in parts for e in shortlisted(part, line_candidates(part)))
-            for e in sorted(found, key=lambda estimate: _nearness(problem, estimate)):
+            for e in sorted(found, key=lambda estimate: _typical_distance(problem, estimate)):
                 yield _with_face(whole, e) if target.use_face else e
 
-    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
-                  ) -> tuple[Array, Array, Array]:
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
         """Return the distances from the line in y and z, or from the face."""
         normals = NORMALS[kind]
         g = (local * normals).sum(axis=-1)
@@ -170,7 +170,7 @@ class Line(FaceTarget):
         np.minimum.at(nearest, observations.station[edge], away[edge])
         with_face = np.zeros(len(nearest), dtype=bool)
         if config.target.use_face:
-            turn = np.abs(_turns(observations, p, state))
+            turn = np.abs(_face_angles(observations, p, state))
             with_face = np.minimum(turn, np.pi - turn) < SAME_FACE
         idle = np.where(with_face[observations.station], EDGE_Z, FACE)
         unused = (observations.kind == idle) | (edge & (away > nearest[observations.station]))

@@ -87,7 +87,7 @@ class Plane(FaceTarget):
 
     name = 'plane'
     kinds = ('face',)
-    many = True
+    several_in_view = True
     labels, moves = ('z', 'rx', 'ry'), (2, 3, 4)
     extract = staticmethod(plane_features)
     one_axis = ('the position along it is free, and if it is the normal of the plane (yaw only) '
@@ -119,8 +119,8 @@ class Plane(FaceTarget):
                 'be told from one of the plane: take samples square to the plane too, and at '
                 'other angles')
 
-    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
-                  ) -> tuple[Array, Array, Array]:
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
         """Return the height over the plane, and its derivatives."""
         return local[..., 2], np.broadcast_to([0.0, 0.0, 1.0], local.shape), np.empty(
             (*local.shape[:-1], 0))

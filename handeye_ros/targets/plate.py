@@ -44,7 +44,7 @@ DIRECTION_COUNT = 120  # tried, over a quarter turn
 VOTER_COUNT = 24  # points that this search uses
 
 
-def state(T_base_target: Array, config: Config) -> Array:
+def state_of_plate(T_base_target: Array, config: Config) -> Array:
     """Return the values (19,) that describe a plate as configured, at a pose (4, 4)."""
     return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
 
@@ -76,7 +76,7 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
     corner, turn = _two_lines(flat[edge], rng)
     inward = _face_centres(observations, flat, edge) - flat[edge]
     T_plane_target = _oriented(flat[edge] - corner, inward, corner, turn)
-    return Estimate(plane.X, state(T_base_plane @ T_plane_target, problem.config))
+    return Estimate(plane.X, state_of_plate(T_base_plane @ T_plane_target, problem.config))
 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
@@ -109,7 +109,7 @@ def _oriented(points: Array, inward: Array, corner: Array, turn: float) -> Array
     """Return T_plane_target (4, 4): of four quarter turns the one with the face at x, y > 0."""
     best, best_votes = np.eye(4), -1
     for quarter in range(4):
-        R = _turned(turn + quarter * np.pi / 2)
+        R = _rotation(turn + quarter * np.pi / 2)
         local, to_face = points @ R, inward @ R
         off = np.abs(local).min(axis=1)  # points on neither line do not vote
         on_p = np.abs(local[:, 1]) < np.abs(local[:, 0])
@@ -141,24 +141,24 @@ def _two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
         total += np.minimum(of_q[:, :, None], of_p[:, None])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     turn = float(angles[k])
-    return _fitted(points, _turned(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
+    return _fitted(points, _rotation(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
 
 
 def _fitted(points: Array, corner: Array, turn: float, limit: float) -> tuple[Array, float]:
     """Return corner and direction fitted to the points (m, 2) near either line."""
     for reach in (limit, limit / 2, limit / 4):
-        x, y = ((points - corner) @ _turned(turn)).T
+        x, y = ((points - corner) @ _rotation(turn)).T
         on_p, on_q = np.abs(y) < np.minimum(np.abs(x), reach), np.abs(x) < np.minimum(
             np.abs(y), reach)
         A = np.concatenate([
             np.column_stack([np.zeros(on_p.sum()), np.ones(on_p.sum()), x[on_p]]),
             np.column_stack([np.ones(on_q.sum()), np.zeros(on_q.sum()), -y[on_q]])])
         step = np.linalg.lstsq(A, np.concatenate([y[on_p], x[on_q]]), rcond=None)[0]
-        corner, turn = corner + _turned(turn) @ step[:2], turn + float(step[2])
+        corner, turn = corner + _rotation(turn) @ step[:2], turn + float(step[2])
     return corner, turn
 
 
-def _turned(turn: float) -> Array:
+def _rotation(turn: float) -> Array:
     """Return the (2, 2) rotation by an angle."""
     return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
 
@@ -192,8 +192,8 @@ class Plate(FaceTarget):
         """Return the axes of the base: along them are the covariances of stored answers."""
         return np.broadcast_to(np.eye(3), R.shape)
 
-    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
-                  ) -> tuple[Array, Array, Array]:
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
         """Return the height over the face, or the distance from the edge."""
         size_p, size_q, angle = measures
         sine, cosine = np.sin(angle), np.cos(angle)

@@ -122,13 +122,14 @@ class FaceTarget(ProfileTarget):
     moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
         it the same. The measures are parameters after them.
     edge_kinds: of the conditions of one edge point
-    many: whether a profile may show several surfaces, or pairs of them, of which one is the target
+    several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
+        the target
     """
 
     moves: ClassVar[Sequence[int]]
     edge_kinds: tuple[int, ...] = ()
     faces = 1
-    many = False
+    several_in_view = False
 
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of a face line or an edge point."""
@@ -149,11 +150,11 @@ class FaceTarget(ProfileTarget):
 
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""
-        return self.many and bool(self.pieces(observations).any())
+        return self.several_in_view and bool(self.pieces(observations).any())
 
     @abstractmethod
-    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
-                  ) -> tuple[Array, Array, Array]:
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
         """
         Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
 
@@ -169,7 +170,7 @@ class FaceTarget(ProfileTarget):
         """Return the conditions of points (..., m, 3) in base for targets (..., 16 + j)."""
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
-        g, by_local, by_measures = self.on_target(offset @ R, kind, state[..., 16:])
+        g, by_local, by_measures = self.local_conditions(offset @ R, kind, state[..., 16:])
         dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
         wrt_pose = np.concatenate([-dg_dp @ axes, -se3.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(

@@ -154,7 +154,7 @@ class Wedge(FaceTarget):
     kinds = KINDS
     labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     extract = staticmethod(corner_features)
-    faces, many = 2, True
+    faces, several_in_view = 2, True
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""
@@ -166,8 +166,8 @@ class Wedge(FaceTarget):
                 else:
                     yield start
 
-    def on_target(self, local: Array, kind: NDArray[np.intp], measures: Array
-                  ) -> tuple[Array, Array, Array]:
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
         """Return the height over the face of each point."""
         turn = measures[..., kind]
         c, s = np.cos(turn), np.sin(turn)

@@ -172,7 +172,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
             f'have shown from {_shown(target_axes, target_shows, target_frame(config))} on, one '
             f'of the sensor from {_shown(sensor_axes, sensor_shows, mount_frame(config))} on')
     else:
-        verdict, sentence = _changed(sorted(causes, key=lambda cause: -cause.likelihood), odds)
+        likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
+        verdict, sentence = _change_found(likeliest, odds)
     every = sorted([sample.stamp for sample in samples] + [reject.stamp for reject in others])
     left_out = [every.index(samples[k].stamp) + 1 for k in left_out]
     if left_out:
@@ -368,7 +369,7 @@ def _smallest_shifts(D: Array, unchanged: Array) -> tuple[Array, Array]:
     return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
 
 
-def _changed(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
+def _change_found(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
     """Return verdict and sentence; likeliest: the causes, the most likely first."""
     sums = np.cumsum([odds[cause.name] for cause in likeliest])
     named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]

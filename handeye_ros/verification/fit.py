@@ -80,14 +80,14 @@ class StationSet:
     surface: str = ''
 
     @property
-    def bag_of_pose(self) -> Numbers:
+    def recording_of_pose(self) -> Numbers:
         """Return the recording (n,) of each pose."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
     def group_of_pose(self) -> Numbers:
         """Return for each pose (n,) the number of the group that shares its error."""
-        return self.bag_of_pose if self.are_passes else np.arange(len(self.poses))
+        return self.recording_of_pose if self.are_passes else np.arange(len(self.poses))
 
     @property
     def group_of_point(self) -> Numbers:
@@ -95,9 +95,9 @@ class StationSet:
         return self.group_of_pose[self.observations.station]
 
     @property
-    def bag_of_point(self) -> Numbers:
+    def recording_of_point(self) -> Numbers:
         """Return the recording (m,) of each point."""
-        return self.bag_of_pose[self.observations.station]
+        return self.recording_of_pose[self.observations.station]
 
     def points(self, X: Array) -> Array:
         """Return the points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
@@ -151,8 +151,8 @@ class StationSet:
 
     def require_enough(self, others: Sequence[Reject] = ()) -> None:
         """Raise DataError where a recording has too few usable poses; see require_stations."""
-        bag = self.bag_of_pose[np.unique(self.observations.station)]
-        require_stations(np.bincount(bag, minlength=len(self.counts)).tolist(), others)
+        recording = self.recording_of_pose[np.unique(self.observations.station)]
+        require_stations(np.bincount(recording, minlength=len(self.counts)).tolist(), others)
 
 
 def require_stations(usable: Sequence[int], others: Sequence[Reject] = ()) -> None:

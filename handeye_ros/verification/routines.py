@@ -38,29 +38,30 @@ def point(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
     reference = nominal.reference or (None, None, None)
     return Shape(stations, np.zeros(3), distance, lambda q: np.asarray(middle + q),
-                 tuple(Quantity(axis, nominal=nominal) for axis, nominal in zip(
+                 tuple(Quantity(axis, nominal=touched) for axis, touched in zip(
                      'xyz', reference, strict=True)))
 
 
 def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """
-    Return a plane for each bag; those of one block are parallel, and their heights are measured.
+    Return a plane for each recording; those of one block are parallel.
 
-    A bag without a nominal length begins a block. Of two blocks of one face the angle is
-    measured. The unknowns are two tilts of each block, and one height of each plane
-    over the middle of its points.
+    A block begins with a recording without a nominal length; its heights are measured, or the
+    angle of two blocks of one face. The unknowns are two tilts of each block, and one height of
+    each plane over the middle of its points.
     """
-    p, bag, bags = stations.points(X), stations.bag_of_point, len(stations.counts)
-    blocks = bags - len(nominal.lengths)
-    block, face = np.divmod(np.arange(bags), bags // blocks)
-    middles = np.array([p[bag == k].mean(axis=0) for k in range(bags)])
-    centred = p - middles[bag]
-    frames = np.array([np.linalg.svd(centred[block[bag] == k], full_matrices=False)[2].T
+    p, recording, count = stations.points(X), stations.recording_of_point, len(stations.counts)
+    blocks = count - len(nominal.lengths)
+    block, face = np.divmod(np.arange(count), count // blocks)
+    middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
+    centred = p - middles[recording]
+    frames = np.array([np.linalg.svd(centred[block[recording] == k], full_matrices=False)[2].T
                        for k in range(blocks)])
     sensors = (stations.poses @ X)[:, :3, 3]
     for k in range(blocks):  # upwards from the first of a block to the last; of one, to the sensor
         reach = (middles[block == k] - middles[block == k][0]) @ frames[k][:, 2]
-        away = (sensors[block[stations.bag_of_pose] == k].mean(axis=0) - middles[block == k][0])
+        seen_from = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
+        away = seen_from - middles[block == k][0]
         frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or away @ frames[k][:, 2])
 
     def normals(q: Array) -> Array:
@@ -69,11 +70,12 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         return np.asarray((n / np.linalg.norm(n, axis=1)[:, None])[block])
 
     def distance(p: Array, q: Array) -> Array:
-        return np.asarray(((p - middles[bag]) * normals(q)[bag]).sum(axis=1) - q[2 * blocks + bag])
+        heights = ((p - middles[recording]) * normals(q)[recording]).sum(axis=1)
+        return np.asarray(heights - q[2 * blocks + recording])
 
     def values(q: Array) -> Array:
         n = normals(q)
-        if bags == blocks == 2:
+        if count == blocks == 2:
             return np.array([np.arctan2(np.linalg.norm(np.cross(*n)), -(n[0] @ n[1]))])
         height = (middles * n).sum(axis=1) + q[2 * blocks:]
         return np.asarray((height - height[np.searchsorted(block, block)])[face > 0])
@@ -82,18 +84,18 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         Quantity(f'height of face {f} over face 0' + (f' of block {b + 1}' if blocks > 1 else ''),
                  nominal=length, characteristic='E')
         for b, f, length in zip(block[face > 0], face[face > 0], nominal.lengths, strict=True))
-    if bags == blocks == 2:
+    if count == blocks == 2:
         quantities = (Quantity('angle between the faces', nominal=np.pi / 2, unit='rad'),)
-    return Shape(stations, np.zeros(2 * blocks + bags), distance, values, quantities)
+    return Shape(stations, np.zeros(2 * blocks + count), distance, values, quantities)
 
 
 def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
-    """Return one sphere of each bag; measured: the radii, and the distances of the centres."""
-    p, bag, count = stations.points(X), stations.bag_of_point, len(stations.counts)
-    start = np.concatenate([_sphere_through(p[bag == k]) for k in range(count)])
+    """Return one sphere of each recording; measured: radii, and distances of the centres."""
+    p, recording, count = stations.points(X), stations.recording_of_point, len(stations.counts)
+    start = np.concatenate([_sphere_through(p[recording == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:
-        balls = q.reshape(count, 4)[bag]
+        balls = q.reshape(count, 4)[recording]
         return np.asarray(np.linalg.norm(p - balls[:, :3], axis=1) - balls[:, 3])
 
     def values(q: Array) -> Array:
@@ -125,7 +127,8 @@ class Routine:
     says: what it measures
     target: the target.type whose features the stations give; empty where points are taken in
         passes, while the robot moves
-    bags: for each valid number of verify.lengths the possible numbers of bags, ascending
+    recording_counts: for each valid number of verify.lengths the possible numbers of recordings,
+        ascending
     shape: what is fitted to the stations, with the sensor plane at X (4, 4) in the mount
     form: the scatter of each part that is reported, in words
     symbol: its characteristic
@@ -134,7 +137,7 @@ class Routine:
     name: str
     says: str
     target: str
-    bags: Mapping[int, Sequence[int]]
+    recording_counts: Mapping[int, Sequence[int]]
     shape: Callable[[StationSet, Array, VerifyConfig], Shape]
     form: str = ''
     symbol: str = ''
@@ -144,12 +147,12 @@ class Routine:
         """Return whether points are taken while the robot moves."""
         return not self.target
 
-    def parts(self, lengths: int) -> Sequence[int]:
-        """Return the possible numbers of bags, ascending; raises InputError for wrong lengths."""
-        if lengths not in self.bags:
-            raise InputError(f'{self.name} needs {_listed(list(self.bags))} lengths '
+    def recordings_for(self, lengths: int) -> Sequence[int]:
+        """Return the possible numbers of recordings; raises InputError for wrong lengths."""
+        if lengths not in self.recording_counts:
+            raise InputError(f'{self.name} needs {_listed(list(self.recording_counts))} lengths '
                              f'(verify.lengths), and got {lengths}')
-        return self.bags[lengths]
+        return self.recording_counts[lengths]
 
     def settings(self, config: Config) -> Config:
         """Return the settings that extract its features."""
@@ -163,7 +166,7 @@ class Routine:
         Of a point: 3 sigma along each axis of the base. Their own std is that of normal scatter.
         """
         of_axes = self.shape is point
-        number = stations.observations.kind if of_axes else stations.bag_of_point
+        number = stations.observations.kind if of_axes else stations.recording_of_point
         for k in range(int(number.max()) + 1 if self.form else 0):
             part = distances[number == k]
             size = float(3 * part.std(ddof=1) if of_axes else np.ptp(part))
@@ -200,15 +203,15 @@ def routine_of(name: str) -> Routine:
     return ROUTINES[name]
 
 
-def settings_for(routine: Routine, config: Config, bags: int) -> Config:
+def settings_for(routine: Routine, config: Config, count: int) -> Config:
     """
     Return the settings that extract the features of a routine; raises InputError.
 
-    bags: how many there are.
+    count: of the recordings.
     """
-    possible = routine.parts(len(config.verify.lengths))
-    if bags not in possible:
-        raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {bags}')
+    possible = routine.recordings_for(len(config.verify.lengths))
+    if count not in possible:
+        raise InputError(f'{routine.name} needs {_listed(possible)} bags, and got {count}')
     return routine.settings(config)
 
 

@@ -62,7 +62,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
     good, scatter = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
-        np.stack([found.bag_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
+        np.stack([found.recording_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
         SMALLEST_SCATTER * float(np.median(found.observations.error_factor[:, 1, 0])))
     obs = found.observations.select(good)
     factor = np.zeros_like(obs.error_factor)

@@ -173,7 +173,7 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
                      p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
     """Return the results of all stops or passes of which points are used, or were left out."""
     results = []
-    groups, bags = stations.group_of_pose, stations.bag_of_pose
+    groups, bags = stations.group_of_pose, stations.recording_of_pose
     for group, first in zip(*np.unique(groups, return_index=True), strict=True):
         bag = int(bags[first])
         before = groups[np.searchsorted(bags, bag)]  # the first one of its bag

@@ -17,7 +17,7 @@ from handeye_ros.bags.bag import read
 from handeye_ros.bags.messages import cloud_from_cdr
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
-from handeye_ros.checks.hypotheses import deviance, Explanation, problem_explanation
+from handeye_ros.checks.hypotheses import deviance, Explanation, explanation_of_problem
 from handeye_ros.checks.settings import require_settings, thinned
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Calibration, EdgePoint, NS
@@ -184,7 +184,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        return problem_explanation(problem_at_poses(samples, made.config))
+        return explanation_of_problem(problem_at_poses(samples, made.config))
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor

@@ -126,7 +126,7 @@ def test_the_parts_add_up_to_what_is_reported(target: str) -> None:
     solution = pipeline.answer_samples(made.samples, (), config).require_solution()
     found = budget(solution)
     assert found.samples == len(made.samples)
-    assert {'sensor, white', 'poses, white', 'robot_smooth', 'fit against a free pose'} <= {
+    assert {'sensor, white', 'poses, white', 'robot_smooth', 'best-fit transform'} <= {
         term.name for term in found.terms}
     for size in ('translation', 'rotation', 'mapped'):
         squares = sum(getattr(term, size) ** 2 for term in found.terms)

@@ -19,7 +19,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.estimation.noise import estimated_variances
+from handeye_ros.estimation.noise import prior_variances
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -115,8 +115,8 @@ def conservative(value: float, std: float) -> float:
     """Return the scale of a single parameter that the data alone put at value +- std."""
     information = 1 / std ** 2
     covariance = np.array([[1 / (1 + information)]])
-    _, found = estimated_variances(covariance, covariance[0] * value * information,
-                                   np.array([0]), np.ones(1), np.array([1e8]))
+    _, found = prior_variances(covariance, covariance[0] * value * information,
+                               np.array([0]), np.ones(1), np.array([1e8]))
     return float(np.sqrt(found[0]))
 
 

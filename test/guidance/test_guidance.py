@@ -17,7 +17,7 @@ from handeye_ros.guidance.advice import (
     Advice,
     advise,
     CAUSES_BY_BLOCK,
-    judged,
+    enough_and_why,
     ROUGHLY_KNOWN,
     Sigma,
     turn_and_tilt,
@@ -80,7 +80,7 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Sol
     observations, last = solution.problem.observations, len(solution.problem.poses) - 1
     fewer = replace(solution.problem,
                     observations=observations.select(observations.station != last))
-    before = Solution.at(linearise(fewer, solution.linear.estimate), solution.noise)
+    before = Solution.of_linear(linearise(fewer, solution.linear.estimate), solution.noise)
     after = with_one_more(before, solution.problem.subset(np.array([last])))[0]
     np.testing.assert_allclose(after, solution.covariance[:6, :6], rtol=1e-5, atol=1e-15)
 
@@ -230,7 +230,8 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
 def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: float, enough: bool
                                                           ) -> None:
     sigmas = (Sigma('any', 0.0, 1.0), Sigma('worst', 0.0, 1.0), Sigma('points', 4e-4, 3e-4))
-    found, why = judged(sigmas, 4e-4 * (1 - gain), (CAUSES_BY_BLOCK['robot_smooth'], 0.875), count)
+    cause = (CAUSES_BY_BLOCK['robot_smooth'], 0.875)
+    found, why = enough_and_why(sigmas, 4e-4 * (1 - gain), cause, count)
     assert found == enough
     assert '0.350 mm is the robot' in why
     assert ('more samples bring little, a better robot' in why) == enough

@@ -40,7 +40,7 @@ def test_time_that_goes_backwards_is_dropped_and_counted() -> None:
         session.add_pose(pose(0.5, x=3.0))
     session.add_profile(profile(0.4, BAD))
     session.add_pose(pose(1.0, x=3.0))  # the same stamp again
-    session.finish()
+    session.evaluate_remaining()
     assert len(session.samples) == 1 and session.samples[0].T_base_flange[0, 3] == 0
     kinds = [(w.split(' whose')[0], w.rsplit('(', 1)[1]) for w in session.warnings]
     assert kinds == [('dropped a pose', '4 times)'), ('dropped a profile', '1 times)')]
@@ -70,9 +70,9 @@ def test_a_tilted_light_plane_is_told_from_an_encoder(tilt: float, refused: bool
     session = played(stops(*spans), seen, finish=False)
     if refused:
         with pytest.raises(InputError, match='light plane that is tilted'):
-            session.finish()
+            session.evaluate_remaining()
     else:
-        session.finish()
+        session.evaluate_remaining()
         assert len(session.samples) == 10
 
 
@@ -91,7 +91,7 @@ def test_a_clock_that_is_set_back_goes_on_by_itself(config: Config) -> None:
     if config is MANUAL:
         taken(session)
     else:
-        session.finish()
+        session.evaluate_remaining()
     assert [round(s.T_base_flange[0, 3], 3) for s in session.samples] == (
         [0.5] if config is MANUAL else [0.0, 0.1, 0.5])
     result = [w for w in session.warnings if 'clock' in w]
@@ -108,7 +108,7 @@ def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_ov
             early.append((item.stamp - START) / NS)
             session.put(session.numbered(stop, result_of(stop, CONFIG)), over=False)
         collect(session)
-    session.finish()
+    session.evaluate_remaining()
     assert len(session.samples) == session.last_number == 2
     assert len(early) == 2 and 0.7 <= early[0] < 1.1 and 4.7 <= early[1] <= 5.0
     whole = played(stops((0, 3), (4, 5)), profiles(0, 5, 40.0))
@@ -160,7 +160,7 @@ def test_a_first_message_of_another_frame_is_the_stray_unless_the_session_contin
     for one in profiles(0, 1.2):
         session.add_profile(replace(one, frame_id='other sensor'))
     with pytest.raises(InputError, match='two frames, "laser" and "other sensor"'):
-        session.finish()
+        session.evaluate_remaining()
 
 
 MOVING = [pose(t, x=0.2 * t) for t in np.arange(0, 3, 0.02)]
@@ -213,7 +213,7 @@ def test_the_order_of_arrival_changes_nothing(pose_next: list[bool], collecting:
         add(session, stream.pop(0))
         if collecting:
             outcomes += collect(session)
-    outcomes += session.finish()
+    outcomes += session.evaluate_remaining()
     assert key(outcomes) == IN_ORDER
     assert key([*session.samples, *session.rejects]) == key([
         *(o for o in outcomes if isinstance(o, Sample)),
@@ -229,7 +229,7 @@ def test_one_stream_may_be_far_behind_the_other(first: str) -> None:
     for item in streams[0] + streams[1]:
         add(session, item)
         outcomes += collect(session)
-    outcomes += session.finish()
+    outcomes += session.evaluate_remaining()
     assert len(outcomes) == 3 and key(outcomes) == key(results(played(poses, late)))
 
 
@@ -251,7 +251,7 @@ def test_one_wild_stamp_changes_nothing_but_that_message(
             elif not left_out:
                 add(session, replace(item, stamp=item.stamp + round(jump * NS)))
             collect(session)
-        session.finish()
+        session.evaluate_remaining()
         outcomes.append(key(results(session)))
         assert not session.late
     assert outcomes[0] == outcomes[1]

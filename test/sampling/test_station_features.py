@@ -94,7 +94,7 @@ def test_simulated_edges_are_as_near_to_the_truth_as_they_say(name: str) -> None
             session.add_pose(pose)
         for profile in recording.profiles:
             session.add_profile(profile)
-        session.finish()
+        session.evaluate_remaining()
         mirror = np.array([-1.0 if name == 'plate_x_reversed' else 1.0, 1.0])
         for station in recording.truth.stations:
             sample, = (s for s in session.samples if station.start <= s.stamp <= station.end)

@@ -150,7 +150,7 @@ def test_no_more_is_kept_than_fits(steps: list[tuple[int, int, int]]) -> None:
     for stamp, (size, behind, ahead) in enumerate(steps):
         before, dropped = [*kept.items, raw(stamp, size)], kept.dropped
         kept.add(before[-1:])
-        assert sum(p.held for p in kept.items) <= 1000
+        assert sum(p.held_bytes for p in kept.items) <= 1000
         assert kept.items == before[kept.dropped - dropped:], 'the oldest go first'
         first, last = stamp - behind, stamp - behind + ahead
         kept.keep(first, last, stamp)
@@ -183,7 +183,7 @@ def test_a_sample_by_hand_takes_none_from_the_stop_before() -> None:
         add(session, profile(start + 0.5))
         collect(session)
     taken(session)
-    session.finish()
+    session.evaluate_remaining()
     assert sorted(round(float(s.T_base_flange[0, 3]), 6) for s in session.samples) == [0.0, 0.2]
 
 
@@ -194,7 +194,7 @@ def test_a_sample_by_hand_is_not_taken_again_by_itself() -> None:
                        key=lambda item: item.stamp):
         add(session, item)
         collect(session)
-    session.finish()
+    session.evaluate_remaining()
     assert [round(float(s.T_base_flange[0, 3]), 6) for s in session.samples] == [0.0, 0.1]
 
 
@@ -227,4 +227,4 @@ def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:
                    key=lambda item: item.stamp)
     for item in again:
         add(session, item)
-    assert len(session.finish()) == 1 and session.frame_id == 'x'
+    assert len(session.evaluate_remaining()) == 1 and session.frame_id == 'x'

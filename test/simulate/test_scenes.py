@@ -15,7 +15,7 @@ from handeye_ros.simulate import (
     settings,
     simulate,
     simulate_samples,
-    Station,
+    TrueStation,
     Truth,
 )
 from handeye_ros.simulate.sensor import lift
@@ -69,7 +69,7 @@ def test_the_stations_fill_the_field_of_view_in_an_order_as_asked() -> None:
     assert [s.label for s in truth.stations] == ['p'] * 9 + ['q'] * 9
 
 
-def T_target_sensor(station: Station, truth: Truth) -> Array:
+def T_target_sensor(station: TrueStation, truth: Truth) -> Array:
     return se3.inverse(truth.T_base_target) @ station.T_base_flange @ truth.T_flange_sensor
 
 

@@ -52,7 +52,7 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
         add(session, item)
         collect(session, config)
     if finish:
-        session.finish()
+        session.evaluate_remaining()
     return session
 
 

@@ -305,7 +305,7 @@ def test_passes_that_contradict_the_others_are_told():
     made, found = measured('tooth', 1)
     config = of_lengths(*made.lengths)
     seen = bench.scanned(made, config)
-    move = np.where(seen.bag_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
+    move = np.where(seen.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
     off = replace(seen, poses=se3.perturb(seen.poses, move))
     for given, told in (seen, False), (off, True):
         judged = verify(ROUTINES['tooth'], given, found, config)
