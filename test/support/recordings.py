@@ -58,7 +58,7 @@ def rewrite(bag, path, messages=None, types=None, encoding='cdr', **options):
                 schema = writer.register_schema(types[topic], 'ros2msg', b'')
                 channels[topic] = writer.register_channel(topic, encoding, schema)
             writer.add_message(channels[topic], log_time, data, log_time)
-        writer.evaluate_remaining()
+        writer.finish()
     return path
 
 
