@@ -135,12 +135,12 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
         return pose(time, frame='map') if kind == 'pose' else profile(time, frame='other')
 
     add(session, stray(0))
-    session.copied().finish()
+    session.copied().evaluate_remaining()
     assert 'map" (1 times)' in session.warnings[0] or 'other" (1 times)' in session.warnings[0]
     for number in range(1, 40):
         add(session, stray(number))
     with pytest.raises(InputError, match=f'{kind}.*two frames'):
-        session.copied().finish()
+        session.copied().evaluate_remaining()
     for item in sorted([*stops((2, 6)), *profiles(2, 6)], key=lambda item: item.stamp):
         add(session, item)
     assert session.conflict is None, 'only the first frame has come for some seconds'
