@@ -86,7 +86,7 @@ class Session(Copyable):
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
 
     def configure(self, config: Config) -> None:
-        """Apply another configuration to all stops and passes that begin from now on."""
+        """Apply another configuration to what comes from now on, the current stop too."""
         if config.sampling.moving != self._config.sampling.moving:
             self._finder = StopFinder(config.sampling)
         self._config, self._finder.sampling = config, config.sampling
