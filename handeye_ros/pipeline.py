@@ -55,7 +55,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import passes_expanded, problem_of, synchronised
+from handeye_ros.sampling.sweep import problem_of, synchronised
 import numpy as np
 
 SEED = 0  # of the random searches: the same samples give the same answer
@@ -156,9 +156,9 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
     Return what samples say, in any order; see solve.
 
     session: the stops they come from, in which the cause of a refusal is searched; warnings: of
-    the recording, if no session is given. A pass of a sweep counts as its single profiles.
+    the recording, if no session is given.
     """
-    ordered: Sequence[Sample] = sorted(passes_expanded(samples), key=lambda sample: sample.stamp)
+    ordered: Sequence[Sample] = sorted(samples, key=lambda sample: sample.stamp)
     target, rng = targets.target_for(config), np.random.default_rng(SEED)
     solution, calibration, refusal, agree = None, None, None, False
     try:

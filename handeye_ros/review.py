@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from handeye_ros import pipeline, se3, tabulated
@@ -27,13 +27,12 @@ from handeye_ros.frames import mount_poses, mount_poses_of
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of, input_values
 from handeye_ros.results.report import SolvedRecording
-from handeye_ros.results.scene import StopSnapshot
+from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_at_poses
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
@@ -102,28 +101,26 @@ def solved_session(session: Session, answer: Answer, config: Config) -> SolvedRe
     calibration, solution = answer.calibration, answer.solution
     if calibration is None or solution is None:
         return SolvedRecording(tuple(stops), refusal=str(answer.refusal or ''))
-    used = [answer.samples[i] for i in solution.used]
-    measured, residuals, predicted = tested_points(used, solution)
+    agreement_of = agreements(session, answer, config)
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
-    by_stamp = {stamp: i for i, stop in enumerate(stops) for stamp in stop.sample_stamps}
-    stop_of_point = np.array([by_stamp[sample.stamp] for sample in used])[measured.station]
-    stops = [replace(stop, reason=reasons.get(stop.stamp, stop.reason)) for stop in stops]
-    for i in np.unique(stop_of_point).tolist():
-        stops[i] = replace(stops[i], reason='', residuals=residuals[stop_of_point == i],
-                           left_out=predicted[stop_of_point == i])
-    return SolvedRecording(tuple(stops), calibration,
-                           sweep=_sweep(used, measured.station, residuals))
+    for i, stop in enumerate(stops):
+        agreement = agreement_of.get(stop.number)
+        stops[i] = (replace(stop, reason='', agreement=agreement)
+                    if agreement and agreement.used else
+                    replace(stop, reason=reasons.get(stop.stamp, stop.reason)))
+    used = [answer.samples[i] for i in solution.used]
+    return SolvedRecording(tuple(stops), calibration, sweep=_sweep(used, calibration))
 
 
-def _sweep(used: Sequence[Sample], station: NDArray[np.intp], residuals: Array) -> Array:
+def _sweep(used: Sequence[Sample], calibration: Calibration) -> Array:
     """Return time, RMS residual and speed (n, 3) of the samples of a moving robot."""
-    moving = [i for i, sample in enumerate(used) if sample.moving]
+    moving = [sample for sample in used if sample.moving]
     if not moving:
         return np.empty((0, 3))
-    stamps = np.array([used[i].stamp + round(used[i].clock_values[0] * 1e9) for i in moving])
-    twists = used[moving[0]].trajectory.at(stamps).twists
-    return np.column_stack([(stamps - stamps[0]) * 1e-9,
-                            rms_by(station, residuals, len(used))[moving],
+    residual = {report.stamp: report.residual for report in calibration.samples}
+    stamps = np.array([s.stamp + round(s.clock_values[0] * 1e9) for s in moving])
+    twists = moving[0].trajectory.at(stamps).twists
+    return np.column_stack([(stamps - stamps[0]) * 1e-9, [residual[s.stamp] for s in moving],
                             np.linalg.norm(twists[:, :3], axis=1)])
 
 
@@ -140,37 +137,21 @@ def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
     with suppress(UnusableMessageError):
         points = profile.read(config.profile).points if profile else points
     return StopSnapshot(stop.number, stamp, mount_poses(T, config), points,
-                        sample.features if sample else (), getattr(stop.result, 'reason', ''),
-                        sample_stamps=tuple(s.stamp for s in sample.parts) if sample else (stamp,))
+                        sample.features if sample else (), getattr(stop.result, 'reason', ''))
 
 
-@dataclass(frozen=True)
-class Agreement:
+def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Agreement]:
     """
-    RMS distances of a sample's points to the target of an answer, in metres.
+    Return how each sample of a session agrees with its answer, by the number of the stop.
 
-    residual: from the answer
-    left_out: from the answer without this sample
-    used: whether the answer uses it. Both are the same for a sample that it does not use, and for
-        the only one that it uses.
+    Also of samples that are left out of the answer. Without one that shows nothing of the target;
+    none where the answer has no solution.
     """
-
-    residual: float
-    left_out: float
-    used: bool
-
-
-def agreements(answer: Answer, samples: Sequence[Sample], config: Config
-               ) -> tuple[Agreement | None, ...]:
-    """
-    Return how each sample agrees with the answer of some or all of them.
-
-    samples: of stops, also those that are left out of the answer. None for one that shows nothing
-    of the target, and for all where the answer has no solution.
-    """
-    solution, n = answer.solution, len(samples)
+    solution = answer.solution
     if solution is None:
-        return (None,) * n
+        return {}
+    sample_of = {stop.number: stop.sample for stop in session.stops if stop.sample}
+    samples, n = [*sample_of.values()], len(sample_of)
     owner = {one.stamp: k for k, sample in enumerate(samples) for one in sample.parts}
     stations = np.array([owner[one.stamp] for one in answer.samples])
     used = [answer.samples[i] for i in solution.used]
@@ -186,8 +167,8 @@ def agreements(answer: Answer, samples: Sequence[Sample], config: Config
     others = [k for k in range(n) if not by_answer[k]]
     residual[others] = predicted[others] = _of_others(
         [samples[k] for k in others], answer.samples[0].clock_values, solution, config)
-    return tuple(None if np.isnan(residual[k]) else Agreement(
-        float(residual[k]), float(predicted[k]), bool(by_answer[k])) for k in range(n))
+    return {number: Agreement(float(residual[k]), float(predicted[k]), bool(by_answer[k]))
+            for k, number in enumerate(sample_of) if not np.isnan(residual[k])}
 
 
 def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solution: Solution,
@@ -253,16 +234,15 @@ FEATURE_NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
 
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:
     """Return the table of the stops of a session, the worst left-out residual first."""
-    samples = {stop.number: stop.sample for stop in session.stops if stop.sample}
-    found = dict(zip(samples, agreements(answer, [*samples.values()], config), strict=True))
+    agreement_of = agreements(session, answer, config)
 
     def order(stop: Stop) -> tuple[float, int]:
-        agreement = found.get(stop.number)
+        agreement = agreement_of.get(stop.number)
         return -agreement.left_out if agreement else 1.0, stop.number
 
     table = figures_table('number', 'residual', 'left out', '', '', right=range(3))
     for stop in sorted(session.stops, key=order):
-        agreement = found.get(stop.number)
+        agreement = agreement_of.get(stop.number)
         residuals = (agreement.residual, agreement.left_out) if agreement else (None, None)
         state = ('no sample' if stop.sample is None else 'excluded' if session.excludes(stop) else
                  'not believed' if agreement and not agreement.used else '')

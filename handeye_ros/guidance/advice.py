@@ -18,7 +18,6 @@ from handeye_ros.guidance.moves import Move, next_move, noun
 from handeye_ros.guidance.view import learn_view, mapped_points, MappedPoints, View
 from handeye_ros.notes import offset_notes
 from handeye_ros.pipeline import Answer
-from handeye_ros.sampling.sweep import passes_expanded
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -109,7 +108,6 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     if found is None or not samples:
         return _before_an_answer(f'take the first sample: hold the sensor square to the target, '
                                  f'with the {what} in the middle of the view')
-    samples = passes_expanded(samples)
     view = learn_view(samples, seen)
     solution = found.solution if found.samples_agree else None
     mapped = mapped_points(solution.estimate.X, view) if solution else None

@@ -24,8 +24,9 @@ from handeye_ros.guidance.view import extremes
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
+from handeye_ros.results.scene import Agreement
 from handeye_ros.results.table import transform_rows
-from handeye_ros.review import Agreement, agreements, count_of, flat_crossing
+from handeye_ros.review import agreements, count_of, flat_crossing
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 import numpy as np
@@ -78,12 +79,11 @@ def review_of(session: Session, config: Config, seen: Array, without_sample: Seq
     """
     answer = pipeline.answer_samples(session.samples, session.rejects, config, session.frame_id,
                                      session if asked else None)
-    samples = {one.number: one.sample for one in session.stops if one.sample}
-    found = dict(zip(samples, agreements(answer, list(samples.values()), config), strict=True))
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
     return Review(advise(in_order, config, answer, seen, without_sample), answer,
-                  {number: one for number, one in found.items() if one},
-                  '' if answer.solution else str(answer.refusal), max(samples, default=0))
+                  agreements(session, answer, config),
+                  '' if answer.solution else str(answer.refusal),
+                  max((stop.number for stop in session.stops if stop.sample), default=0))
 
 
 class LiveAnswer:

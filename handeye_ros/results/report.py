@@ -14,12 +14,19 @@ from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
-from handeye_ros.data import Array, Calibration, rms
+from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
 from handeye_ros.output import figure, image, page, style
 from handeye_ros.results import exports, table, verification_file
 from handeye_ros.results.calibration_file import config_of
-from handeye_ros.results.scene import in_plane, in_sensor, profile_picture, scene, StopSnapshot
+from handeye_ros.results.scene import (
+    Agreement,
+    in_plane,
+    in_sensor,
+    profile_picture,
+    scene,
+    StopSnapshot,
+)
 from handeye_ros.results.truth_file import field_points, FIELD_TEXT
 import numpy as np
 
@@ -63,7 +70,7 @@ def html(calibration: Calibration, recording: SolvedRecording,
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
         plots=plots, stops=[
-            (stop, f'{1e3 * rms(stop.residuals):.3f} mm' if len(stop.residuals) else 'used')
+            (stop, f'{1e3 * stop.agreement.residual:.3f} mm' if stop.agreement else 'used')
             for stop in recording.stops],
         profiles=[profile_picture(stop.points, stop.features) for stop in recording.stops],
         refused=[report for report in calibration.samples if not report.used],
@@ -135,22 +142,22 @@ def _plots(used: Sequence[StopSnapshot], sweep: Array) -> Iterator[tuple[str, st
     """Yield the plots with data, by name; used: stops; sweep: as in SolvedRecording."""
     if used:
         yield 'coverage', _coverage_plot(used)
-    solved = [stop for stop in used if len(stop.residuals)]
-    if solved:
-        yield 'residuals', _residuals_plot(solved)
+    agreements = {stop.number: stop.agreement for stop in used if stop.agreement}
+    if agreements:
+        yield 'residuals', _residuals_plot(agreements)
         if len(sweep):
             yield 'sweep', _sweep_plot(sweep)
 
 
-def _residuals_plot(stops: Sequence[StopSnapshot]) -> str:
-    """Return the plot of RMS residuals of stops, in the fit and left out."""
+def _residuals_plot(agreements: Mapping[int, Agreement]) -> str:
+    """Return the plot of RMS residuals of stops by their numbers, in the fit and left out."""
     drawing, ax = figure(1, 1, 7, 2.6)
-    positions = np.arange(len(stops))
+    positions = np.arange(len(agreements))
     for shift, color, label, values in (
-            (-0.2, BLUE, 'in the fit', [stop.residuals for stop in stops]),
-            (0.2, ORANGE, 'left out of the fit', [stop.left_out for stop in stops])):
-        ax.bar(positions + shift, [1e3 * rms(v) for v in values], 0.4, color=color, label=label)
-    ax.set_xticks(positions, [str(stop.number) for stop in stops], fontsize=7)
+            (-0.2, BLUE, 'in the fit', [a.residual for a in agreements.values()]),
+            (0.2, ORANGE, 'left out of the fit', [a.left_out for a in agreements.values()])):
+        ax.bar(positions + shift, 1e3 * np.array(values), 0.4, color=color, label=label)
+    ax.set_xticks(positions, [*map(str, agreements)], fontsize=7)
     ax.set(xlabel='stop', ylabel='RMS residual (mm)')
     ax.legend(loc='upper right', ncols=2)
     return image(drawing)

@@ -8,7 +8,7 @@ The scene is polylines and points, which a small script turns; every target is l
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from handeye_ros import se3
@@ -28,6 +28,22 @@ DRAWN_EDGE_LENGTH = 0.1  # m of an edge that is drawn when its length is unknown
 FULL_TURN = np.linspace(0, 2 * np.pi, 49)
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """
+    RMS distances of a sample's points to the target of an answer, in metres.
+
+    residual: from the answer
+    left_out: from the answer without this sample
+    used: whether the answer uses it. Both are the same for a sample that it does not use, and for
+        the only one that it uses.
+    """
+
+    residual: float
+    left_out: float
+    used: bool
+
+
 @dataclass(frozen=True, eq=False)
 class StopSnapshot:
     """
@@ -38,9 +54,7 @@ class StopSnapshot:
     points: (n, 2) of one of its profiles, in the sensor plane
     features: of the profiles
     reason: why it was not used, empty if it was
-    residuals, left_out: (k,) of its measured points (metres), with and without it in the fit;
-        empty where it was not used
-    sample_stamps: of its samples, many where the robot moved; of a reject its own
+    agreement: with the answer, None where it was not used
     """
 
     number: int
@@ -49,9 +63,7 @@ class StopSnapshot:
     points: Array
     features: tuple[Feature, ...] = ()
     reason: str = ''
-    residuals: Array = field(default_factory=lambda: np.empty(0))
-    left_out: Array = field(default_factory=lambda: np.empty(0))
-    sample_stamps: tuple[int, ...] = ()
+    agreement: Agreement | None = None
 
     @property
     def used(self) -> bool:

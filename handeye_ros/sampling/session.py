@@ -349,7 +349,7 @@ class Session(Copyable):
 
     @property
     def samples(self) -> tuple[Sample, ...]:
-        """Return the samples, without those of samples.exclude."""
+        """Return the samples without those of samples.exclude; of a pass one per profile."""
         return passes_expanded([stop.sample for stop in self.stops
                                if stop.sample and not self.excludes(stop)])
 
