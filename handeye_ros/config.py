@@ -432,6 +432,11 @@ class Config(Section):
                 raise BadValueError(item.name, value, f'a {wanted.__name__}')
 
     @property
+    def in_hand(self) -> bool:
+        """Return whether the sensor is on the flange, else beside the robot."""
+        return self.calibration_type == 'eye_in_hand'
+
+    @property
     def base_frame(self) -> str:
         """Return the frame id of the robot base, BASE_FRAME by default."""
         return self.robot_base_frame or BASE_FRAME

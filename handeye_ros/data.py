@@ -28,6 +28,11 @@ def rms(values: Array) -> float:
     return float(np.sqrt((values ** 2).mean()))
 
 
+def robust_std(deviations: Array) -> float:
+    """Return 1 sigma of normal deviations (n,), by their median size: outliers do not widen it."""
+    return float(1.4826 * np.median(np.abs(deviations)))
+
+
 @dataclass(frozen=True, eq=False)
 class Profile:
     """

@@ -13,14 +13,12 @@ import numpy as np
 
 def mount_frame(config: Config) -> str:
     """Return the frame that the sensor is fixed in, in which its transform is given."""
-    in_hand = config.calibration_type == 'eye_in_hand'
-    return config.robot_effector_frame if in_hand else config.base_frame
+    return config.robot_effector_frame if config.in_hand else config.base_frame
 
 
 def target_frame(config: Config) -> str:
     """Return the frame that the target is fixed in."""
-    in_hand = config.calibration_type == 'eye_in_hand'
-    return config.base_frame if in_hand else config.robot_effector_frame
+    return config.base_frame if config.in_hand else config.robot_effector_frame
 
 
 def mount_poses_of(samples: Sequence[Sample], config: Config) -> Array:
@@ -34,8 +32,7 @@ def mount_poses_of(samples: Sequence[Sample], config: Config) -> Array:
 
 def mount_poses(T_base_flange: Array, config: Config) -> Array:
     """Return the poses (..., 4, 4) as in mount_poses_of, from T_base_flange (..., 4, 4)."""
-    return T_base_flange if config.calibration_type == 'eye_in_hand' else se3.inverse(
-        T_base_flange)
+    return T_base_flange if config.in_hand else se3.inverse(T_base_flange)
 
 
 def sensor_axes(config: Config) -> Array:

@@ -38,7 +38,7 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
     samples: of the stations, in order. Of a sweep the error is undone in all poses, and the clocks
     are searched anew, as those that were found are of the wrong poses; some stations are enough.
     """
-    other = 'eye_on_base' if problem.in_hand else 'eye_in_hand'
+    other = 'eye_on_base' if problem.config.in_hand else 'eye_in_hand'
     trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
     poses = problem.robot_poses
     if trajectory:

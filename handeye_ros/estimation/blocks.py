@@ -142,7 +142,8 @@ def robot_smooth(linear: Linear) -> Blocks:
 
 def _motions_of_smooth(linear: Linear) -> Array:
     problem, field = linear.problem, box(linear.problem.observations.points, (-1, 0, 1))
-    motions = motions_by_poses(problem.poses, linear.estimate.X, field, problem.in_hand)
+    motions = motions_by_poses(problem.poses, linear.estimate.X, field,
+                               problem.config.in_hand)
     motions[..., 3:] /= TURN_LENGTH
     return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth).reshape(6, -1))
 

@@ -337,15 +337,10 @@ class Problem:
         """Return whether the problem may have several solutions and needs more starts."""
         return len(self.poses) <= 12
 
-    @property
-    def in_hand(self) -> bool:
-        """Return whether the sensor is on the flange; else the poses are inverted."""
-        return self.config.calibration_type == 'eye_in_hand'
-
     @cached_property
     def robot_poses(self) -> Array:
         """Return the poses (n, 4, 4) of the flange in the base, for either calibration type."""
-        return self.poses if self.in_hand else se3.inverse(self.poses)
+        return self.poses if self.config.in_hand else se3.inverse(self.poses)
 
     @cached_property
     def smooth(self) -> Array:
@@ -381,7 +376,7 @@ class Problem:
         if self.pose_model is None:
             return self
         poses, _ = self.pose_model.at(values)
-        return replace(self, poses=poses if self.in_hand else se3.inverse(poses),
+        return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
                        pose_values=values)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
@@ -416,7 +411,7 @@ class Linear:
         """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
         R, a = self.problem.mounts
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
-        if self.problem.in_hand:
+        if self.problem.config.in_hand:
             return np.concatenate([self.wrt_base, se3.cross(to_point, self.wrt_base)], axis=-1)
         # the poses are T_flange_base; the robot's error is in its base frame
         wrt_mount = self.jacobian[..., :3]

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from handeye_ros import se3
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.estimation.basis import farthest_points, pose_features
 from handeye_ros.estimation.blocks import (
     best_fit_motions,
@@ -355,7 +355,7 @@ class Solution:
     @property
     def residual_rms(self) -> float:
         """Return the RMS (m) of the residuals before whitening."""
-        return float(np.sqrt((self.linear.residuals ** 2).mean()))
+        return rms(self.linear.residuals)
 
     @property
     def expected_rms(self) -> float:
@@ -403,7 +403,7 @@ class Solution:
         errors, T = pose_corrections(problem, self.blocks, values), problem.robot_poses
         corrected = se3.transform(se3.exp_rotation(errors[:, 3:]) @ T[:, :3, :3],
                                   T[:, :3, 3] + errors[:, :3])
-        return corrected if problem.in_hand else se3.inverse(corrected)
+        return corrected if problem.config.in_hand else se3.inverse(corrected)
 
     def left_out_squares(self) -> tuple[Array, NDArray[np.intp]]:
         """

@@ -209,8 +209,8 @@ def easy_handeye2(calibration: Calibration) -> str:
     config, file = config_of(calibration), FORMATS['easy_handeye2'].file_name(calibration)
     frames = {'robot_base_frame': config.base_frame,
               'robot_effector_frame': config.robot_effector_frame}
-    on_base = config.calibration_type == 'eye_on_base'
-    frames['robot_base_frame' if on_base else 'robot_effector_frame'] = calibration.parent_frame
+    frames['robot_effector_frame' if config.in_hand else 'robot_base_frame'
+           ] = calibration.parent_frame
     values = {
         'parameters': {
             'name': file.removesuffix('.calib'),

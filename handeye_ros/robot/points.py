@@ -116,7 +116,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
 
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
-    rows, notes = read_table(path, arm, config.calibration_type == 'eye_in_hand')
+    rows, notes = read_table(path, arm, config.in_hand)
     outcome = solve(arm_problem_of(rows, arm, config.limits.residual))
     fit, covariance = outcome.chosen.fit, outcome.covariance[:6, :6]
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)

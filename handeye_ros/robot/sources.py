@@ -109,14 +109,14 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
     problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
-    return ArmProblem(fit, problem.config.limits.residual, problem.in_hand, every,
+    return ArmProblem(fit, problem.config.limits.residual, problem.config.in_hand, every,
                       lambda *change: max(_median_residual(source, arm, *change)
                                           for source in sources))
 
 
 def _median_residual(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
     """Return the median residual (m) of the stops; see residual_with of ArmProblem."""
-    in_hand = source.problem.in_hand != other_side
+    in_hand = source.problem.config.in_hand != other_side
     config = replace(source.problem.config,
                      calibration_type='eye_in_hand' if in_hand else 'eye_on_base')
     poses = mount_poses(arm.forward(source.q @ joints.T), config)

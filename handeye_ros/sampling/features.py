@@ -24,6 +24,8 @@ from handeye_ros.data import (
     NS,
     Profile,
     Reject,
+    rms,
+    robust_std,
     Sample,
 )
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
@@ -251,8 +253,7 @@ def _near_median(values: Array, times: float, least: float, what: str) -> NDArra
     rest may move.
     """
     middle = np.quantile(values, 0.5, method='lower')
-    scatter = 1.4826 * np.median(np.abs(values - middle))  # 1 sigma of a normal distribution
-    limit = min(max(times * scatter, least), LARGEST_DISAGREEMENT)
+    limit = min(max(times * robust_std(values - middle), least), LARGEST_DISAGREEMENT)
     good = np.abs(values - middle) <= limit
     if good.sum() < LEAST_AGREEING * len(values):
         raise _disagreeing(what, float(np.ptp(values)))
@@ -279,7 +280,7 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
 
 def _scatter(arc: Arc, circle: Array) -> float:
     """Return the RMS distance of the points of an arc from a circle."""
-    return float(np.sqrt((off_circle(arc.raw, circle) ** 2).mean()))
+    return rms(off_circle(arc.raw, circle))
 
 
 def _disagreeing(what: str, apart: float) -> FeatureError:

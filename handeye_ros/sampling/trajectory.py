@@ -18,7 +18,7 @@ from itertools import pairwise
 from typing import Any
 
 from handeye_ros import se3
-from handeye_ros.data import Array, TimedPose
+from handeye_ros.data import Array, robust_std, TimedPose
 from handeye_ros.sampling.stream import fitting
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +203,7 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     spline, pose_std, information = _smoothed(t, values)
     # in units of 1 mm and 5 mrad: smaller residuals are no outliers
     off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
-    usual = 1.4826 * np.median(off, axis=0)
+    usual = np.array([robust_std(one) for one in off.T])
     good = (off <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
     good[[0, -1]] = True
     if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms, robust_std
 import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
@@ -99,8 +99,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
         curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square
-        scatter = (1.4826 * float(np.median(distance[inliers])) if len(pieces) > 1
-                   else float(np.sqrt((distance[inliers] ** 2).mean())))
+        scatter = (robust_std if len(pieces) > 1 else rms)(distance[inliers])
         inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
     return curve
 

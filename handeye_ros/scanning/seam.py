@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.data import Array
+from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline, through, unit
@@ -71,7 +71,7 @@ class Seam:
     @property
     def residual(self) -> float:
         """Return the RMS distance of the sections from the line (m)."""
-        return float(np.sqrt((self.residuals ** 2).mean()))
+        return rms(self.residuals)
 
     @property
     def positions(self) -> Array:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from handeye_ros.data import Array
+from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, PIECES_TRIED, spline, unit
 from handeye_ros.scanning.seam_course import Course, position_text
@@ -215,8 +215,7 @@ def _sheet_through(b: Array, height: Array, margin: float, degree: int
         if used.sum() < FEWEST_OF_SIDE or np.ptp(b[used]) < margin:
             return None
         sheet = np.polyfit(b[used], height[used], degree)
-        scatter = np.median(np.abs(height[used] - np.polyval(sheet, b[used])))
-        noise = max(1.4826 * float(scatter), 1e-6)
+        noise = max(robust_std(height[used] - np.polyval(sheet, b[used])), 1e-6)
     return sheet, noise
 
 

@@ -139,7 +139,7 @@ class Views(Lists):
         """
         (X, Z), T = state, self.robot
         to_camera = np.swapaxes(T[:, :3, :3] @ X[:3, :3], 1, 2)
-        flange = 0.0 if self.config.calibration_type == 'eye_on_base' else T[:, :3, 3]
+        flange = T[:, :3, 3] if self.config.in_hand else 0.0
         turned = np.concatenate([-to_camera @ se3.skew(Z[:3, 3] - flange), to_camera], axis=1)
         own = np.broadcast_to(np.eye(6), (len(T), 6, 6))
         return np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),

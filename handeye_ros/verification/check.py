@@ -29,6 +29,7 @@ from handeye_ros.data import (
     Calibration,
     ClockEstimate,
     Reject,
+    rms,
     Sample,
     TimedPose,
 )
@@ -181,8 +182,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     target, sensor, _ = causes
     return Check(
         samples[0].stamp, verdict, sentence, len(comparison.problem.poses),
-        float(np.sqrt((rows.r ** 2).mean())),
-        math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
+        rms(rows.r), math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
         sensor.turn, sensor.displacement, sensor.std,
         target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
         left_out)
@@ -329,8 +329,9 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(rows.lever[name], move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
-    what = (f'the {name} moved on the flange' if (name == 'sensor') == comparison.problem.in_hand
-            else f'the {name}, or the base of the robot, moved')
+    on_flange = (name == 'sensor') == comparison.problem.config.in_hand
+    what = f'the {name} moved on the flange' if on_flange else (
+        f'the {name}, or the base of the robot, moved')
     sentence = (
         f'{what} by {mm(shift)} and {turned}: points are off by up to {off}; calibrate again'
         if name == 'sensor' else

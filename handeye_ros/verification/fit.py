@@ -21,7 +21,7 @@ from typing import TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Reject
+from handeye_ros.data import Array, Reject, rms
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.blocks import wrt_smooth
@@ -131,15 +131,14 @@ class StationSet:
     def wrt_pose(self, X: Array, wrt_p: Array, config: Config) -> Array:
         """Return derivatives (m, 6) by pose errors: in the base, rotation about the flange."""
         station, p = self.observations.station, self.points(X)
-        wrt_shift, lever = ((wrt_p, p - self.poses[station, :3, 3])
-                            if config.calibration_type == 'eye_in_hand' else
+        wrt_shift, lever = ((wrt_p, p - self.poses[station, :3, 3]) if config.in_hand else
                             (self.rotated_to_mount(wrt_p), self.rotated_to_mount(p)))
         return np.hstack([wrt_shift, se3.cross(lever, wrt_shift)])
 
     def wrt_smooth(self, X: Array, wrt_p: Array, config: Config) -> Array:
         """Return derivatives (m, s) by the robot's smooth error of unit size (see basis.py)."""
-        in_hand = config.calibration_type == 'eye_in_hand'
-        smooth = smooth_basis(self.poses if in_hand else se3.inverse(self.poses), long_errors=True)
+        robot_poses = self.poses if config.in_hand else se3.inverse(self.poses)
+        smooth = smooth_basis(robot_poses, long_errors=True)
         return wrt_smooth(self.wrt_pose(X, wrt_p, config), smooth[self.observations.station])
 
     def of_groups(self, groups: Numbers) -> StationSet:
@@ -414,8 +413,8 @@ def _scatter(at: _Whitened, root: Array, distances: Array) -> Scatter:
     expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), wrt_error]), at.factors) if (
         m <= MOST_DISTANCES) else math.nan
     size = np.abs(distances)
-    return Scatter(m, float(size.mean()), float(size.std()), float(np.sqrt((size ** 2).mean())),
-                   float(size.max()), expected, float(chi2_sf(square, max(m - k, 1))))
+    return Scatter(m, float(size.mean()), float(size.std()), rms(size), float(size.max()),
+                   expected, float(chi2_sf(square, max(m - k, 1))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from handeye_ros.data import (
     FaceLine,
     Feature,
     Profile,
+    robust_std,
     Sample,
 )
 from handeye_ros.errors import DataError
@@ -246,7 +247,7 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)
     for step in range(GAUSS_NEWTON_STEPS):
         r = distances(x)
-        scatter = 1.4826 * np.median(np.abs(r))
+        scatter = robust_std(r)
         if step >= STEPS_WITH_ALL:
             inliers = np.abs(r) <= OUTLIER_SIGMAS * scatter
         prior = np.append(np.zeros(len(x) - 1), scatter / config.time_offset_std)

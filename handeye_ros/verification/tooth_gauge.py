@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.config import VerifyConfig
-from handeye_ros.data import Array
+from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
 from handeye_ros.verification.fit import Numbers, Quantity, Shape, StationSet
 import numpy as np
@@ -86,7 +86,7 @@ def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scat
     for k in range(group.max() + 1):
         members = np.flatnonzero(group == k)
         deviation = distances[members] - np.median(distances[members])
-        scatter = max(1.4826 * float(np.median(np.abs(deviation))), min_scatter)
+        scatter = max(robust_std(deviation), min_scatter)
         inliers = np.abs(deviation) <= OUTLIER_SIGMAS * scatter
         count = int(inliers.sum())
         # about a mean and a slope of their own

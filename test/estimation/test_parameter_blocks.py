@@ -164,7 +164,7 @@ def test_what_poses_depend_on_is_found_and_the_poses_are_moved(scenario: str) ->
     true, start = first.problem, first.estimate  # each edge point of its edge
     model = reported(true.robot_poses)
     wrong = model.at(np.zeros(2))[0]
-    problem = Problem(true.target, wrong if true.in_hand else se3.inverse(wrong),
+    problem = Problem(true.target, wrong if true.config.in_hand else se3.inverse(wrong),
                       true.observations, true.config, model)
     found = map_solution(problem, start, Noise())
     off = found.problem.pose_values - TRUE
