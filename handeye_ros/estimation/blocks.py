@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import (
@@ -36,7 +36,7 @@ from handeye_ros.estimation.basis import (
     plane_motions,
 )
 from handeye_ros.estimation.noise import TURN_LENGTH
-from handeye_ros.estimation.problem import Linear, Observations, Problem
+from handeye_ros.estimation.problem import Linear, Problem
 import numpy as np
 
 LINE_BEND = 'line_bend'
@@ -181,13 +181,8 @@ def sensor_distortion(linear: Linear) -> Blocks:
             best_fit=partial(_motions_of_degree, i), report='distortion_error')
 
 
-@lru_cache(maxsize=4)
-def _field_motions(observations: Observations) -> list[Array]:
-    return field_motions(observations.points, DEGREES)
-
-
 def _motions_of_degree(i: int, linear: Linear) -> Array:
-    motions = _field_motions(linear.problem.observations)
+    motions = field_motions(linear.problem.observations.points, DEGREES)
     return np.asarray(plane_motions(linear.estimate.X) @ motions[i])
 
 

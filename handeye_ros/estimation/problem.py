@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, ClassVar, Self, TYPE_CHECKING
 
 from handeye_ros import se3
@@ -27,6 +27,29 @@ if TYPE_CHECKING:
 
 UNUSED = -1  # the kind of an observation that is not part of the target
 MANY_STATIONS = 200  # of more, a part tells noise and prior scales
+
+
+@dataclass(frozen=True, eq=False)
+class StationGroup:
+    """
+    s stations with c observations each.
+
+    rows: (s, c) row numbers
+    correlation: (s, c, c) of the distortion
+    shared: (s, c, c) 1 where two observations share the error of one feature
+    components: (2, s, c, c) 1 where both are of the first variance component, or both of the
+        second
+    """
+
+    rows: NDArray[np.intp]
+    correlation: Array
+    shared: Array
+    components: Array
+
+    def thinned(self, stride: int) -> StationGroup:
+        """Return every stride-th of the stations."""
+        return StationGroup(self.rows[::stride], self.correlation[::stride], self.shared[::stride],
+                            self.components[:, ::stride])
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +86,21 @@ class Observations:
     def error_source(self) -> NDArray[np.intp]:
         """Return a number (m,) that those observations share that share an error e."""
         return (self.station << 32) + self.error_number
+
+    @cached_property
+    def station_groups(self) -> tuple[StationGroup, ...]:
+        """Return the stations, grouped by their number of observations."""
+        grouped = []
+        for rows in rows_by_count(self.station):
+            points, number = self.points[rows], self.error_number[rows]
+            second = self.ending[rows] > 0
+            apart = points[:, :, None] - points[:, None, :]
+            # 0.01 m: correlation length of the sensor's distortion
+            correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
+            shared = (number[:, :, None] == number[:, None, :]).astype(float)
+            pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
+            grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
+        return tuple(grouped)
 
     def same(self, other: Observations) -> bool:
         """Return whether others are the same points with the same labels."""
@@ -242,45 +280,6 @@ class Target(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class StationGroup:
-    """
-    s stations with c observations each.
-
-    rows: (s, c) row numbers
-    correlation: (s, c, c) of the distortion
-    shared: (s, c, c) 1 where two observations share the error of one feature
-    components: (2, s, c, c) 1 where both are of the first variance component, or both of the
-        second
-    """
-
-    rows: NDArray[np.intp]
-    correlation: Array
-    shared: Array
-    components: Array
-
-    def thinned(self, stride: int) -> StationGroup:
-        """Return every stride-th of the stations."""
-        return StationGroup(self.rows[::stride], self.correlation[::stride], self.shared[::stride],
-                            self.components[:, ::stride])
-
-
-@lru_cache(maxsize=8)  # an estimation asks for those of one problem again and again
-def station_groups(observations: Observations) -> tuple[StationGroup, ...]:
-    """Return the stations of observations, grouped by their number of observations."""
-    grouped = []
-    for rows in rows_by_count(observations.station):
-        points, number = observations.points[rows], observations.error_number[rows]
-        second = observations.ending[rows] > 0
-        apart = points[:, :, None] - points[:, None, :]
-        # 0.01 m: correlation length of the sensor's distortion
-        correlation = np.exp(-0.5 * np.einsum('nijk,nijk->nij', apart, apart) / 0.01 ** 2)
-        shared = (number[:, :, None] == number[:, None, :]).astype(float)
-        pairs = [of[:, :, None] & of[:, None, :] for of in (~second, second)]
-        grouped.append(StationGroup(rows, correlation, shared, np.array(pairs, dtype=float)))
-    return tuple(grouped)
-
-
-@dataclass(frozen=True, eq=False)
 class Problem:
     """
     A calibration problem: poses (n, 4, 4) of the mount, their observations, and settings.
@@ -325,7 +324,7 @@ class Problem:
     @property
     def station_groups(self) -> tuple[StationGroup, ...]:
         """Return the stations, grouped by their number of observations."""
-        return station_groups(self.observations)
+        return self.observations.station_groups
 
     @cached_property
     def ambiguous(self) -> bool:
