@@ -33,6 +33,12 @@ def robust_std(deviations: Array) -> float:
     return float(1.4826 * np.median(np.abs(deviations)))
 
 
+def without_order(steps: Array) -> bool:
+    """Return whether points at these steps along the laser line are in no order along it."""
+    forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
+    return bool(min(forth, back) > MOST_BACK * max(forth, back))
+
+
 @dataclass(frozen=True, eq=False)
 class Profile:
     """
@@ -74,9 +80,7 @@ class Profile:
             points = np.where(missing[:, None], np.nan, points)
         placed = np.isfinite(points[:, 0]).nonzero()[0]
         x = points[placed, 0]
-        steps = np.diff(x)
-        forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
-        if min(forth, back) > MOST_BACK * max(forth, back):
+        if without_order(np.diff(x)):
             order = placed[np.argsort(x, kind='stable')]
             points = points[order]
             intensity = None if intensity is None else intensity[order]

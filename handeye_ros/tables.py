@@ -17,7 +17,7 @@ import re
 from typing import Any
 
 from handeye_ros import orientations, se3
-from handeye_ros.data import Array
+from handeye_ros.data import Array, QUATERNION_TOLERANCE
 from handeye_ros.errors import InputError, nearest
 from handeye_ros.units import METRES, RADIANS
 import numpy as np
@@ -27,7 +27,6 @@ UNITS = {LENGTH: METRES, ANGLE: RADIANS}
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
-QUATERNION_TOLERANCE = 1e-3
 LARGEST_VALUE = 1e6  # m or rad: more is a mistake
 _HEADER = re.compile(r'\s*([\w.:/-]+)\s*(?:\[\s*(\w+|°)\s*\])?\s*')
 

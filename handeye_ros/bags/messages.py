@@ -19,7 +19,7 @@ import sys
 from typing import Any, NamedTuple, TypeVar
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.data import Array, MOST_BACK, NS, Profile, RawProfile, TimedPose
+from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose, without_order
 from handeye_ros.errors import UnusableMessageError
 import numpy as np
 from numpy.typing import NDArray
@@ -373,8 +373,7 @@ def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> A
                 and _back(np.diff(points[good, 1])) < LINE_BACK):
             raise _unusable(f'the points follow each other along {across}, not along {along}: set '
                             f'profile.axes to [{across}, {along}]')
-        forth, back = steps[steps > 0].sum(), -steps[steps < 0].sum()
-        if min(forth, back) > MOST_BACK * max(forth, back):
+        if without_order(steps):
             return _sorted(points, good)
     ordered = np.ascontiguousarray(points)
     ordered[~good] = np.nan

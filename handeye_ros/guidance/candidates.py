@@ -22,6 +22,7 @@ from handeye_ros.estimation.problem import Linear, linearise, Observations, Prob
 from handeye_ros.estimation.solve import Solution, solution_at
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.view import BORDER_NORMALS, MappedPoints, View
+from handeye_ros.sampling.stops import evenly
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,8 +90,7 @@ def templates(problem: Problem) -> list[int]:
     for i in range(len(problem.poses)):
         groups.setdefault(np.unique(obs.kind[obs.station == i]).tobytes(), []).append(i)
     share = max(1, TEMPLATE_COUNT // len(groups))
-    return [group[i] for group in groups.values()
-            for i in np.unique(np.linspace(0, len(group) - 1, share).astype(int))]
+    return [station for group in groups.values() for station in evenly(group, share)]
 
 
 def anchor_of(problem: Problem, station: int) -> Array:

@@ -31,7 +31,7 @@ from handeye_ros.data import (
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points, off_circle
 from handeye_ros.profiles.lines import combined_line, on_line
-from handeye_ros.sampling.stops import decoded, evenly, Stop
+from handeye_ros.sampling.stops import decoded, evenly, evenly_chosen, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
 import numpy as np
@@ -274,8 +274,7 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     used = [a.raw for a, agrees in zip(arcs, good, strict=True) if agrees]
     arc = normal_points(np.concatenate(used))
     # for the residuals: 0.8 MB of a sample at most
-    rows = np.linspace(0, len(arc.raw) - 1, min(len(arc.raw), 50_000)).astype(int)
-    return replace(arc, raw=arc.raw[rows])
+    return replace(arc, raw=arc.raw[evenly_chosen(len(arc.raw), 50_000)])
 
 
 def _scatter(arc: Arc, circle: Array) -> float:

@@ -24,9 +24,10 @@ from handeye_ros.estimation.problem import (
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.starts import some_stations
-from handeye_ros.targets.target import FACE, FaceTarget, xyz
+from handeye_ros.targets.target import FACE, FaceTarget
 import numpy as np
 from numpy.typing import NDArray
 
@@ -236,10 +237,7 @@ class Plate(FaceTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the target's pose and edge angle as plain values."""
-        T = state[:16].reshape(4, 4)
-        x, y, z, w = map(float, se3.quaternion(T))
-        return {'pose': {'translation': xyz(T[:3, 3]),
-                         'rotation': {'x': x, 'y': y, 'z': z, 'w': w}},
+        return {'pose': transform_values(state[:16].reshape(4, 4)),
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
 
     def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
