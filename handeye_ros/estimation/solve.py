@@ -469,56 +469,70 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
 
     noise: to start with. With very many stations, a part of them says what scales and noise are.
     """
-    every = len(problem.poses) // MANY_STATIONS
-    if every > 1:
-        part = map_solution(problem.subset(np.arange(0, len(problem.poses), every)), start, noise)
-        problem = problem.with_pose_values(part.problem.pose_values)
-        near = solution_at(problem, part.linear.estimate, part.noise)
-        best = Solution.of_linear(near.relinearise(), near.noise)
-        return _with_conservative(best, part.conservative.noise, 0)
-    found, diverged = _iterated(solution_at(problem, start, noise))
+    stride = len(problem.poses) // MANY_STATIONS
+    if stride > 1:
+        of_part = map_solution(
+            problem.subset(np.arange(0, len(problem.poses), stride)), start, noise)
+        problem = problem.with_pose_values(of_part.problem.pose_values)
+        near = solution_at(problem, of_part.linear.estimate, of_part.noise)
+        for_estimate = Solution.of_linear(near.relinearise(), near.noise)
+        return _with_conservative(for_estimate, of_part.conservative.noise, 0)
+    reached, diverged = _iterated(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
-        return _with_conservative(found, found.noise, LAST_STEPS)
-    return _with_final_scales(found)
+        return _with_conservative(reached, reached.noise, LAST_STEPS)
+    return _with_final_scales(reached)
 
 
-def _iterated(found: Solution) -> tuple[Solution, bool]:
-    """Return the solution after some steps and False, or the best before divergence and True."""
-    least, best = np.inf, found
-    for count in range(10):  # linearisations
-        x, covariance, u = found._step, found.covariance, found.unknowns
-        size = float(np.abs(x[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
-        diverged = size > 4.0 * max(least, 1.0)
-        if diverged and count > 1:  # the first steps may grow with the scale of a block
+def _iterated(start: Solution) -> tuple[Solution, bool]:
+    """
+    Return the solution after some steps and False, or the best before divergence and True.
+
+    Each is linearised where the step of the one before leads, with the variance factors from its
+    residuals, and takes one step of the conservative scales.
+    """
+    current = best = start
+    least = np.inf
+    for linearisation in range(10):
+        step, covariance, u = current._step, current.covariance, current.unknowns
+        size = float(np.abs(step[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
+        grew = size > 4.0 * max(least, 1.0)
+        if grew and linearisation > 1:  # the first steps may grow with the scale of a block
             return best, True
-        best, least = best if diverged else found, min(size, least)
-        factors, before = found.estimated_factors(), found.noise.variance_factors
+        best, least = best if grew else current, min(size, least)
+        factors, before = current.estimated_factors(), current.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
-        noise = replace(found.noise, variance_factors=factors)
-        found = Solution.of_linear(found.relinearise(), noise).rescaled(1)
+        noise = replace(current.noise, variance_factors=factors)
+        current = Solution.of_linear(current.relinearise(), noise).rescaled(1)
         if size < CONVERGED_SIGMAS and steady:
             break
-    return found, False
+    return current, False
 
 
-def _with_final_scales(found: Solution) -> Solution:
-    """Return the solution at the MAP scales, together with that at the conservative scales."""
-    best = found
-    if found.configured_blocks:
-        conservative = found.rescaled(LAST_STEPS - 1)
-        for_estimate, for_report = conservative.prior_variances()
-        best, found = found.with_variances(for_estimate), found.with_variances(for_report)
+def _with_final_scales(converged: Solution) -> Solution:
+    """
+    Return the solution at the MAP scales, together with that at the conservative scales.
+
+    Both scales follow from the posterior at the conservative ones. The variance factors of the
+    estimate are estimated again at its own scales; those of the report stay as they converged.
+    """
+    for_estimate, noise_of_report = converged, converged.noise
+    if converged.configured_blocks:
+        conservative = converged.rescaled(LAST_STEPS - 1)
+        map_variances, conservative_variances = conservative.prior_variances()
+        for_estimate = converged.with_variances(map_variances)
+        noise_of_report = converged.with_variances(conservative_variances).noise
     for _ in range(LAST_STEPS):
-        best = best.with_factors(best.estimated_factors(MAP_PRIOR_FACTORS))
-    best = Solution.of_linear(best.relinearise(), best.noise)
-    return _with_conservative(best, found.noise, LAST_STEPS)
+        for_estimate = for_estimate.with_factors(
+            for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
+    for_estimate = Solution.of_linear(for_estimate.relinearise(), for_estimate.noise)
+    return _with_conservative(for_estimate, noise_of_report, LAST_STEPS)
 
 
-def _with_conservative(best: Solution, noise: Noise, steps: int) -> Solution:
-    """Return a solution together with that at the conservative scales of noise."""
-    long = replace(best.problem, long_errors=True)
-    conservative = solution_at(long, best.linear.estimate, noise).rescaled(steps)
-    return replace(best, conservative_twin=conservative)
+def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:
+    """Return a solution together with that for the report: at the conservative scales of noise."""
+    long_errors = replace(for_estimate.problem, long_errors=True)
+    for_report = solution_at(long_errors, for_estimate.linear.estimate, noise).rescaled(steps)
+    return replace(for_estimate, conservative_twin=for_report)
 
 
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
