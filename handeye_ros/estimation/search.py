@@ -12,7 +12,7 @@ share lumped into each, and again with all nuisance parameters.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, islice
@@ -132,15 +132,26 @@ def with_all_blocks(solution: Solution) -> Solution:
 
 def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
     """Return the solution that graduated non-convexity reaches from a start."""
-    def refit(at: Linear, weights: Array) -> Linear:
-        before = at.problem
-        at = _system(before).reweighted(at, weights)
-        labelled = reassigned(problem, at.estimate, before)
-        return at if labelled is before else linearise(labelled, at.estimate)
+    fit = graduated_fit(problem, estimate,
+                        lambda at, weights: _system(at.problem).reweighted(at, weights))
+    return replace(Solution.of_linear(fit, LUMPED), full_problem=problem)
 
-    start = linearise(reassigned(problem, estimate), estimate)
-    at = graduated(start, mean_squares, refit)
-    return replace(Solution.of_linear(at, LUMPED), full_problem=problem)
+
+def graduated_fit(problem: Problem, start: Estimate,
+                  reweighted: Callable[[Linear, Array], Linear]) -> Linear:
+    """
+    Return the fit that graduated non-convexity reaches from a start, with labels of its own.
+
+    reweighted(fit, weights (n,)): the fit after a few steps with the labels it has. The weights
+    come from residuals with these labels, so observations are assigned again only after the steps,
+    and the next weights come from the new labels.
+    """
+    def refit(before: Linear, weights: Array) -> Linear:
+        after = reweighted(before, weights)
+        every = replace(after.problem, observations=problem.observations)
+        labelled = reassigned(every, after.estimate, after.problem)
+        return after if labelled is after.problem else linearise(labelled, after.estimate)
+    return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
 
 
 def station_squares(solution: Solution) -> Array:
@@ -205,7 +216,7 @@ def reassigned(problem: Problem, estimate: Estimate, before: Problem | None = No
     p = problem.points_in_base(estimate.X)
     labelled = problem.target.reassign(problem.observations, p, estimate.state, problem.config)
     used = labelled.select(labelled.kind != UNUSED)
-    for earlier in (problem, before):
+    for earlier in (before, problem):
         if earlier and used.same(earlier.observations):
             return earlier
     return replace(problem, observations=used)

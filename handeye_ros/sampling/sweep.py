@@ -31,10 +31,15 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, Reject, ROTATION_LAG, Sample, TIME_OFFSET
 from handeye_ros.estimation.basis import smooth_basis_in_time
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.least_squares import graduated, Rows, System, typical_square
+from handeye_ros.estimation.least_squares import Rows, System, typical_square
 from handeye_ros.estimation.noise import TURN_LENGTH
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseModel, Problem
-from handeye_ros.estimation.search import CONVINCING_SQUARE, mean_squares, reassigned, whitening_at
+from handeye_ros.estimation.search import (
+    CONVINCING_SQUARE,
+    graduated_fit,
+    mean_squares,
+    whitening_at,
+)
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.trajectory import Instants, joined, Trajectory
@@ -230,11 +235,8 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
 
 def _refined(problem: Problem, start: Estimate) -> Linear:
     """Return the fit with the clocks among the unknowns that a start leads to."""
-    def refit(at: Linear, weights: Array) -> Linear:
-        at = _system(at.problem).reweighted(at, np.append(weights, 1.0))
-        whole = replace(at.problem, observations=problem.observations)
-        return linearise(reassigned(whole, at.estimate, at.problem), at.estimate)
-    return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
+    return graduated_fit(problem, start, lambda at, weights: _system(at.problem).reweighted(
+        at, np.append(weights, 1.0)))  # the priors of the clocks keep theirs
 
 
 def _system(problem: Problem) -> System[Linear]:
