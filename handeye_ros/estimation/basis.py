@@ -203,24 +203,27 @@ def motions_by_poses(poses: Array, X: Array, field: Array, in_hand: bool) -> Arr
     poses: (n, 4, 4), inverted unless in_hand; field: (k, 2) points of the sensor plane over which
     the transform fits best. The error of a pose is as in Linear.wrt_pose: in the robot's base
     frame, its rotation about the flange.
+
+    Motions of the transform and of the target, common to all stations, shift each point as nearly
+    as possible as the error of its own pose does: mount x + target y = robot e_i, in least
+    squares; returned is x by each e_i.
     """
-    R, a = poses[:, None, :3, :3], poses[:, None, :3, 3]
-    lever = field @ X[:3, [0, 2]].T
-    p, shift = se3.apply(poses, lever + X[:3, 3]), np.eye(3)
-    mount = R @ np.concatenate([np.broadcast_to(shift, (len(lever), 3, 3)), -se3.skew(lever)],
-                               axis=2)
-    every = np.broadcast_to(shift, (*p.shape, 3))
-    target = np.concatenate([-every, se3.skew(p)], axis=3)
+    R, origin = poses[:, None, :3, :3], poses[:, None, :3, 3]
+    lever = field @ X[:3, [0, 2]].T  # from the sensor, then from the mount
+    in_mount = lever + X[:3, 3]
+    in_base = se3.apply(poses, in_mount)
+    mount = R @ se3.wrt_perturbation(lever)
+    target = -se3.wrt_perturbation(in_base)
     if in_hand:
-        robot = np.concatenate([every, -se3.skew(p - a)], axis=3)
+        robot = se3.wrt_perturbation(in_base - origin)
     else:  # the poses are those of the base in the flange; the errors are in the base
-        about = lever + X[:3, 3] + (np.swapaxes(R, 2, 3) @ a[..., None])[..., 0]
-        robot = -R @ np.concatenate([every, -se3.skew(about)], axis=3)
-    A = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
-    scale = np.sqrt((A ** 2).sum(axis=(0, 1)))
-    A = A / scale
-    every_row = A.reshape(-1, 12)
-    inverse = np.linalg.pinv(every_row.T @ every_row, rcond=1e-9, hermitian=True)
-    by_robot = np.swapaxes(A, 1, 2) @ robot.reshape(len(R), -1, 6)
-    mounts = (inverse[:6] / scale[:6, None]) @ by_robot
-    return np.asarray(mounts.swapaxes(0, 1))
+        from_flange = in_mount + (np.swapaxes(R, 2, 3) @ origin[..., None])[..., 0]
+        robot = -R @ se3.wrt_perturbation(from_flange)
+    motions = np.concatenate([mount, target], axis=3).reshape(len(R), -1, 12)
+    scale = np.sqrt((motions ** 2).sum(axis=(0, 1)))
+    motions = motions / scale
+    rows = motions.reshape(-1, 12)
+    covariance = np.linalg.pinv(rows.T @ rows, rcond=1e-9, hermitian=True)
+    gradients = np.swapaxes(motions, 1, 2) @ robot.reshape(len(R), -1, 6)  # of each station
+    of_mount = (covariance[:6] / scale[:6, None]) @ gradients
+    return np.asarray(of_mount.swapaxes(0, 1))
