@@ -15,9 +15,13 @@ from handeye_ros.data import Array
 import numpy as np
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 5e-5, 4e-3  # radius of a rounding (m)
-# of roundings that are tried
+# The shapes that are tried: roundings of these radii, then bevels of these slopes.
 TRIED_RADII = np.geomspace(SMALLEST_RADIUS, LARGEST_RADIUS, 40)[:, None]
-TRIED_SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]  # of bevels
+TRIED_SLOPES = np.geomspace(0.6, 1.7, 8)[:, None]
+ROUNDED, BEVELLED = slice(len(TRIED_RADII)), slice(len(TRIED_RADII), None)
+# of each shape before it is seen: a rounding is as likely as a bevel
+PRIOR = np.repeat(1 / np.array([len(TRIED_RADII), len(TRIED_SLOPES)]),
+                  [len(TRIED_RADII), len(TRIED_SLOPES)])
 STEEPEST_SINE = 0.97  # largest sine of the slope of a fitted arc: no light returns beyond
 ALONG_STD = 0.3  # 1 sigma of where a point lies along the laser line, in columns
 STRAY_SIGMAS = 3.0  # sigmas beyond which a point loses weight: near the rim most are wrong
@@ -60,20 +64,28 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     along it; noise: 1 sigma of v (m). Roundings and bevels are weighted by their likelihoods.
     """
     begin, slope, weights, misfit = _fitted(u, v, pitch, noise)
-    k, out = len(TRIED_RADII), np.maximum(end - begin, 0.0)
-    round_depth = TRIED_RADII - np.sqrt(np.maximum(TRIED_RADII ** 2 - out[:k] ** 2, 0.0))
-    depths = np.concatenate([round_depth, TRIED_SLOPES * out[k:]])[:, 0]
+    depths = _depths_of_end(np.maximum(end - begin, 0.0))[:, 0]
     likely = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
-    shapes = np.append(likely[:k], np.log(np.exp(likely[k:]).mean()))
-    share = np.exp(likely) * np.repeat([1 / k, 1 / len(TRIED_SLOPES)], [k, len(TRIED_SLOPES)])
-    best = int(likely[:k].argmax())
-    radius, slope = float(TRIED_RADII[best, 0]), slope[best]
-    steep = weights[best] * slope ** 2
+    shapes = np.append(likely[ROUNDED], np.log(np.exp(likely[BEVELLED]).mean()))
+    share = np.exp(likely) * PRIOR
+    best = int(likely[ROUNDED].argmax())
+    middle, middle_std = _middle(float(begin[best, 0]), float(TRIED_RADII[best, 0]), slope[best],
+                                 weights[best])
+    return EndRounding(float(share @ depths / share.sum()), shapes - shapes.max(), middle,
+                       middle_std)
+
+
+def _middle(begin: float, radius: float, slope: Array, weights: Array
+            ) -> tuple[tuple[float, float], float]:
+    """
+    Return the part (out, below) of a rounding that is located best, and 1 sigma outwards.
+
+    slope, weights: (n,) of the rounding at the points: what is steep locates it.
+    """
+    steep = weights * slope ** 2
     information = max(float(steep.sum()), TINY)
     sine = float(steep @ (slope / np.sqrt(1 + slope ** 2))) / information
-    middle = float(begin[best, 0]) + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5)
-    return EndRounding(float(share @ depths / share.sum()), shapes - shapes.max(), middle,
-                       information ** -0.5)
+    return ((begin + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5)), information ** -0.5)
 
 
 def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Array, Array, Array]:
@@ -87,9 +99,7 @@ def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Arra
     # at first each shape passes through the centre of the low points
     low = v >= min(BEND_SIGMAS * noise, v.max())
     depth = max(float(v[low].mean()), 0.0)
-    within = np.minimum(depth, STEEPEST_SINE * TRIED_RADII)
-    begin = u[low].mean() - np.concatenate([np.sqrt(within * (2 * TRIED_RADII - within)),
-                                            depth / TRIED_SLOPES])
+    begin = u[low].mean() - _distances_at(depth)
     longest = np.maximum(u[-1] - begin, pitch) / 3
     for _ in range(BEND_STEPS):
         below, slope = _shapes(u - begin)
@@ -105,13 +115,25 @@ def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Arra
     return begin, slope, weights, misfit
 
 
+def _distances_at(depth: float) -> Array:
+    """Return how far from their start the shapes (k, 1) are at a depth."""
+    within = np.minimum(depth, STEEPEST_SINE * TRIED_RADII)
+    return np.concatenate([np.sqrt(within * (2 * TRIED_RADII - within)), depth / TRIED_SLOPES])
+
+
+def _depths_of_end(away: Array) -> Array:
+    """Return how deep the shapes (k, 1) that end at distances (k, 1) from their start end."""
+    below_middle = np.sqrt(np.maximum(TRIED_RADII ** 2 - away[ROUNDED] ** 2, 0.0))
+    return np.concatenate([TRIED_RADII - below_middle, TRIED_SLOPES * away[BEVELLED]])
+
+
 def _shapes(away: Array) -> tuple[Array, Array]:
-    """Return depths and slopes (k, n) of shapes at distances (k, n) from their start."""
-    away, k = np.maximum(away, 0.0), len(TRIED_RADII)
-    sine = np.minimum(away[:k] / TRIED_RADII, STEEPEST_SINE)
+    """Return depths and slopes (k, n) of the shapes at distances (k, n) from their start."""
+    along_arc, along_bevel = np.maximum(away[ROUNDED], 0.0), np.maximum(away[BEVELLED], 0.0)
+    sine = np.minimum(along_arc / TRIED_RADII, STEEPEST_SINE)
     cosine = np.sqrt(1 - sine * sine)
     slope = sine / cosine
-    depth = TRIED_RADII * (1 - cosine) + slope * np.maximum(
-        away[:k] - STEEPEST_SINE * TRIED_RADII, 0.0)
-    return (np.concatenate([depth, TRIED_SLOPES * away[k:]]),
-            np.concatenate([slope, TRIED_SLOPES * (away[k:] > 0)]))
+    beyond = np.maximum(along_arc - STEEPEST_SINE * TRIED_RADII, 0.0)  # straight on
+    depth = TRIED_RADII * (1 - cosine) + slope * beyond
+    return (np.concatenate([depth, TRIED_SLOPES * along_bevel]),
+            np.concatenate([slope, TRIED_SLOPES * (along_bevel > 0)]))
