@@ -42,31 +42,51 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
-    samples: in the order of the stations of the problem. Too little rotation of the poses is
-    reported before a move, since it can look like one.
+    samples: in the order of the stations of the problem. The first of these is raised; 1, 2 and 4
+    also where the samples do not contradict the solution:
+
+    1. the other sign of the range;
+    2. another convention of the poses, or orientations without any order;
+    3. too little rotation, which can look like a move;
+    4. an error of the scale of the robot, or a move that explains more than that;
+    5. a move;
+    6. the contradiction itself.
     """
     stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
         require_sign(samples, problem.config, stated, clocks=refusal is not None)
     if refusal or solution.variance_factor >= MISFIT_FACTOR:
         require_convention(samples, problem, stated)
-    if refusal and orientations_scatter(problem.poses):
+    if refusal:
+        _require_ordered_orientations(problem, solution)
+        if turning(problem.poses)[0][1] < FEW_TURNS:
+            require_certain(solution.reported_covariance, problem.config,
+                            missing_motion(solution, problem.config))
+    _require_scale_unless_moved(problem, solution, stated)
+    if refusal:
+        refuse_better(stated, move_hypotheses(problem))
+        raise refusal
+
+
+def _require_ordered_orientations(problem: Problem, solution: Solution) -> None:
+    """Raise DataError (convention) for poses that are turned in all directions."""
+    if orientations_scatter(problem.poses):
         raise DataError(f'samples and poses contradict each other by {mm(solution.residual_rms)} '
                         'RMS, and the orientations of the poses are scattered in all directions, '
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
-    if refusal and turning(problem.poses)[0][1] < FEW_TURNS:
-        require_certain(solution.reported_covariance, problem.config,
-                        missing_motion(solution, problem.config))
-    scales = scale_hypotheses(solution)
+
+
+def _require_scale_unless_moved(problem: Problem, solution: Solution, stated: Explanation
+                                ) -> None:
+    """Raise DataError for an error of scale, or for the move that explains more than that."""
+    scales = scale_hypotheses(solution)  # one, if any
     try:
         refuse_better(stated, scales)
-    except DataError:  # a move may look like a scale: it must explain more than that
-        refuse_better(scales[0].refit(), move_hypotheses(problem))
+    except DataError:  # a move may look like a scale
+        by_scale = scales[0].refit()
+        refuse_better(by_scale, move_hypotheses(problem))
         raise
-    if refusal:
-        refuse_better(stated, move_hypotheses(problem))
-        raise refusal
 
 
 def with_known_cause(refusal: DataError, session: Session, config: Config) -> DataError:
