@@ -181,30 +181,52 @@ def _seen_alike(linear: Linear, points: Array, same_point: Array, before: Linear
 
     points: (n, c, 2) of the stations of linear; same_point: (c, c) 1 where conditions are of one.
     """
-    problem, obs, target = linear.problem, before.problem.observations, linear.problem.target
-    sampling = problem.config.sampling
-    strict = replace(sampling, min_crossing_angle=sampling.min_crossing_angle + STOP_POSE_ERROR[1])
+    config = linear.problem.config
+    crossing = config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
+    strict = replace(config, sampling=replace(config.sampling, min_crossing_angle=crossing))
     A = linear.wrt_point.reshape(points.shape)
-    good = view.room(points).min(axis=1) > -1e-4
-    good &= np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
-    # steeply: moves along the laser line show at an edge, moves in the plane at a face
-    of_edges = np.isin(obs.kind, target.essential_kinds) @ same_point > 0
-    steep = np.where(of_edges, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
-    good &= (steep > np.sin(strict.min_crossing_angle) ** 2).all(axis=1)
-    # from the same side as the template; the conditions of a point depend on the choice of axes
-    seen = before.wrt_point[:, 1]
-    size = np.sqrt(seen ** 2 @ same_point)
-    towards = (A[..., 1] * seen) @ same_point > SMALLEST_COSINE * size
-    good &= (towards | (size <= SMALLEST_COSINE)).all(axis=1)
-    # with as much of the faces as is needed to find what lies between them
-    if target.faces == 2:
-        good &= _corner_seen(A, points, before, view)
-    elif len(obs) == same_point[0].sum():  # an edge point alone
-        good &= _face_seen(problem.poses @ linear.estimate.X, points[:, 0], before, view)
-    # and with the same labels
-    labelled = target.reassign(problem.observations, problem.points_in_base(linear.estimate.X),
-                               linear.estimate.state, replace(problem.config, sampling=strict))
-    return np.asarray(good & (labelled.kind.reshape(A.shape[:2]) == obs.kind).all(axis=1))
+    in_view = view.room(points).min(axis=1) > -1e-4
+    on_target = np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
+    return np.asarray(
+        in_view & on_target & _crossed_steeply(A, same_point, before, crossing)
+        & _from_same_side(A, same_point, before) & _labelled_alike(linear, before, strict)
+        & _enough_of_faces(linear, A, points, same_point, before, view))
+
+
+def _crossed_steeply(A: Array, same_point: Array, before: Linear, crossing: float
+                     ) -> NDArray[np.bool_]:
+    """Return where moves along the laser line show at edges, and moves in the plane at faces."""
+    problem = before.problem
+    at_edge = np.isin(problem.observations.kind, problem.target.essential_kinds) @ same_point > 0
+    steep = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
+    return np.asarray((steep > np.sin(crossing) ** 2).all(axis=1))
+
+
+def _from_same_side(A: Array, same_point: Array, before: Linear) -> NDArray[np.bool_]:
+    """Return where each point is seen from the side of the template, where that shows one."""
+    by_range = before.wrt_point[:, 1]  # of single conditions it depends on the choice of axes
+    size = np.sqrt(by_range ** 2 @ same_point)
+    towards = (A[..., 1] * by_range) @ same_point > SMALLEST_COSINE * size
+    return np.asarray((towards | (size <= SMALLEST_COSINE)).all(axis=1))
+
+
+def _labelled_alike(linear: Linear, before: Linear, strict: Config) -> NDArray[np.bool_]:
+    """Return where the target assigns the points to what they are in the template."""
+    problem, kind = linear.problem, before.problem.observations.kind
+    labelled = problem.target.reassign(
+        problem.observations, problem.points_in_base(linear.estimate.X), linear.estimate.state,
+        strict)
+    return np.asarray((labelled.kind.reshape(-1, len(kind)) == kind).all(axis=1))
+
+
+def _enough_of_faces(linear: Linear, A: Array, points: Array, same_point: Array, before: Linear,
+                     view: View) -> NDArray[np.bool_]:
+    """Return where the faces are in view as far as is needed to find what lies between them."""
+    if linear.problem.target.faces == 2:
+        return _corner_seen(A, points, before, view)
+    if len(before.problem.observations) == same_point[0].sum():  # an edge point alone
+        return _face_seen(linear.problem.poses @ linear.estimate.X, points[:, 0], before, view)
+    return np.ones(len(points), dtype=bool)
 
 
 def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
