@@ -9,7 +9,7 @@ compared with the calibration's. Of a gauge of teeth single points are taken whi
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 import math
@@ -38,6 +38,7 @@ from handeye_ros.targets.target import edge_error_factor, ObservationRows
 from handeye_ros.verification.fit import derivatives, Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
+from numpy.typing import NDArray
 
 SURE_CHANGE = 4.0  # sigmas of a change
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
@@ -236,35 +237,57 @@ def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibratio
     samples = evenly(passes_expanded(samples), SWEEP_SAMPLES)
     clocked = ClockedPoses.of(samples)
     stations = _stations(routine, [samples], X, config)
-    one = replace(config.verify, lengths=())  # face or ball, of an artefact of several
-    obs, shape = stations.observations, routine.shape(stations, X, one)
+    single = replace(config.verify, lengths=())  # face or ball, of an artefact of several
+    obs, shape = stations.observations, routine.shape(stations, X, single)
 
     def distances(x: Array) -> Array:
         """Return the distances from the shape; x: its unknowns and the offset."""
         return shape.distance(obs.in_base(mount_poses(clocked.at(x[-1]).T_base_flange, config), X),
                               x[:-1])
 
-    x, inliers = np.append(shape.start, 0.0), np.ones(len(obs), dtype=bool)
+    x, inliers, scatter = _fitted_with_offset(distances, shape.start, config.time_offset_std)
+    r, change = distances(x), float(x[-1])
+    gain = np.linalg.pinv(derivatives(distances, x)[inliers])
+    offset = ClockEstimate(config.time_offset + change, _clustered_std(
+        gain[-1] * r[inliers], stations.stamps[obs.station[inliers]], len(x)))
+    previous = calibration.time_offset or ClockEstimate(config.time_offset, 0.0)
+    _, sentence = compared(offset, previous)
+    foreign = set(obs.station[np.abs(r) > OTHER_SURFACE_SIGMAS * scatter].tolist())
+    if foreign:
+        sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
+    at = clocked.at(change).T_base_flange
+    return [replace(sample, T_base_flange=at[k], trajectory=None)
+            for k, sample in enumerate(samples) if k not in foreign], sentence
+
+
+def _fitted_with_offset(distances: Callable[[Array], Array], start: Array, offset_std: float
+                        ) -> tuple[Array, NDArray[np.bool_], float]:
+    """
+    Return the unknowns of a shape with the offset last, the inliers (m,), and the robust scatter.
+
+    distances(unknowns): (m,) from the shape; start: the shape's unknowns; offset_std: 1 sigma of
+    the prior of the offset, about 0. Gauss-Newton, first with all points.
+    """
+    x = np.append(start, 0.0)
     for step in range(GAUSS_NEWTON_STEPS):
         r = distances(x)
         scatter = robust_std(r)
-        if step >= STEPS_WITH_ALL:
-            inliers = np.abs(r) <= OUTLIER_SIGMAS * scatter
-        prior = np.append(np.zeros(len(x) - 1), scatter / config.time_offset_std)
+        inliers = np.abs(r) <= (OUTLIER_SIGMAS * scatter if step >= STEPS_WITH_ALL else np.inf)
+        prior = np.append(np.zeros(len(x) - 1), scatter / offset_std)
         x = x - np.linalg.lstsq(np.vstack([derivatives(distances, x)[inliers], prior]),
                                 np.append(r[inliers], prior @ x), rcond=None)[0]
-    r, gain = distances(x), np.linalg.pinv(derivatives(distances, x)[inliers])
-    time = stations.stamps[obs.station[inliers]] // CORRELATION_TIME
-    parts = np.bincount(np.unique(time, return_inverse=True)[1], gain[-1] * r[inliers])
-    std = float(np.sqrt((parts ** 2).sum() * len(parts) / max(len(parts) - len(x), 1)))
-    foreign = set(obs.station[np.abs(r) > OTHER_SURFACE_SIGMAS * scatter].tolist())
-    previous = calibration.time_offset or ClockEstimate(config.time_offset, 0.0)
-    _, sentence = compared(ClockEstimate(config.time_offset + float(x[-1]), std), previous)
-    if foreign:
-        sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
-    at = clocked.at(x[-1]).T_base_flange
-    return [replace(sample, T_base_flange=at[k], trajectory=None)
-            for k, sample in enumerate(samples) if k not in foreign], sentence
+    return x, inliers, scatter
+
+
+def _clustered_std(changes: Array, stamps: NDArray[np.int64], unknowns: int) -> float:
+    """
+    Return 1 sigma of an unknown, by what the residual of each point changes of it (m,).
+
+    stamps: (m,) of the points; those within a CORRELATION_TIME err together.
+    """
+    clusters = np.unique(stamps // CORRELATION_TIME, return_inverse=True)[1]
+    sums = np.bincount(clusters, changes)
+    return float(np.sqrt((sums ** 2).sum() * len(sums) / max(len(sums) - unknowns, 1)))
 
 
 def compared(offset: ClockEstimate, previous: ClockEstimate) -> tuple[bool, str]:
