@@ -200,38 +200,12 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     hidden = (f': the smooth error of the robot that the calibration found ({mm(smooth)}) hides '
               'less' if DETECTION_SIGMAS * smooth > limits.tolerance else '')
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
+    used = sum(station.used for station in stations)
+    violated, open_values = _values_off(quantities, used, limits, hidden)
+    contradiction = _contradiction(stations)
     notes = _notes(fit, other_size, stations, limits)
-    failed, used = list[str](), sum(station.used for station in stations)
-    names = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
-    contradiction = [f'{", ".join(names)} contradict the others under every possible calibration, '
-                     'and without them too little would be left: measure again'] if names else []
-    undecided = list(contradiction)
-    for q in quantities:
-        if q.error is None:
-            continue
-        tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
-        off = f'{q.name} is off by {formatted(q.error, q.unit)}'
-        U, decided = f'{formatted(q.expanded, q.unit)} (k = {COVERAGE_FACTOR:g})', decision(
-            q.error, q.expanded, tolerance)
-        if decided == VIOLATES:
-            failed.append(f'{off} ± {U}')
-        elif decided == UNDECIDED:
-            undecided.append(
-                f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
-                f'{formatted(tolerance, q.unit)}' + (hidden or _or_measure(
-                    used, q.expanded, tolerance - abs(q.error), ':')))
-    outside = [s for s in stations if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
-               and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
-    if outside:
-        worst = max(outside, key=lambda s: s.distance)
-        failed.append(f'points of {len(outside)} of {len(stations)} stops lie up to '
-                      f'{mm(worst.distance)} from the fit (the worst: {worst.name})')
-    if fit.p_no_error <= SIGNIFICANCE and not other_size and (
-            fit.largest_error - ONE_SIDED_95 * fit.largest_error_std > limits.tolerance):
-        failed.append(
-            'the pattern of the distances matches a calibration error of '
-            f'{mm(fit.largest_error)} ± {mm(COVERAGE_FACTOR * fit.largest_error_std)} '
-            f'(k = {COVERAGE_FACTOR:g}) at the points')
+    failed = [*violated, *_points_off(stations, limits),
+              *([] if other_size else _error_shown(fit, limits))]
     if failed:
         return 'fail', (*failed, *contradiction, *notes)
     if fit.smallest_error > limits.tolerance:
@@ -240,16 +214,72 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}' + (
                 hidden or ': turn the sensor more between the stops' + _or_measure(
                     used, fit.smallest_error, limits.tolerance, ', or')), *contradiction, *notes)
-    undecided += [
-        f'the points suggest an error of the calibration of {mm(size)} ± '
-        f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the tolerance: '
-        'measure at more stops'
-        for size, std, is_seen in (
-            (fit.largest_error, fit.largest_error_std, fit.p_no_error < SIGNIFICANCE),
-            (fit.weakest_error, fit.weakest_error_std,
-             fit.weakest_error > NORMAL_95 * fit.weakest_error_std))
-        if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
+    undecided = [*contradiction, *open_values, *_error_suggested(fit, limits)]
     return 'undecided' if undecided else 'pass', (*undecided, *notes)
+
+
+def _values_off(quantities: Sequence[Quantity], used: int, limits: VerifyConfig, hidden: str
+                ) -> tuple[list[str], list[str]]:
+    """
+    Return the values that violate their tolerance, and those of which that is not decided.
+
+    used: number of stops; hidden: why more of them do not help, '' if they do.
+    """
+    violated, undecided = list[str](), list[str]()
+    for q in quantities:
+        if q.error is None:
+            continue
+        tolerance = limits.tolerance if q.unit == 'm' else limits.angle_tolerance
+        off = f'{q.name} is off by {formatted(q.error, q.unit)}'
+        U, decided = f'{formatted(q.expanded, q.unit)} (k = {COVERAGE_FACTOR:g})', decision(
+            q.error, q.expanded, tolerance)
+        if decided == VIOLATES:
+            violated.append(f'{off} ± {U}')
+        elif decided == UNDECIDED:
+            undecided.append(
+                f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
+                f'{formatted(tolerance, q.unit)}' + (hidden or _or_measure(
+                    used, q.expanded, tolerance - abs(q.error), ':')))
+    return violated, undecided
+
+
+def _points_off(stations: Sequence[StationResult], limits: VerifyConfig) -> list[str]:
+    """Return in words which stops surely have points outside of the tolerance."""
+    outside = [s for s in stations if s.used and COVERAGE_FACTOR * s.std <= limits.tolerance
+               and s.distance - COVERAGE_FACTOR * s.std > limits.tolerance]
+    if not outside:
+        return []
+    worst = max(outside, key=lambda s: s.distance)
+    return [f'points of {len(outside)} of {len(stations)} stops lie up to '
+            f'{mm(worst.distance)} from the fit (the worst: {worst.name})']
+
+
+def _error_shown(fit: Fit, limits: VerifyConfig) -> list[str]:
+    """Return in words the error of the calibration that the points surely show."""
+    at_least = fit.largest_error - ONE_SIDED_95 * fit.largest_error_std
+    shown = fit.p_no_error <= SIGNIFICANCE and at_least > limits.tolerance
+    return ['the pattern of the distances matches a calibration error of '
+            f'{mm(fit.largest_error)} ± {mm(COVERAGE_FACTOR * fit.largest_error_std)} '
+            f'(k = {COVERAGE_FACTOR:g}) at the points'] if shown else []
+
+
+def _error_suggested(fit: Fit, limits: VerifyConfig) -> list[str]:
+    """Return in words the error of the calibration that may exceed the tolerance."""
+    return [f'the points suggest an error of the calibration of {mm(size)} ± '
+            f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the '
+            'tolerance: measure at more stops'
+            for size, std, is_seen in (
+                (fit.largest_error, fit.largest_error_std, fit.p_no_error < SIGNIFICANCE),
+                (fit.weakest_error, fit.weakest_error_std,
+                 fit.weakest_error > NORMAL_95 * fit.weakest_error_std))
+            if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
+
+
+def _contradiction(stations: Sequence[StationResult]) -> list[str]:
+    """Return in words which used stops contradict the others."""
+    names = [s.name for s in stations if s.used and s.p * len(stations) < FALSE_ALARM]
+    return [f'{", ".join(names)} contradict the others under every possible calibration, '
+            'and without them too little would be left: measure again'] if names else []
 
 
 def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str:
