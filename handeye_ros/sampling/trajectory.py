@@ -195,40 +195,54 @@ def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
     A few poses far from the spline through all are not used; of many, it is the spline that is
     wrong.
     """
-    t = (stamps - stamps[0]) * 1e-9
-    values = values.copy()
-    turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0  # q and -q are one rotation
-    values[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
-    t, values = _averaged(t, values)
+    t, values = _averaged((stamps - stamps[0]) * 1e-9, _with_steady_signs(values))
     spline, pose_std, information = _smoothed(t, values)
-    # in units of 1 mm and 5 mrad: smaller residuals are no outliers
-    off = np.abs(values - spline(t)) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
-    usual = np.array([robust_std(one) for one in off.T])
-    good = (off <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
-    good[[0, -1]] = True
-    if not good.all() and good.mean() > 0.95:  # else the spline is wrong, not the poses
-        spline, pose_std, information = _smoothed(t[good], values[good])
+    near = _near_most(values - spline(t))
+    if not near.all() and near.mean() > 0.95:
+        spline, pose_std, information = _smoothed(t[near], values[near])
     return _Piece(int(stamps[0]), int(stamps[-1]), spline, pose_std, information)
 
 
+def _with_steady_signs(values: Array) -> Array:
+    """Return poses (n, 7) whose quaternions do not jump: q and -q are one rotation."""
+    turned = (values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0
+    signs = np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    return np.hstack([values[:, :3], np.vstack([values[:1, 3:], values[1:, 3:] * signs])])
+
+
+def _near_most(off: Array) -> NDArray[np.bool_]:
+    """Return which poses are off (n, 7) a spline as most are, or less than 1 mm and 5 mrad."""
+    size = np.abs(off) / np.repeat([1e-3, 5e-3 / 2], [3, 4])
+    usual = np.array([robust_std(axis) for axis in size.T])
+    near = (size <= np.maximum(OUTLIER_SCATTERS * usual, 1.0)).all(axis=1)
+    near[[0, -1]] = True
+    return np.asarray(near)
+
+
 def _smoothed(t: Array, values: Array) -> tuple[Any, Array, Any]:
-    """Return the spline with the best knots, the std (2,) of single poses, and its information."""
+    """
+    Return the spline with the best knots, the std (2,) of single poses, and its information.
+
+    The knots have the least generalised cross-validation error, log(squares / freedom^2), of
+    positions and rotations together.
+    """
     from scipy.interpolate import BSpline
     from scipy.sparse.linalg import splu
     least, best = np.inf, None
     for spacing in KNOT_SPACINGS:
         knots = _knots(t, spacing)
-        free = len(t) - (len(knots) - SPLINE_DEGREE - 1)
-        if best and free < len(t) / 3:
+        freedom = len(t) - (len(knots) - SPLINE_DEGREE - 1)
+        if best and freedom < len(t) / 3:
             break
         rows = BSpline.design_matrix(t, knots, SPLINE_DEGREE)
         information = (rows.T @ rows).tocsc()
         spline = BSpline(knots, splu(information).solve(rows.T @ values), SPLINE_DEGREE)
         squares = (values - rows @ spline.c) ** 2
+        # of each axis; a quaternion has half of the angle about three axes
         sums = np.array([squares[:, :3].sum() / 3, squares[:, 3:].sum() * 4 / 3]) + 1e-30
-        error = float(np.log(sums / max(free, 1) ** 2).sum())
+        error = float(np.log(sums / max(freedom, 1) ** 2).sum())
         if error < least + 2 * np.log(0.98):  # nearer knots must be worth 2 %
-            least, best = error, (spline, np.sqrt(sums / max(free, 1)), information)
+            least, best = error, (spline, np.sqrt(sums / max(freedom, 1)), information)
     assert best is not None
     return best
 
