@@ -206,11 +206,10 @@ def pose_model(linear: Linear) -> Blocks:
     problem, model = linear.problem, linear.problem.pose_model
     if model is None:
         return
-    _, twists = model.at(problem.pose_values)
     last = np.cumsum(model.counts)
     for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
         some = slice(int(end) - count, int(end))
-        own = twists[:, :, some]
+        own = problem.pose_twists[:, :, some]
         yield ParameterBlock(name, linear.wrt_twists(own) * std, std, own, pose_slice=some,
                              value=problem.pose_values[some],
                              least_variance=model.least_variance, report=name)

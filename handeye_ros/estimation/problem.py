@@ -342,6 +342,12 @@ class Problem:
         return self.poses if self.config.in_hand else se3.inverse(self.poses)
 
     @cached_property
+    def pose_twists(self) -> Array:
+        """Return the derivatives (n, 6, k) of the robot's poses by the pose values."""
+        assert self.pose_model is not None
+        return self.pose_model.at(self.pose_values)[1]
+
+    @cached_property
     def smooth(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
         return smooth_basis(self.robot_poses, self.long_errors)
@@ -423,7 +429,7 @@ class Linear:
         model = self.problem.pose_model
         if model is None or model.jitter is None:
             return None
-        return self.wrt_twists(model.at(self.problem.pose_values)[1] * model.jitter)
+        return self.wrt_twists(self.problem.pose_twists * model.jitter)
 
     @cached_property
     def wrt_point(self) -> Array:

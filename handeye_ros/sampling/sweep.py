@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from itertools import islice
 
 from handeye_ros import targets
@@ -100,12 +100,6 @@ class ClockedPoses:
 def _poses_and_twists(clocked: ClockedPoses, unknown: tuple[int, ...], values: Array
                       ) -> tuple[Array, Array]:
     """Return poses (n, 4, 4) and twists (n, 6, k) for values of the unknown clocks."""
-    return _evaluated(clocked, unknown, tuple(values.tolist()))
-
-
-@lru_cache(maxsize=8)  # poses, then twists, are requested for the same values
-def _evaluated(clocked: ClockedPoses, unknown: tuple[int, ...], values: tuple[float, ...]
-               ) -> tuple[Array, Array]:
     poses = clocked.at(*_all_values(unknown, values))
     twists = np.stack([poses.twists] * len(CLOCK_KEYS), axis=2)
     twists[:, :3, 1] = 0.0  # a lag is of the rotation alone
@@ -165,7 +159,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
         # a profile averages over the exposure, and shows a face only while the face is seen: an
         # end shifts by up to half the exposure times the velocity across it, always inwards
         inwards = np.sign(linear.problem.target.feature_errors(linear))
-        moved = linear.wrt_twists(model.at(linear.problem.pose_values)[1][:, :, :1])
+        moved = linear.wrt_twists(linear.problem.pose_twists[:, :, :1])
         std = exposure / 2
         yield ParameterBlock('exposure', inwards * np.abs(moved) * std, std)
 
@@ -246,10 +240,8 @@ def _system(problem: Problem) -> System[Linear]:
 
     def rows(at: Linear) -> Rows:
         def jacobian() -> Array:
-            model = at.problem.pose_model
-            assert model is not None
-            by_clocks = at.wrt_twists(model.at(at.problem.pose_values)[1])
-            J = np.hstack([at.jacobian[:, at.problem.free_columns], by_clocks])
+            J = np.hstack([at.jacobian[:, at.problem.free_columns],
+                           at.wrt_twists(at.problem.pose_twists)])
             return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
 
         def whiten(values: Array) -> Array:
