@@ -144,8 +144,14 @@ class LiveSession:
         while len(self.to_evaluate) > MOST_STOPS:
             self.to_evaluate.popleft()
             self._overflowed += 1
-        if self.to_evaluate or self.early:
+        if self.to_evaluate or self.early or self._superseded:
             self.wake()
+
+    @property
+    def _superseded(self) -> str:
+        """Return in words that a topic has another frame now; '' if that would lose anything."""
+        used = self.verification.routine or self.answer.calibration
+        return '' if used else self.session.superseded
 
     @property
     def pose(self) -> Array | None:
@@ -200,7 +206,12 @@ class LiveSession:
     def _go_on(self) -> None:
         """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
         self._woken = False
-        if self.process_next():
+        with self.lock:
+            superseded = self._superseded
+        if superseded:
+            self.clear_samples()
+            self.attempt = Attempt(superseded)
+        elif self.process_next():
             self.wake()
         else:
             self.answer.begin_review()

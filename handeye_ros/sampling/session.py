@@ -307,6 +307,15 @@ class Session(Copyable):
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property
+    def superseded(self) -> str:
+        """Return in words that only another frame than the first comes, '' once it gave samples."""
+        for kind, stream in (('pose', self._pose_stream), ('profile', self._profile_stream)):
+            if stream.successor and not any(stop.sample for stop in self._stops.values()):
+                return (f'only {kind}s of frame "{stream.successor}" come now, and none of '
+                        f'"{stream.frame}" gave a sample: the session begins anew')
+        return ''
+
+    @property
     def frame_id(self) -> str:
         """Return the frame of the profiles, empty before the first."""
         frame = self._profile_stream.frame

@@ -31,7 +31,8 @@ MOST_REASONS = 10  # that are distinguished: a damaged topic may give each messa
 OTHER_FRAME = 'some other frame'
 FEW_STRAYS = 3  # messages with wrong stamps that a recording may hold: this number,
 FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
-UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which strays are of the past
+MANY_STRAYS = 20  # in a row are no strays
+UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which others are of the past
 
 by_stamp = attrgetter('stamp')
 Stamped = TypeVar('Stamped', bound=Profile | RawProfile | TimedPose)
@@ -80,6 +81,7 @@ class Stream(Copyable, Generic[Stamped]):
         self._late_last = self._late_count = 0
         self._strays: Counter[str] = Counter()  # number of messages by other frame
         self._strays_in_a_row = 0
+        self._stray, self._stray_since, self._stray_last = '', 0, 0  # frame, stamps of those
         self._strayed = -1  # latest, when the last stray came
         self._forgiven = 0  # number of strays of the past
 
@@ -94,9 +96,16 @@ class Stream(Copyable, Generic[Stamped]):
             return None
         strays = sum(self._strays.values()) - self._forgiven
         if self.frame is None or (strays <= max(FEW_STRAYS, FEW_SHARE * self.count)
-                                  and self._strays_in_a_row < 20):
+                                  and self._strays_in_a_row < MANY_STRAYS):
             return None
         return two_frames(self._kind, self.frame, self._strays.most_common(1)[0][0])
+
+    @property
+    def successor(self) -> str:
+        """Return the frame that alone has come for UNMIXED_TIME in place of the first, or ''."""
+        lasted = self._stray_last - self._stray_since
+        return self._stray if (self._strays_in_a_row >= MANY_STRAYS
+                               and lasted > UNMIXED_TIME) else ''
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -118,7 +127,7 @@ class Stream(Copyable, Generic[Stamped]):
     def add(self, item: Stamped, frame: str) -> list[Stamped]:
         """Add the next message; return it and the one held back, as far as they are confirmed."""
         self.frame = frame if self.frame is None else self.frame
-        if frame != self.frame and not self._adopted(frame):
+        if frame != self.frame and not self._adopted(frame, item.stamp):
             return []
         self._strays_in_a_row = 0
         held = self._pending
@@ -139,12 +148,15 @@ class Stream(Copyable, Generic[Stamped]):
             passed.append(self._passed(item))
         return passed
 
-    def _adopted(self, frame: str) -> bool:
+    def _adopted(self, frame: str, stamp: int) -> bool:
         """Count a message of another frame; return whether the stream now takes that frame."""
         if self.latest - self._strayed > UNMIXED_TIME:
             self._forgiven = sum(self._strays.values())
         known = len(self._strays) < MOST_REASONS or frame in self._strays
         self._strays[frame if known else OTHER_FRAME] += 1
+        if not self._strays_in_a_row or frame != self._stray:
+            self._stray, self._stray_since = frame, stamp
+        self._stray_last = stamp
         self._strays_in_a_row += 1
         self._strayed = self.latest
         given = not self.count and self._pending is None  # by a session that continues
