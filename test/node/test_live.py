@@ -130,6 +130,25 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
     assert all(shared) and len(shared) > 10
 
 
+@pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
+def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(kind: str) -> None:
+    live, items = new(), [*SPHERE.poses, *SPHERE.profiles]
+    live.start()
+    feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:400]]
+         if kind == 'pose' else [replace(p, frame_id='other') for p in SPHERE.profiles[:400]])
+    feed(live, SPHERE.poses[:400] if kind == 'sample' else ())
+    gave = taken(state_of(live))
+    assert bool(gave) == (kind == 'sample')
+    feed(live, later(items, 1000))  # of which the first seconds decide
+    feed(live, later(items, 2000))
+    if gave:
+        assert taken(state_of(live)) == gave
+        assert f'two frames, "other" and "{SPHERE.profiles[0].frame_id}"' in (
+            state_of(live)['session']['trouble'])
+    else:
+        assert taken(state_of(live)) > 10 and not state_of(live)['session']['trouble']
+
+
 def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -> None:
     live, wide = fed(), fed()
     wide.answer.seen = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
