@@ -287,6 +287,8 @@ class Sample:
     clock_values: from the stamp to the time of its pose, of the rotation behind the position (s),
         and drift (sampling.sweep)
     of_pass: samples of the single profiles of a pass, whose middle one this sample repeats
+    beside: of the first profile used, (3,): beside its plane, and the mean along the line and the
+        range (metres); None where it is unknown
     """
 
     stamp: int
@@ -297,6 +299,7 @@ class Sample:
     trajectory: Any = None
     clock_values: tuple[float, ...] = (0.0,)
     of_pass: tuple[Sample, ...] = ()
+    beside: Array | None = None
 
     @property
     def moving(self) -> bool:

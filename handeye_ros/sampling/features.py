@@ -63,7 +63,7 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
     used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
-                  _flipped(used[0], config))
+                  _flipped(used[0], config), beside=_beside(used[0]))
 
 
 def _pass_of(stop: Stop, config: Config) -> Sample:
@@ -80,7 +80,8 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
         for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
     middle = single[len(single) // 2]
     return replace(middle, profiles=len(single), of_pass=single,
-                   trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap))
+                   trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap),
+                   beside=_beside(found[0][0]))
 
 
 def _no_profiles(stop: Stop, config: Config) -> FeatureError:
@@ -101,6 +102,10 @@ def _no_profiles(stop: Stop, config: Config) -> FeatureError:
 def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of one profile; raises FeatureError."""
     return targets.target_for(config).extract(profile.points, config)
+
+
+def _beside(profile: Profile) -> Array:
+    return np.append(profile.out_of_plane, np.nanmean(profile.points, axis=0))
 
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:

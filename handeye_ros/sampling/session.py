@@ -20,7 +20,6 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.frames import frame_notes
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.stops import (
-    decoded,
     FOREVER,
     MOST_PROFILES,
     Motion,
@@ -80,8 +79,6 @@ class Session(Copyable):
         self._unasked_stops = 0  # stops in manual mode
         self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
-        # of the first profile of each stop: beside the plane, and means along the line and range
-        self._out_of_plane: dict[int, Array] = {}
         self._pose_stream: Stream[TimedPose] = Stream('pose')
         self._profile_stream: Stream[AnyProfile] = Stream('profile')
 
@@ -164,12 +161,7 @@ class Session(Copyable):
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
-        stop = stop.with_profiles(self._profiles.items, self._config)
-        for profile in decoded(stop.profiles[:1], self._config):
-            if np.isfinite(profile.points).all(axis=1).any():
-                self._out_of_plane[stop.began] = np.append(
-                    profile.out_of_plane, np.nanmean(profile.points, axis=0))
-        return stop
+        return stop.with_profiles(self._profiles.items, self._config)
 
     def was_handed_out(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
@@ -283,8 +275,7 @@ class Session(Copyable):
         if self._expired_stops:
             dropped.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
                            'profiles')
-        out_of_plane = max((abs(float(seen[0])) for seen in self._out_of_plane.values()),
-                           default=0.0)
+        out_of_plane = max((abs(float(beside[0])) for beside in self._beside), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self._config))
 
@@ -296,10 +287,10 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        if beside := _tilted([*self._out_of_plane.values()]):
+        if between := _tilted(self._beside):
             along, across = self._config.profile.axes
             return InputError(
-                f'the profiles lie between {beside[0] * 1e3:.1f} and {beside[1] * 1e3:.1f} mm '
+                f'the profiles lie between {between[0] * 1e3:.1f} and {between[1] * 1e3:.1f} mm '
                 f'beside the plane of {along} and '
                 f'{across} in their frame, as in a light plane that is tilted against it: let the '
                 'driver publish them in a frame of the light plane; a static transform can hold '
@@ -307,8 +298,13 @@ class Session(Copyable):
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property
+    def _beside(self) -> list[Array]:
+        return [stop.sample.beside for stop in self._stops.values()
+                if stop.sample and stop.sample.beside is not None]
+
+    @property
     def superseded(self) -> str:
-        """Return in words that only another frame than the first comes, '' once it gave samples."""
+        """Return in words that another frame replaced the first, which gave no sample; or ''."""
         for kind, stream in (('pose', self._pose_stream), ('profile', self._profile_stream)):
             if stream.successor and not any(stop.sample for stop in self._stops.values()):
                 return (f'only {kind}s of frame "{stream.successor}" come now, and none of '

@@ -36,6 +36,7 @@ from handeye_ros.simulate.solids import box, Solid
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from live_sessions import computed, fed, new
 import numpy as np
 import pytest
 from recordings import scan, with_messages
@@ -191,15 +192,16 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
     assert stray.evidence_against(waved) < 0
 
 
-def tilted(raw: Raw, types: dict[str, str], degrees: float) -> Raw:
-    """Return a message whose points (x, 0, z) are turned about x."""
+def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -> Raw:
+    """Return a message whose points (x, 0, z) are turned about x; each: or all by the same y."""
     if types[raw.topic] != CLOUD_TYPE:
         return raw
     data = bytearray(raw.data)
     cloud = cloud_from_cdr(bytes(data))
     cloud = cloud._replace(data=memoryview(data)[cloud.start:cloud.start + len(cloud.data)])
     z = np.array(cloud.view('z'))
-    cloud.view('y')[...] = z * math.sin(math.radians(degrees))
+    y = z if each or np.isnan(z).all() else np.nanmean(z)
+    cloud.view('y')[...] = y * math.sin(math.radians(degrees))
     cloud.view('z')[...] = z * math.cos(math.radians(degrees))
     return raw._replace(data=bytes(data))
 
@@ -213,3 +215,15 @@ def test_it_is_refused_by_this_cause(name: str, degrees: float, tmp_path: Path) 
         recording = read(bag, config)
         pipeline.calibrate(recording.profiles, recording.poses, config)
     assert 'static transform' in str(refused.value)
+
+
+def test_a_tilted_light_plane_is_told_again_by_a_session_that_continues(tmp_path: Path) -> None:
+    types, _ = scan(ROOT / 'bags' / 'plate')
+    bag = with_messages(ROOT / 'bags' / 'plate', tmp_path,
+                        lambda raw: tilted(raw, types, 3.0, False))
+    config = replace(configs.load(ROOT / 'config' / 'plate.yaml'), output_dir=str(tmp_path))
+    live = fed(config, read(bag, config))
+    live.files.close()
+    for session in (live, new(replace(live.config, session='last'))):
+        with pytest.raises(HandeyeError, match='light plane that is tilted'):
+            computed(session)
