@@ -156,6 +156,7 @@ class SessionFiles:
         self._parent = parent
         self.path = stored.path if stored else None
         self._lock: int | None = None
+        self._unsynced = stored is not None
         if stored:
             with write_errors_for(stored.path):
                 self._lock = _claimed(
@@ -204,6 +205,7 @@ class SessionFiles:
                 write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
                 stream.flush()
                 os.fsync(stream.fileno())
+            self._unsynced = True
             try:
                 write_metadata(folder, files_of(folder))
             except (OSError, InputError):
@@ -221,7 +223,8 @@ class SessionFiles:
 
     def sync(self) -> None:
         """Sync metadata.yaml; no service waits for it, as the files hold the same data."""
-        if self.path:
+        if self.path and self._unsynced:
+            self._unsynced = False
             with suppress(OSError):
                 sync(self.path / METADATA)
 

@@ -117,7 +117,10 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     session, config, attempt = live.copied(), live.config, live.attempt
     review = live.answer.review
     obstacles, profiles, poses = obstacles or {}, live.messages['profile'], live.messages['pose']
-    samples = [_sample(stop, session, review.agreements.get(stop.number))
+    rotations = iter(se3.quaternion(np.reshape([
+        stop.sample.T_base_flange for stop in session.stops if stop.sample], (-1, 4, 4))))
+    samples = [_sample(stop, session, review.agreements.get(stop.number),
+                       next(rotations) if stop.sample else None)
                for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion
@@ -125,10 +128,10 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
             'before: sampling continues by itself if the clock was set back'
             ) if session.late else ''
     # what disturbs the node from outside comes first: the others may follow from it
-    conflict = str(session.conflict or '')
-    if session.conflict and session.conflict.reason == 'two_frames':
-        conflict += '; ~/clear_samples begins anew with the frame of now'
-    troubles = (trouble, conflict, late, str(session.unusable_poses or ''),
+    conflict = session.conflict
+    begin_anew = '; ~/clear_samples begins anew with the frame of now' if (
+        conflict and conflict.reason == 'two_frames') else ''
+    troubles = (trouble, f'{conflict or ""}{begin_anew}', late, str(session.unusable_poses or ''),
                 _clocks(profiles, poses),
                 session.unasked, *live.troubles)
     return {
@@ -210,9 +213,9 @@ def _stream(messages: MessageCount, topic: str, obstacle: str) -> State:
             'trouble': trouble}
 
 
-def _sample(stop: Stop, session: Session, agreement: Agreement | None) -> State:
+def _sample(stop: Stop, session: Session, agreement: Agreement | None, rotation: Any) -> State:
     """
-    Return one stop of the robot.
+    Return one stop of the robot; rotation: of its sample, a quaternion.
 
     taken: whether it gave a sample; excluded: whether samples.exclude leaves it out; believed:
     whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
@@ -227,7 +230,8 @@ def _sample(stop: Stop, session: Session, agreement: Agreement | None) -> State:
         'text': sample_summary(stop.result),
         'residual': agreement.residual if agreement else None,
         'left_out': agreement.left_out if agreement else None,
-        **_pose(sample.T_base_flange if sample else None)}
+        'translation': sample.T_base_flange[:3, 3].tolist() if sample else None,
+        'rotation': rotation.tolist() if sample else None}
 
 
 def _pose(T: Any) -> State:
