@@ -124,16 +124,16 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion
+    remedy = '' if trouble else ': sampling continues by itself if the clock was set back'
     late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
-            'before: sampling continues by itself if the clock was set back'
-            ) if session.late else ''
-    # what disturbs the node from outside comes first: the others may follow from it
+            f'before{remedy}') if session.late else ''
+    # what disturbs the node from outside comes first; of two publishers late stamps follow, and
+    # clocks that seem to differ
     conflict = session.conflict
     begin_anew = '; ~/clear_samples begins anew with the frame of now' if (
         conflict and conflict.reason == 'two_frames') else ''
     troubles = (trouble, f'{conflict or ""}{begin_anew}', late, str(session.unusable_poses or ''),
-                _clocks(profiles, poses),
-                session.unasked, *live.troubles)
+                '' if trouble else _clocks(profiles, poses), session.unasked, *live.troubles)
     return {
         'name': folder_name(config),
         'profiles': _stream(profiles, config.profile_topic, obstacles.get('profile', '')),

@@ -204,10 +204,8 @@ class Session(Copyable):
         if self.unusable_poses:
             raise self.unusable_poses
         if poses.late or poses.latest < 0:
-            raise DataError('the poses come with older stamps than those before, so the robot '
-                            'position is not known: if the clock was set, wait a second and take '
-                            'the sample again; otherwise let only one node publish poses',
-                            reason='late_poses')
+            raise DataError('the robot position is not known: its poses have older stamps than '
+                            'those before', reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses(silence)
