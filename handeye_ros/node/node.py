@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 import re
 from threading import Lock
+import traceback
 from typing import Any
 
 from handeye_ros import config as configuration
@@ -137,6 +138,7 @@ class HandeyeNode(Node):
         except HandeyeError as error:
             text, success = str(error), False
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
+            self.get_logger().error(traceback.format_exc())
             text, success = f'{name} failed: {error!r}; the log shows where', False
         if name == 'clear_samples' and success:
             self._streams.restart()

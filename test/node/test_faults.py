@@ -244,6 +244,44 @@ def test_other_services_answer_while_it_solves_and_it_ends_cleanly(
     assert [line for line in said if '[INFO]' not in line and '[WARN]' not in line] == ['solving']
 
 
+BROKEN = """
+import sys
+from handeye_ros.node import live, main, verification
+
+def broken(*_):
+    raise ZeroDivisionError('in a service')
+
+live.silent_poses = live.sample_summary = verification.routine_of = broken
+if __name__ == '__main__':
+    sys.exit(main.main())
+"""
+
+
+def test_a_node_goes_on_after_an_exception_and_the_log_shows_where(
+        tmp_path: Path, client: Client) -> None:
+    log, script = tmp_path / 'node.log', tmp_path / 'broken.py'
+    script.write_text(BROKEN)
+    command = [sys.executable, str(script), '--ros-args', *SPHERE, '-p', f'output_dir:={tmp_path}',
+               '-p', 'verify.routine:=sphere']
+    with log.open('w') as stream, running(command, cwd=ROOT, stdout=stream,
+                                          stderr=stream) as process:
+        client.connect()
+        stand_still(client, START)
+        client.until_counted(profiles=20, poses=20)
+        for name in ('take_sample', 'verify_start', 'take_sample'):
+            answer = client.call(name)
+            assert (answer.success, answer.message) == (False, (
+                f"{name} failed: ZeroDivisionError('in a service'); the log shows where"))
+        assert client.call('auto_sample', SetBool.Request(data=True)).success
+        assert client.call('clear_samples').success
+        stand_still(client, START + 10**10)
+        state = client.until_counted(profiles=40, poses=40)
+        assert state['samples'] == '0', 'it counts as before'
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    assert log.read_text().count('in broken') >= 3
+
+
 AT_IMPORT = """
 class Finder:
     def find_spec(self, name, *_):
