@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import takewhile
 import os
 import signal
 import sys
+import traceback
 from typing import Any
 
 from handeye_ros.errors import HandeyeError, InputError
@@ -62,6 +63,7 @@ def spin(make: Callable[[], Any], threads: int = 1,
     """
     Run the node that make() returns until Ctrl-C or SIGTERM, then stop(node).
 
+    threads: of the executor; with several, an exception of a callback is in the log alone.
     Raises InputError if ROS does not start, or a topic cannot be used, and KeyboardInterrupt for a
     signal while the node is made.
     """
@@ -78,9 +80,16 @@ def spin(make: Callable[[], Any], threads: int = 1,
         try:
             runner.add_node(node)
             while True:
-                with suppress(InvalidHandle):  # an entity that another thread destroyed: go on
+                try:
                     # with a timeout: a signal does not wake the executor
                     runner.spin_once(timeout_sec=LONGEST_WAIT)
+                except InvalidHandle:  # an entity that another thread destroyed: go on
+                    pass
+                except Exception:
+                    if threads == 1 or not node.context.ok():
+                        raise
+                    # the node that calibrates, and what it holds, must go on
+                    node.get_logger().error(traceback.format_exc())
         except KeyboardInterrupt:
             _on_signals(lambda *_: os._exit(0))  # who asks again waits no longer
             stop(node)
