@@ -21,7 +21,13 @@ from pathlib import Path
 import re
 from typing import Any, ClassVar
 
-from handeye_ros.errors import BadValueError, InputError, UnknownKeyError
+from handeye_ros.errors import (
+    BadValueError,
+    InputError,
+    path_of,
+    require_type,
+    UnknownKeyError,
+)
 import yaml
 
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
@@ -90,7 +96,7 @@ class Parameter:
     def _expected(self, value: Any, kind: type[Any]) -> str:
         """Return in words what is expected instead of a value, '' for a good one."""
         low, high = self.minimum, self.maximum
-        if self.choices and value not in self.choices:
+        if self.choices and (type(value) is not kind or value not in self.choices):
             return f'one of {", ".join(map(str, self.choices))}'
         if type(value) is not kind or kind is float and not math.isfinite(value):
             return f'a value of type {kind.__name__}'
@@ -481,11 +487,14 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
     source: of the values, for the message. Raises UnknownKeyError and BadValueError.
     """
+    require_type('config', config, Config)
+    require_type('values', values, Mapping)
     known = [p.key for p in parameters()]
     robot = values.get('noise.robot_class')
-    if robot in ROBOT_CLASSES:
+    if isinstance(robot, str) and robot in ROBOT_CLASSES:
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
     for key, value in values.items():
+        require_type('a key of the values', key, str)
         if key.startswith(RECORD_PREFIX):
             config = _with_record(config, key, value)
             continue
@@ -562,13 +571,14 @@ def load(path: Path | str, config: Config | None = None) -> Config:
 
     Also of a dump of the node (`ros2 param dump`) with any name and namespace. Raises InputError.
     """
+    file = path_of('path', path)
     try:
-        content = yaml_content(Path(path).read_text(encoding='utf-8'))
+        content = yaml_content(file.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f'cannot read the configuration {path}: {error}') from error
     except yaml.YAMLError as error:
         raise InputError(f'{path} is not valid YAML: {error}') from error
-    return with_values(config or Config(), _node_values(content, Path(path)), str(path))
+    return with_values(config or Config(), _node_values(content, file), str(path))
 
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:

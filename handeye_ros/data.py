@@ -9,7 +9,7 @@ from numbers import Integral
 from typing import Any, TypeAlias, TypeVar
 
 from handeye_ros.config import ProfileConfig
-from handeye_ros.errors import InputError
+from handeye_ros.errors import form_of, InputError, require_type
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,7 +65,7 @@ class Profile:
         points = self.points
         if not isinstance(points, np.ndarray) or points.shape[1:] != (2,) or (
                 points.dtype.kind != 'f'):
-            raise InputError(f'points of a profile is {_form(points)}, expected an array (n, 2) '
+            raise InputError(f'points of a profile is {form_of(points)}, expected an array (n, 2) '
                              'of floats: along the laser line, and range (m)')
 
     def read(self, config: ProfileConfig | None = None) -> Profile:
@@ -142,7 +142,7 @@ class TimedPose:
         for name, size in (('translation', 3), ('quaternion', 4)):
             values = getattr(self, name)
             if not isinstance(values, np.ndarray) or values.shape != (size,):
-                raise InputError(f'{name} of a pose is {_form(values)}, expected an array '
+                raise InputError(f'{name} of a pose is {form_of(values)}, expected an array '
                                  f'({size},)')
 
     def require_values(self) -> None:
@@ -160,24 +160,12 @@ def _require_stamp(what: str, stamp: object) -> None:
         raise InputError(f'stamp of a {what} is {stamp!r}, expected whole nanoseconds (int)')
 
 
-def require_type(name: str, value: object, *types: type) -> None:
-    """Raise InputError, which names the argument, for a value of none of some types."""
-    if not isinstance(value, types):
-        raise InputError(f'{name}: {_form(value)}, expected {types[0].__name__}')
-
-
 def require_each(name: str, values: Iterable[T], *types: type) -> Iterator[T]:
     """Yield values; raises InputError, which names the argument, for one of none of some types."""
     require_type(name, values, Iterable)
     for value in values:
         require_type(name, value, *types)
         yield value
-
-
-def _form(value: object) -> str:
-    """Return in words what a value is."""
-    return (f'an array {value.shape} of {value.dtype}' if isinstance(value, np.ndarray)
-            else f'a {type(value).__name__}')
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 import difflib
 import math
+import os
+from pathlib import Path
 from typing import Any
 
 INSTALL_TF2 = ('install ros-jazzy-tf2-msgs and source the setup.bash of ROS or, where ROS comes '
@@ -69,6 +71,26 @@ def nearest(word: str, known: Sequence[str]) -> str:
     close = [small[name] for name in difflib.get_close_matches(word.lower(), small, 1, 0.7)] or [
         other for other in known if other.endswith(f'.{word}')]
     return f'; did you mean "{close[0]}"?' if close else ''
+
+
+def form_of(value: Any) -> str:
+    """Return in words what a value is."""
+    return (f'an array {value.shape} of {value.dtype}' if hasattr(value, 'dtype')
+            else f'a {type(value).__name__}')
+
+
+def require_type(name: str, value: object, *types: type) -> None:
+    """Raise InputError, which names the argument, for a value of none of some types."""
+    if not isinstance(value, types):
+        raise InputError(f'{name}: {form_of(value)}, expected {types[0].__name__}')
+
+
+def path_of(name: str, value: Path | str) -> Path:
+    """Return an argument as a path; raises InputError, which names it."""
+    require_type(name, value, str, os.PathLike)
+    if '\0' in str(value):
+        raise InputError(f'{name}: {value!r}, expected the name of a file')
+    return Path(value)
 
 
 class UnknownKeyError(InputError):

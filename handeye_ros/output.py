@@ -69,7 +69,7 @@ def write_errors_for(path: object) -> Iterator[None]:
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """Give a temporary file that replaces another when the block ends without an error."""
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
+    temporary = path.parent / f'.{path.name}.{os.getpid()}.tmp'
     with write_errors_for(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -44,11 +44,10 @@ from handeye_ros.data import (
     RawProfile,
     Reject,
     require_each,
-    require_type,
     Sample,
     TimedPose,
 )
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, require_type
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.search import robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
@@ -143,8 +142,12 @@ def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, 
     Return the calibration from samples, in any order.
 
     rejects: stops that gave no sample, for the report; frame_id: of the profiles.
-    Raises DataError when the samples cannot carry an answer.
+    Raises DataError when the samples cannot carry an answer, InputError for other arguments.
     """
+    require_type('config', config, Config)
+    require_type('frame_id', frame_id, str)
+    samples = [*require_each('samples', samples, Sample)]
+    rejects = [*require_each('rejects', rejects, Reject)]
     return answer_samples(samples, rejects, config, frame_id).require_calibration()
 
 

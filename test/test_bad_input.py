@@ -5,9 +5,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from calibrations import CALIBRATION
 from command import assert_refused, handeye, PLATE
+import handeye_ros
 from handeye_ros import simulate
 from handeye_ros.bags import bag_write
+from handeye_ros.config import Config
+from handeye_ros.errors import InputError
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
@@ -78,3 +84,32 @@ def test_damaged_truth(tmp_path, solve):
     bag = made(tmp_path / 'bag')
     (bag / 'truth.yaml').write_text('T_flange_sensor: 7')
     assert_refused(solve(bag), 2, 'truth.yaml')
+
+
+GOOD = {
+    'calibrate': {'profiles': (), 'poses': (), 'config': Config()},
+    'gather': {'profiles': (), 'poses': (), 'config': Config()},
+    'solve': {'samples': (), 'rejects': (), 'config': Config(), 'frame_id': 'laser'},
+    'read_bag': {'path': 'nowhere', 'config': Config(), 'progress': print},
+    'load_config': {'path': 'nowhere'}, 'with_values': {'config': Config(), 'values': {}},
+    'read_calibration': {'path': 'nowhere'},
+    'write_calibration': {'calibration': CALIBRATION, 'path': 'nowhere'}}
+
+
+@given(st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.complex_numbers(),
+    st.binary(min_size=1), st.lists(st.integers() | st.none(), min_size=1),
+    st.dictionaries(st.integers(), st.text(), min_size=1),
+    st.sampled_from([object(), np.zeros(3), np.zeros((4, 4)), np.array(['a']), Config])))
+def test_an_argument_of_another_type_is_named(wrong):
+    for name, arguments in GOOD.items():
+        for argument in arguments:
+            with pytest.raises(InputError, match=f'({argument}|a key of the values): an? '):
+                getattr(handeye_ros, name)(**{**arguments, argument: wrong})
+
+
+@given(st.text().map(lambda text: f'{text}\0'))
+def test_a_text_that_names_no_file_is_named(path):
+    for name in ('read_bag', 'load_config', 'read_calibration', 'write_calibration'):
+        with pytest.raises(InputError, match='path: .*expected the name of a file'):
+            getattr(handeye_ros, name)(**{**GOOD[name], 'path': path})

@@ -37,8 +37,14 @@ from handeye_ros.bags.reader import (
 )
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Profile, RawProfile, require_type, TimedPose
-from handeye_ros.errors import DataError, InputError, UnusableMessageError
+from handeye_ros.data import Array, Profile, RawProfile, TimedPose
+from handeye_ros.errors import (
+    DataError,
+    InputError,
+    path_of,
+    require_type,
+    UnusableMessageError,
+)
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import (
     by_stamp,
@@ -116,12 +122,14 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     Raises InputError when the bag or its topics cannot be read, and DataError when its stamps mix
     two runs, or profiles and poses do not overlap in time.
     """
+    path = path_of('path', path)
     require_type('config', config, Config)
+    require_type('progress', progress, Callable)  # type: ignore[arg-type]
     converter = ProfileReader(config.profile)
     clouds = _Recorded('profile_topic', config.profile_topic, CLOUD_TYPE,
                        lambda raw: converter.take(raw.data, raw.fetch))
     topics, poses_of = _pose_source(config, arm)
-    reader = _read_topics(Path(path), (clouds, *topics), progress)
+    reader = _read_topics(path, (clouds, *topics), progress)
     profiles: list[RawProfile] = []
     previous = None
     for message in clouds.ordered(reader):

@@ -16,7 +16,7 @@ from typing import Any, get_args, get_type_hints, TypeVar
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, yaml_content
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
-from handeye_ros.errors import InputError
+from handeye_ros.errors import InputError, path_of, require_type
 from handeye_ros.output import write_atomically, yaml_text
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,7 +44,8 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
 
     Raises UnwritableError; then nothing is left behind.
     """
-    write_atomically(Path(path), text(dated(calibration)))
+    require_type('calibration', calibration, Calibration)
+    write_atomically(path_of('path', path), text(dated(calibration)))
 
 
 def dated(calibration: Calibration) -> Calibration:
@@ -123,7 +124,7 @@ def file_of(path: Path) -> Path:
 
 def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
-    path = Path(path)
+    path = path_of('path', path)
     file = FileSection(path, content_of(path))
     require_format(path, file.get('format', str), FORMAT)
     T = transform_from(path, 'transform', file.get('transform', dict))
