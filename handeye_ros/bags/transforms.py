@@ -20,6 +20,7 @@ from handeye_ros.sampling.stream import interpolate, Stream
 import numpy as np
 
 MOST_FRAMES = 1000  # with stored transforms
+WAITED, FEW_TIMES = 0.25, 5  # s between transforms that poses wait for, and times those of others
 KEPT_TRANSFORMS = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
@@ -46,7 +47,7 @@ class _Link:
 
 
 class FlangeTracker:
-    """Computes flange poses in the base from transforms, at the times of the last joint."""
+    """Computes flange poses in the base from transforms, at the times of the last fast joint."""
 
     def __init__(self, base: str, flange: str) -> None:
         """Start with an empty tree."""
@@ -83,8 +84,10 @@ class FlangeTracker:
         moving = [link for chain in chains or () for link in chain if not link.static]
         if not chains or not moving:
             return []
+        most = max(link.stream.count for link in moving)
+        timing = next(link for link in moving if 2 * link.stream.count >= most)
         poses = []
-        for stamp in [p.stamp for p in moving[0].poses if p.stamp > self._sent_until]:
+        for stamp in [p.stamp for p in timing.poses if p.stamp > self._sent_until]:
             T_meet_flange, T_meet_base = (_product(chain, stamp) for chain in chains)
             if T_meet_flange is not None and T_meet_base is not None:
                 T_base_flange = se3.inverse(T_meet_base) @ T_meet_flange
@@ -98,11 +101,24 @@ class FlangeTracker:
         self._links = {child: link for child, link in self._links.items() if link.static}
         self._sent_until = -1
 
+    @property
+    def delay(self) -> str:
+        """Return in words for which link the poses wait, '' if for none."""
+        chains, links = self._chains(), self._links.copy()  # the streams go on meanwhile
+        periods = {child: link.stream.period for child, link in links.items()
+                   if chains and not link.static and any(link in chain for chain in chains)}
+        slowest = max(periods, key=periods.__getitem__, default='')
+        if not slowest or periods[slowest] < max(WAITED, FEW_TIMES * min(periods.values())):
+            return ''
+        return (f'the poses wait for the transform of "{slowest}", which comes on /tf only every '
+                f'{periods[slowest]:.2g} s: publish it on /tf_static if it is fixed, else as '
+                'often as the others')
+
     def missing(self) -> str:
         """Return why there are no poses, '' if there are."""
-        chains = self._chains()
+        chains, links = self._chains(), self._links.copy()
         if chains is None:
-            frames = sorted({*self._links, *(link.parent for link in self._links.values())})
+            frames = sorted({*links, *(link.parent for link in links.values())})
             return (f'no chain of transforms leads from "{self._base}" to "{self._flange}"; '
                     f'frames received: {", ".join(frames) or "none"}')
         if all(link.static for chain in chains for link in chain):

@@ -296,7 +296,7 @@ class Streams:
                       and any(info.topic_type == message_type for info in self._publishers(name)))
 
     def trouble(self) -> str:
-        """Return a sentence for each topic with several publishers, and for a second node."""
+        """Return a sentence for several publishers of a topic, a second node, a slow transform."""
         sentences, node = [], self._node
         for topic in (topic for topic in self._topics if topic.key):
             name = self._full_name(topic.name)
@@ -312,6 +312,7 @@ class Streams:
                 f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
                 'either may answer; end one, or rename it (-r __node:=other). One that was killed '
                 'is listed for 20 s more')
+        sentences += filter(None, [self._tracker.delay])
         return '; '.join(sentences)
 
 
