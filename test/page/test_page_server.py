@@ -46,10 +46,10 @@ class Cell:
 
 
 @contextmanager
-def served(address: str = '127.0.0.1') -> Iterator[tuple[PageServer, Cell]]:
+def served(address: str = '127.0.0.1', state: Any = lambda: {'name': 'plate', 'count': math.nan}
+           ) -> Iterator[tuple[PageServer, Cell]]:
     cell = Cell()
-    source = PageSource(lambda: {'name': 'plate', 'count': math.nan},
-                        {'take': cell.take, 'wait': cell.wait})
+    source = PageSource(state, {'take': cell.take, 'wait': cell.wait, 'break': lambda _: 1 / 0})
     with TemporaryDirectory() as folder:
         try:
             yield PageServer(source, address, free_port(), Path(folder) / 'token'), cell
@@ -114,6 +114,24 @@ def test_what_is_no_request_or_of_another_origin_is_refused(
     page, cell = here
     assert asked(page, method, path, body, **headers)[0] == status
     assert cell.asked == []
+
+
+def test_it_tells_what_failed_and_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
+    states = iter([ZeroDivisionError, ValueError])
+
+    def state() -> Mapping[str, Any]:
+        raise next(states, HandeyeError)('of the state')
+
+    with served(state=state) as (page, _), ExitStack() as lines:
+        line = connected(page, lines, 'GET /events', b'\r\n')
+        text = b''
+        while b'"error": "of the state"' not in text:
+            text += line.recv(4096)
+        assert b"ZeroDivisionError('of the state'); the log shows where" in text
+        status, text = asked(page, 'POST', '/act/break', '{}', **KIND)
+        assert status == 500 and json.loads(text) == {'success': False, 'message': (
+            "this failed: ZeroDivisionError('division by zero'); the log shows where")}
+    assert capfd.readouterr().err.count('Traceback') == 3
 
 
 def test_other_machines_need_the_token() -> None:
