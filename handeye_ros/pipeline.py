@@ -34,6 +34,7 @@ from handeye_ros.checks.refusals import (
     require_rotations,
     require_samples,
     require_tested,
+    require_unturned,
 )
 from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
@@ -192,6 +193,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
             solution = with_arm_errors(solution, Path(config.kinematics))
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)
+        require_unturned(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
         require_certain(solution.reported_covariance, config, missing_motion(solution, config))
         require_certain_points(solution, config)

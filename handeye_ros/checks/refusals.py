@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Reject, Sample
+from handeye_ros.data import Array, Reject, rms, Sample
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.problem import Target
@@ -30,6 +30,10 @@ LARGEST_P_WRONG = 0.1  # largest probability that one of few samples is wrong
 SURELY_WRONG_P = 0.99
 STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
+# residuals of a sensor turned by half, over those of the answer, that surely tell them apart
+TURNED_TIMES = 5.0
+ALL_OF_THE_VIEW = ('take more samples with the target in all parts of the field of view (near, '
+                   'far, left, right), each with another tilt')
 
 
 class UnexplainedError(DataError):
@@ -155,6 +159,24 @@ def require_tested(solution: Solution) -> None:
             reason='outlier')
 
 
+def require_unturned(solution: Solution) -> None:
+    """
+    Raise DataError if all samples show the target at one point of the view.
+
+    Half a turn of the sensor plane about a point c makes the condition r at a point s with the
+    gradient n 2 n (c - s) + r: as small as before for all of them, if each line passes through c.
+    """
+    linear = solution.linear
+    n, s, r = linear.by_point, linear.problem.observations.points, linear.residuals
+    c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
+    off = rms(r + ((c - s) * n).sum(axis=1))
+    if 2 * off < TURNED_TIMES * solution.residual_rms:
+        raise DataError(
+            f'all samples show the target at one point of the view (within {mm(off)}), and a '
+            f'sensor turned by half about it would see the same: {ALL_OF_THE_VIEW}',
+            reason='one_view')
+
+
 def require_certain(covariance: Array, config: Config, advice: str) -> None:
     """
     Raise DataError (uncertain) for a transform with larger uncertainty than the limits.
@@ -206,8 +228,7 @@ def missing_motion(solution: Solution, config: Config) -> str:
         return views_alike
     turns, axes = turning(solution.full_problem.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
-        return ('take more samples with the target in all parts of the field of view (near, far, '
-                'left, right), each with another tilt')
+        return ALL_OF_THE_VIEW
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
             f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
             'more to both sides')

@@ -10,7 +10,7 @@ import re
 from cells import Cell, cell, every_method, exact_cell, scenario_of, settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.refusals import turning
-from handeye_ros.data import Array, FaceLine, Reject
+from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction
 from handeye_ros.se3 import worst_translation
@@ -201,3 +201,31 @@ def test_a_plane_seen_at_one_angle_only_is_refused(noise: float, angle: int) -> 
     with pytest.raises(DataError, match=f'see the plane at one angle .{angle} ') as caught:
         pipeline.solve(seen, [], made.config, 'laser')
     assert_names(str(caught.value), X[:3, 2], 'flange', 0.05)
+
+
+def seen_at(sample: Sample, X: Array, place: Array) -> Sample:
+    """Return a sample whose edge, or else middle of the face, the sensor sees at a place (2,)."""
+    edges = [f.point for f in sample.features if isinstance(f, EdgePoint)]
+    faces = [f for f in sample.features if isinstance(f, FaceLine)]
+    by = (edges[0] if edges else faces[0].centre) - place
+    shift = se3.transform(np.eye(3), np.array([by[0], 0.0, by[1]]))
+    moved = [replace(f, point=f.point - by) if isinstance(f, EdgePoint) else replace(
+        f, centre=f.centre - by, points=f.points - by, bins=f.bins - by)
+        for f in sample.features if isinstance(f, EdgePoint | FaceLine)]
+    T = sample.T_base_flange @ X @ shift @ se3.inverse(X)
+    return replace(sample, T_base_flange=T, features=tuple(moved))
+
+
+@pytest.mark.parametrize('name', ['plate', 'plane'])
+@pytest.mark.parametrize('seed', range(3))
+def test_a_target_at_one_point_of_the_view_is_refused(name: str, seed: int) -> None:
+    """A sensor turned by half about that point, 0.36 m behind the target, sees the same."""
+    made, rng = cell(name, seed), np.random.default_rng(seed)
+    X, place = made.truth.T_flange_sensor, np.array([0.0, 0.18])
+    same = [seen_at(sample, X, place) for sample in made.samples]
+    said = refusal(replace(made, samples=tuple(same)))
+    assert said.reason == 'one_view'
+    assert 'near, far, left, right' in str(said)
+    apart = [seen_at(s, X, place + rng.uniform(-5e-3, 5e-3, 2)) for s in made.samples]
+    found = pipeline.solve(apart, [], made.config, 'laser')
+    assert made.error(found.T_flange_sensor) < 1e-3
