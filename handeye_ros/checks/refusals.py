@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Reject, rms, Sample
+from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.problem import Target
@@ -160,21 +160,12 @@ def require_tested(solution: Solution) -> None:
 
 
 def require_unturned(solution: Solution) -> None:
-    """
-    Raise DataError if all samples show the target at one point of the view.
-
-    Half a turn of the sensor plane about a point c makes the condition r at a point s with the
-    gradient n 2 n (c - s) + r: as small as before for all of them, if each line passes through c.
-    """
-    linear = solution.linear
-    n, s, r = linear.by_point, linear.problem.observations.points, linear.residuals
-    c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
-    off = rms(r + ((c - s) * n).sum(axis=1))
+    """Raise DataError for views so much alike that a sensor turned by half would see the same."""
+    place, off = solution.problem.target.seen_within(solution.linear)
     if 2 * off < TURNED_TIMES * solution.residual_rms:
         raise DataError(
-            f'all samples show the target at one point of the view (within {mm(off)}), and a '
-            f'sensor turned by half about it would see the same: {ALL_OF_THE_VIEW}',
-            reason='one_view')
+            f'all samples show the target {place} of the view (within {mm(off)}), and a sensor '
+            f'turned by half about it would see the same: {ALL_OF_THE_VIEW}', reason='views')
 
 
 def require_certain(covariance: Array, config: Config, advice: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Self, TYPE_CHECKING
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Feature, Sample
+from handeye_ros.data import Array, Feature, rms, Sample
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import rows_by_count
 import numpy as np
@@ -216,6 +216,17 @@ class Target(ABC):
     def views_alike(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words how the views of the target are too much alike, '' if they are not."""
         return ''
+
+    def seen_within(self, linear: Linear) -> tuple[str, float]:
+        """
+        Return the place of the view about which half a turn changes least, and m RMS off it.
+
+        Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
+        2 n (c - s) + r: where all lines go through c, all are as small as before.
+        """
+        n, s, r = linear.by_point, linear.problem.observations.points, linear.residuals
+        c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
+        return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
 
     @abstractmethod
     def observe(self, samples: Sequence[Sample]) -> Observations:

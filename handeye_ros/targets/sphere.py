@@ -19,6 +19,7 @@ from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
     Conditions,
     Estimate,
+    Linear,
     Observations,
     Problem,
 )
@@ -154,6 +155,17 @@ class Sphere(ProfileTarget):
         problem = some_of(whole, rng)
         some = replace(problem, observations=_fewer(problem.observations))
         yield from shortlisted(some, _candidates(problem, problem.config.target.radius))
+
+    def seen_within(self, linear: Linear) -> tuple[str, float]:
+        """
+        Return the line of the view about which half a turn changes least, and m RMS off it.
+
+        An arc does not tell on which side of the sensor plane its centre lies.
+        """
+        poses = linear.problem.poses @ linear.estimate.X
+        centres = (linear.estimate.state[:3] - poses[:, :3, 3])[:, None] @ poses[:, :3, [0, 2]]
+        across = np.linalg.svd(centres[:, 0] - centres[:, 0].mean(axis=0))[1][-1]
+        return 'on one line', float(across) / len(poses) ** 0.5
 
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:

@@ -10,7 +10,7 @@ import re
 from cells import Cell, cell, every_method, exact_cell, scenario_of, settings_of
 from handeye_ros import pipeline, se3
 from handeye_ros.checks.refusals import turning
-from handeye_ros.data import Array, EdgePoint, FaceLine, Reject, Sample
+from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction
 from handeye_ros.se3 import worst_translation
@@ -204,28 +204,36 @@ def test_a_plane_seen_at_one_angle_only_is_refused(noise: float, angle: int) -> 
 
 
 def seen_at(sample: Sample, X: Array, place: Array) -> Sample:
-    """Return a sample whose edge, or else middle of the face, the sensor sees at a place (2,)."""
+    """
+    Return a sample whose edge, ball or else middle of the face the sensor sees at a place (2,).
+
+    A value that is not finite leaves that coordinate as it is.
+    """
     edges = [f.point for f in sample.features if isinstance(f, EdgePoint)]
-    faces = [f for f in sample.features if isinstance(f, FaceLine)]
-    by = (edges[0] if edges else faces[0].centre) - place
+    others = [f for f in sample.features if isinstance(f, FaceLine | Arc)]
+    by = np.nan_to_num((edges[0] if edges else others[0].centre) - place, nan=0.0)
     shift = se3.transform(np.eye(3), np.array([by[0], 0.0, by[1]]))
-    moved = [replace(f, point=f.point - by) if isinstance(f, EdgePoint) else replace(
-        f, centre=f.centre - by, points=f.points - by, bins=f.bins - by)
-        for f in sample.features if isinstance(f, EdgePoint | FaceLine)]
+    moved = [replace(f, **{key: getattr(f, key) - by for key in (
+        ('points', 'centre', 'raw') if isinstance(f, Arc) else ('points', 'centre'))})
+        for f in others]
     T = sample.T_base_flange @ X @ shift @ se3.inverse(X)
-    return replace(sample, T_base_flange=T, features=tuple(moved))
+    return replace(sample, T_base_flange=T, features=(*moved, *(
+        replace(f, point=f.point - by) for f in sample.features if isinstance(f, EdgePoint))))
 
 
-@pytest.mark.parametrize('name', ['plate', 'plane'])
+@pytest.mark.parametrize(('name', 'place', 'words'), [
+    ('plate', [0.0, 0.18], 'at one point'), ('plane', [0.0, 0.18], 'at one point'),
+    ('sphere', [0.0, math.nan], 'on one line')])
 @pytest.mark.parametrize('seed', range(3))
-def test_a_target_at_one_point_of_the_view_is_refused(name: str, seed: int) -> None:
-    """A sensor turned by half about that point, 0.36 m behind the target, sees the same."""
+def test_a_target_always_at_one_place_of_the_view_is_refused(
+        name: str, place: list[float], words: str, seed: int) -> None:
+    """A sensor that is turned by half about that place sees the same."""
     made, rng = cell(name, seed), np.random.default_rng(seed)
-    X, place = made.truth.T_flange_sensor, np.array([0.0, 0.18])
-    same = [seen_at(sample, X, place) for sample in made.samples]
-    said = refusal(replace(made, samples=tuple(same)))
-    assert said.reason == 'one_view'
-    assert 'near, far, left, right' in str(said)
+    X = made.truth.T_flange_sensor
+    same = tuple(seen_at(sample, X, np.array(place)) for sample in made.samples)
+    said = refusal(replace(made, samples=same))
+    assert said.reason == 'views'
+    assert words in str(said) and 'near, far, left, right' in str(said)
     apart = [seen_at(s, X, place + rng.uniform(-5e-3, 5e-3, 2)) for s in made.samples]
     found = pipeline.solve(apart, [], made.config, 'laser')
     assert made.error(found.T_flange_sensor) < 1e-3
