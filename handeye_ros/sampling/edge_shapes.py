@@ -52,6 +52,8 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
         return EdgeShape()
     bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
     log_odds = np.sum([_blurred(odds) for odds in bent] or NO_INFORMATION, axis=0)
+    if log_odds[:-1].argmax() == len(TRIED_RADII) - 1:
+        return EdgeShape()  # a longer bend than any rounding: of the sensor's field, or the face
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
         return EdgeShape(*_radius(log_odds[:-1]))
     depth = np.array([end.drop_depth for end in ends])
