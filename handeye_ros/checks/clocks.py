@@ -134,12 +134,15 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
     """
     Return the delay of the profiles (s) if they belong a given number of stops earlier.
 
-    Where the clocks differ, most stops show it; a few stops without rest prove nothing.
+    Where the clocks differ, most stops show it, and rests begin and end to the same side of the
+    stops; a few stops without rest prove nothing.
     """
     pairs = list(zip(stills[max(behind, 0):], stills[max(-behind, 0):], strict=False))
     found = np.array([still.rest - other.stop for still, other in pairs])
     found = found[np.isfinite(found)]
     about = [still.stop[0] - other.stop[0] for still, other in pairs]
+    if len(found) and np.quantile(found, 0.25) < 0 < np.quantile(found, 0.75):
+        return 0.0  # profiles that scatter seem to rest for shorter than the robot
     return float(np.median(found if 2 * len(found) > len(about) else about))
 
 

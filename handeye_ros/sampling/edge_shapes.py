@@ -11,6 +11,9 @@ from handeye_ros.profiles.edge_rounding import TRIED_RADII, visible_extent
 import numpy as np
 
 SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
+# depth of a rounding, over its radius, from which light may be lost (26 degrees); an end that
+# bends less is no rounding: the sensor's field or the face is bent
+LEAST_SEEN = 0.1
 LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
 SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
@@ -48,15 +51,14 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     """Return the edge shape that all samples support, with one common radius where they agree."""
     ends = [f for s in samples for f in s.features
             if isinstance(f, EdgePoint) and f.ending != 'roof']
-    if len(ends) < 3 or np.median([end.drop_depth for end in ends]) <= SHARP_DEPTH:
+    depth = np.array([end.drop_depth for end in ends])
+    if len(ends) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
     bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
     log_odds = np.sum([_blurred(odds) for odds in bent] or NO_INFORMATION, axis=0)
-    if log_odds[:-1].argmax() == len(TRIED_RADII) - 1:
-        return EdgeShape()  # a longer bend than any rounding: of the sensor's field, or the face
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
-        return EdgeShape(*_radius(log_odds[:-1]))
-    depth = np.array([end.drop_depth for end in ends])
+        radius, std = _radius(log_odds[:-1])
+        return EdgeShape(radius, std) if np.median(depth) > LEAST_SEEN * radius else EdgeShape()
     # deeper ends say more about the shape
     order = np.argsort(depth)
     share = np.cumsum(depth[order] ** 2)

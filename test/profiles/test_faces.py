@@ -277,6 +277,16 @@ def test_a_bent_end_is_set_back_to_its_edge(shape: str, size: float) -> None:
     assert np.abs(places / np.hypot(shared, [edge.std for edge in edges])).max() < 4
 
 
+@pytest.mark.parametrize('length', [2e-3, 4e-3])
+def test_a_bend_longer_than_any_rounding_does_not_move_the_edge(length: float) -> None:
+    """The sensor's field or the face is bent, by 0.1 mm; the edge is sharp."""
+    samples = [Sample(k, np.eye(4), (LINE, edge_of(drawn(lambda x: np.where(
+        x > 0, 0.17 + 1e-4 * np.maximum(1 - x / length, 0) ** 2, np.nan), k)))) for k in range(9)]
+    assert common_shape(samples).size == 0
+    edges = [s.features[1] for s in with_common_shape(samples)]
+    assert max(abs(edge.point[0]) for edge in edges) < 1.5 * PITCH
+
+
 @pytest.mark.parametrize('drop', [0.003, 0.012])
 def test_a_smoothed_step_is_cut_at_half_its_height(drop: float) -> None:
     for seed, at in enumerate(np.linspace(-0.003, 0.003, 7)):
