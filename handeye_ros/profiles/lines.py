@@ -39,15 +39,21 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
                  (segment.noise / length) ** 2 * len(count) / n)
 
 
+def on_bow(edge: EdgePoint, line: FaceLine) -> EdgePoint:
+    """Return an edge at the end of a line moved across it, to where the points of the face are."""
+    (u, v), bent = line.direction, _bent((edge.point - line.centre) @ line.direction / line.spread)
+    return replace(edge, point=edge.point + line.bow * bent * np.array([-v, u]))
+
+
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
     """
-    Return an edge with the uncertainty of the line across it.
+    Return an edge with the uncertainty of the line and its bow across it.
 
     correlated: uncertainty of the line over that for white noise; an edge that is the crossing of
     two lines has the same factor.
     """
     away = float((edge.point - line.centre) @ line.direction) / line.spread
-    across = line.std * (1 + away ** 2) ** 0.5
+    across = line.std * (1 + away ** 2 + float(_bent(away)) ** 2) ** 0.5
     std = edge.std * (max(correlated, 1.0) if edge.ending == 'roof' else 1.0)
     return replace(edge, std=float(std), std_across=float(across))
 
@@ -76,11 +82,22 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
 def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float) -> FaceLine:
     """Return the line with bins (m, 2); white_var: the variance of each for independent noise."""
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
-    across = (bins - centre) @ np.array([-direction[1], direction[0]])
+    normal = np.array([-direction[1], direction[0]])
+    across, along = (bins - centre) @ normal, bins @ direction
     variance = variance_of_bins(across, white_var)
     normal_points, size = bin_means(bins, min(NORMAL_POINTS, len(bins)))
+    bow = 0.0
+    if len(bins) >= FEWEST_BINS:
+        bow = float((across * _bent((along - along.mean()) / along.std())).mean())
+        # the mean of a part of a parabola lies beside it
+        normal_points -= bow * (_bent(len(size) ** -1.0) - _bent(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
-                    normal_points, np.sqrt(variance / size), bins)
+                    normal_points, np.sqrt(variance / size), bins, bow)
+
+
+def _bent(away: Array | float) -> Array | float:
+    """Return the parabola of mean 0 and RMS 1 of evenly spread points, so many spreads away."""
+    return 5 ** 0.5 / 2 * (away ** 2 - 1)
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
