@@ -132,6 +132,13 @@ def straight_segments(points: Array, noise: float, min_points: int) -> list[Segm
             largest = max(found, key=lambda s: len(s.columns))
             near = np.abs(z.take(free) - largest.height(x.take(free))) < tolerance
             found = fitted(free[near])
+        if len(found) == 1:  # of a bent laser line it is a parabola: no part of it is off
+            inner = (columns[free] >= found[0].first) & (columns[free] <= found[0].last)
+            if np.count_nonzero(inner & ~near) > FOREIGN_POINTS:
+                own = free[near & inner]
+                parabola = np.polyfit(x[own], z[own], 2)
+                near |= inner & (np.abs(z[free] - np.polyval(parabola, x[free])) < tolerance)
+                found = fitted(free[near])
         segments += found
         free = free[~near]
     return sorted(segments, key=lambda s: s.first)
