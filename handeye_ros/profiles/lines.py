@@ -35,14 +35,16 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     bins, count = bin_means(measured, BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
     centre = np.array([middle, segment.height(middle)])
+    bent = _bent((measured[:, 0] - middle) / std)
+    bow = float((measured[:, 1] - segment.height(measured[:, 0])) @ bent / (bent @ bent)) / length
     return _line(centre, segment.slope, std * length, bins,
-                 (segment.noise / length) ** 2 * len(count) / n)
+                 (segment.noise / length) ** 2 * len(count) / n, bow)
 
 
 def on_bow(edge: EdgePoint, line: FaceLine) -> EdgePoint:
     """Return an edge at the end of a line moved across it, to where the points of the face are."""
-    (u, v), bent = line.direction, _bent((edge.point - line.centre) @ line.direction / line.spread)
-    return replace(edge, point=edge.point + line.bow * bent * np.array([-v, u]))
+    (u, v), away = line.direction, (edge.point - line.centre) @ line.direction / line.spread
+    return replace(edge, point=edge.point + line.bow * _bent(away) * np.array([-v, u]))
 
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
@@ -53,7 +55,7 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     two lines has the same factor.
     """
     away = float((edge.point - line.centre) @ line.direction) / line.spread
-    across = line.std * (1 + away ** 2 + float(_bent(away)) ** 2) ** 0.5
+    across = line.std * (1 + away ** 2 + _bent(away).item() ** 2) ** 0.5
     std = edge.std * (max(correlated, 1.0) if edge.ending == 'roof' else 1.0)
     return replace(edge, std=float(std), std_across=float(across))
 
@@ -73,31 +75,29 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
     white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
                  float(np.mean([line.std ** 2 for line in same])) * size)
     spread = float(np.median([line.spread for line in lines]))
-    line = _line(centre, slope, spread, each.mean(axis=0), white_var / n)
+    line = _line(centre, slope, spread, each.mean(axis=0), white_var / n,
+                 float(np.mean([line.bow for line in same])))
     shared = max(scatter ** 2 / n - line.std ** 2, 0.0)  # a robot that shakes moves all alike
     return replace(line, std=float(np.sqrt(line.std ** 2 + shared)),
                    points_std=np.sqrt(line.points_std ** 2 + shared))
 
 
-def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float) -> FaceLine:
+def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float, bow: float
+          ) -> FaceLine:
     """Return the line with bins (m, 2); white_var: the variance of each for independent noise."""
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     normal = np.array([-direction[1], direction[0]])
-    across, along = (bins - centre) @ normal, bins @ direction
-    variance = variance_of_bins(across, white_var)
+    variance = variance_of_bins((bins - centre) @ normal, white_var)
     normal_points, size = bin_means(bins, min(NORMAL_POINTS, len(bins)))
-    bow = 0.0
-    if len(bins) >= FEWEST_BINS:
-        bow = float((across * _bent((along - along.mean()) / along.std())).mean())
-        # the mean of a part of a parabola lies beside it
-        normal_points -= bow * (_bent(len(size) ** -1.0) - _bent(0.0)) * normal
+    # the mean of a part of a parabola lies beside it
+    normal_points -= bow * (_bent(1 / len(size)) - _bent(0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
                     normal_points, np.sqrt(variance / size), bins, bow)
 
 
-def _bent(away: Array | float) -> Array | float:
-    """Return the parabola of mean 0 and RMS 1 of evenly spread points, so many spreads away."""
-    return 5 ** 0.5 / 2 * (away ** 2 - 1)
+def _bent(away: Array | float) -> Array:
+    """Return heights of the parabola of mean 0 and RMS 1, at points so many spreads away."""
+    return np.asarray(5 ** 0.5 / 2 * (np.square(away) - 1))
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:
