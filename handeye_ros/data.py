@@ -183,7 +183,6 @@ class FaceLine:
     points_std: (k,) 1 sigma of each across the line
     bins: (m, 2) means of finer parts, whose scatter gives std and points_std. All three are empty
         if only the line is known.
-    bow: RMS height (m) of the parabola of its points over the line, as by a bent laser line
     """
 
     centre: Array
@@ -193,7 +192,6 @@ class FaceLine:
     points: Array = field(default_factory=lambda: np.empty((0, 2)))
     points_std: Array = field(default_factory=lambda: np.empty(0))
     bins: Array = field(default_factory=lambda: np.empty((0, 2)))
-    bow: float = 0.0
 
     @property
     def ends(self) -> Array:

@@ -33,7 +33,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, ENDINGS
 from handeye_ros.profiles.edge_rounding import rounding_of
-from handeye_ros.profiles.segment import returned, Segment, STEEPEST_SURFACE
+from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,6 +63,7 @@ RIM_SHARE, LARGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 LAST_POINTS = 3  # last points that give the depth of an end
 MOST_STRAY = 2  # most points between two levels that are only mixed at the edge
+LARGEST_AWAY = 2.5  # spreads of its points up to which the bow of a face goes on (1.7: its ends)
 MOST_MIXED = 16  # points between two levels: a wider transition is a surface
 RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 
@@ -132,12 +133,25 @@ class FaceEnd:
         """Return the coordinates of columns of the profile along and below the face."""
         origin, along, below = self.frame
         away = self.points.take(columns, axis=0) - origin
-        return away @ along, away @ below
+        u = away @ along
+        return u, away @ below - self._bow(u)
+
+    def _bow(self, u: Array) -> Array:
+        """Return how far (n,) below its line the face is, outwards at u (n,), and near its end."""
+        (x, _), (along, _), (_, below) = self.frame
+        middle, spread, bow = self._parabola
+        away = np.clip((x + u * along - middle) / spread, -LARGEST_AWAY, LARGEST_AWAY)
+        return np.asarray(bow * below * bent(away))
+
+    @cached_property
+    def _parabola(self) -> tuple[float, float, float]:
+        return self.segment.parabola(self.points)
 
     def edge(self, place: float, std: float, ending: str) -> EdgePoint:
-        """Return the edge point on the face line, at a place (m) outwards from the origin."""
-        origin, along, _ = self.frame
-        return EdgePoint(origin + place * along, along, std, 0.0, ending)
+        """Return the edge point on the face, at a place (m) outwards from the origin."""
+        origin, along, below = self.frame
+        point = origin + place * along + self._bow(np.array(place)) * below
+        return EdgePoint(point, along, std, 0.0, ending)
 
     def rise_of(self, column: int) -> float:
         """Return by how much a point is nearer than the face line (m, along the range)."""

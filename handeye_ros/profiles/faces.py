@@ -16,7 +16,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edges import edge_at, ends_of_segments, FaceEnd, smallest_step
-from handeye_ros.profiles.lines import face_line, on_bow, on_line
+from handeye_ros.profiles.lines import face_line, on_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
 
@@ -68,7 +68,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
                            + ' or '.join(dict.fromkeys(reasons)))
     line = face_line(face, points)
     white_std = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
-    return (line, *(on_line(on_bow(edge, line), line, line.std / white_std) for edge in edges))
+    return (line, *(on_line(edge, line, line.std / white_std) for edge in edges))
 
 
 def _is_above(end: FaceEnd, other: Segment) -> bool:

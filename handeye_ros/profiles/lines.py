@@ -16,7 +16,7 @@ from functools import lru_cache
 import math
 
 from handeye_ros.data import Array, EdgePoint, FaceLine
-from handeye_ros.profiles.segment import Segment
+from handeye_ros.profiles.segment import bent, Segment
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,16 +35,8 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
     bins, count = bin_means(measured, BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(
         NORMAL_POINTS, n))
     centre = np.array([middle, segment.height(middle)])
-    bent = _bent((measured[:, 0] - middle) / std)
-    bow = float((measured[:, 1] - segment.height(measured[:, 0])) @ bent / (bent @ bent)) / length
     return _line(centre, segment.slope, std * length, bins,
-                 (segment.noise / length) ** 2 * len(count) / n, bow)
-
-
-def on_bow(edge: EdgePoint, line: FaceLine) -> EdgePoint:
-    """Return an edge at the end of a line moved across it, to where the points of the face are."""
-    (u, v), away = line.direction, (edge.point - line.centre) @ line.direction / line.spread
-    return replace(edge, point=edge.point + line.bow * _bent(away) * np.array([-v, u]))
+                 (segment.noise / length) ** 2 * len(count) / n)
 
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
@@ -55,7 +47,7 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     two lines has the same factor.
     """
     away = float((edge.point - line.centre) @ line.direction) / line.spread
-    across = line.std * (1 + away ** 2 + _bent(away).item() ** 2) ** 0.5
+    across = line.std * (1 + away ** 2 + float(bent(away)) ** 2) ** 0.5
     std = edge.std * (max(correlated, 1.0) if edge.ending == 'roof' else 1.0)
     return replace(edge, std=float(std), std_across=float(across))
 
@@ -75,29 +67,24 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
     white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else
                  float(np.mean([line.std ** 2 for line in same])) * size)
     spread = float(np.median([line.spread for line in lines]))
-    line = _line(centre, slope, spread, each.mean(axis=0), white_var / n,
-                 float(np.mean([line.bow for line in same])))
+    line = _line(centre, slope, spread, each.mean(axis=0), white_var / n)
     shared = max(scatter ** 2 / n - line.std ** 2, 0.0)  # a robot that shakes moves all alike
     return replace(line, std=float(np.sqrt(line.std ** 2 + shared)),
                    points_std=np.sqrt(line.points_std ** 2 + shared))
 
 
-def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float, bow: float
-          ) -> FaceLine:
+def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float) -> FaceLine:
     """Return the line with bins (m, 2); white_var: the variance of each for independent noise."""
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     normal = np.array([-direction[1], direction[0]])
-    variance = variance_of_bins((bins - centre) @ normal, white_var)
+    across, along = (bins - centre) @ normal, bins @ direction
+    variance = variance_of_bins(across, white_var)
     normal_points, size = bin_means(bins, min(NORMAL_POINTS, len(bins)))
-    # the mean of a part of a parabola lies beside it
-    normal_points -= bow * (_bent(1 / len(size)) - _bent(0)) * normal
+    if len(bins) >= FEWEST_BINS:  # the mean of a part of a parabola lies beside it
+        bow = (across * bent((along - along.mean()) / along.std())).mean()
+        normal_points -= bow * (bent(1 / len(size)) - bent(0.0)) * normal
     return FaceLine(centre, direction, spread, math.sqrt(variance / len(bins)),
-                    normal_points, np.sqrt(variance / size), bins, bow)
-
-
-def _bent(away: Array | float) -> Array:
-    """Return heights of the parabola of mean 0 and RMS 1, at points so many spreads away."""
-    return np.asarray(5 ** 0.5 / 2 * (np.square(away) - 1))
+                    normal_points, np.sqrt(variance / size), bins)
 
 
 def bin_means(values: Array, bins: int) -> tuple[Array, NDArray[np.intp]]:

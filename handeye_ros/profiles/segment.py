@@ -60,11 +60,23 @@ class Segment:
         """Return x where the line crosses that of another segment, of another slope."""
         return (other.offset - self.offset) / (self.slope - other.slope)
 
+    def parabola(self, points: Array) -> tuple[float, float, float]:
+        """Return middle, spread (along x) and RMS height of its bow over the line, see bent."""
+        x, z = points.take(self.straight, axis=0).T
+        middle, spread = float(x.mean()), float(x.std())
+        shape = bent((x - middle) / spread)
+        return middle, spread, float((z - self.height(x)) @ shape / (shape @ shape))
+
     def reversed(self, size: int) -> Segment:
         """Return the segment in the reversed profile of so many columns."""
         end = size - 1
         return Segment(end - self.last, end - self.first, end - self.columns[::-1], self.offset,
                        self.slope, self.noise, end - self.straight[::-1])
+
+
+def bent(away: Any) -> Any:
+    """Return the heights of a parabola of mean 0 and RMS 1 at points so many spreads away."""
+    return 5 ** 0.5 / 2 * (away * away - 1)
 
 
 def noise_level(z: Array, configured: float) -> float:
