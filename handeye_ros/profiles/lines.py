@@ -47,7 +47,7 @@ def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoi
     two lines has the same factor.
     """
     away = float((edge.point - line.centre) @ line.direction) / line.spread
-    across = line.std * (1 + away ** 2 + float(bent(away)) ** 2) ** 0.5
+    across = line.std * (1 + away ** 2) ** 0.5
     std = edge.std * (max(correlated, 1.0) if edge.ending == 'roof' else 1.0)
     return replace(edge, std=float(std), std_across=float(across))
 

@@ -30,6 +30,7 @@ MOST_JUMPS = 0.1  # largest share of jumps from point to point in a profile with
 NEIGHBOURS_EACH_SIDE, FEWEST_NEIGHBOURS = 5, 4
 END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
+BOW_SIGMAS = 3.0  # least bow of a face that counts
 LARGEST_END = 6  # a bent end has at most one part in so many of the points
 
 
@@ -61,11 +62,17 @@ class Segment:
         return (other.offset - self.offset) / (self.slope - other.slope)
 
     def parabola(self, points: Array) -> tuple[float, float, float]:
-        """Return middle, spread (along x) and RMS height of its bow over the line, see bent."""
+        """
+        Return middle, spread (along x) and RMS height of its bow over the line, see bent.
+
+        The height is 0 unless it is significant.
+        """
         x, z = points.take(self.straight, axis=0).T
         middle, spread = float(x.mean()), float(x.std())
         shape = bent((x - middle) / spread)
-        return middle, spread, float((z - self.height(x)) @ shape / (shape @ shape))
+        square = float(shape @ shape)
+        height = float((z - self.height(x)) @ shape) / square
+        return middle, spread, height * (height ** 2 * square > (BOW_SIGMAS * self.noise) ** 2)
 
     def reversed(self, size: int) -> Segment:
         """Return the segment in the reversed profile of so many columns."""
