@@ -25,9 +25,9 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
-from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import quick_solution
+from handeye_ros.estimation.noise import LUMPED, whitening
+from handeye_ros.estimation.problem import Estimate, Problem
+from handeye_ros.estimation.search import quick_solution, reassigned
 from handeye_ros.estimation.solve import (
     cover_both,
     reestimated,
@@ -65,18 +65,16 @@ def _move_before(problem: Problem, k: int) -> Hypothesis:
     def refit() -> Explanation:
         first, second = (quick_solution(problem.subset(part))
                          for part in np.split(np.arange(n), [k]))
-        return (Explanation.of_solutions(first, second) if first and second
-                else Explanation.nothing(n))
+        if first and second and (_same_transform(first, second) or _same_target(first, second)):
+            return Explanation.of_solutions(first, second)
+        return Explanation.nothing(n)
 
     def refusal(fit: Explanation) -> DataError:
         first, second = (part.estimate.X for part in fit.parts)
-        covariance = sum(part.transform_covariance * max(part.variance_factor, 1.0)
-                         for part in fit.parts)
-        delta = se3.difference(second, first)
         agree = (f'the first {k} samples agree among themselves, and so do the other {n - k}, but '
                  'not with each other: in between, ')
         switched = 'became another frame (tool or base of the robot switched)'
-        if delta @ np.linalg.solve(covariance, delta) < chi2_isf(FALSE_CAUSE_PROBABILITY, 6):
+        if _same_transform(*fit.parts):
             frame = target_frame(problem.config)
             return DataError(f'{agree}the target moved in {frame}, or {frame} {switched}; fix the '
                              'target, and take all samples with the same', reason='moved')
@@ -86,6 +84,32 @@ def _move_before(problem: Problem, k: int) -> Hypothesis:
             f'{degrees(float(se3.angle(move[:3, :3])))}, or {frame} {switched}; take all samples '
             'with the same', reason='moved')
     return Hypothesis(refit, refusal)
+
+
+def _same_transform(first: Solution, second: Solution) -> bool:
+    """Return whether two parts may have the same transform: then the target moved between them."""
+    covariance = sum(part.transform_covariance * max(part.variance_factor, 1.0)
+                     for part in (first, second))
+    delta = se3.difference(second.estimate.X, first.estimate.X)
+    return bool(delta @ np.linalg.solve(covariance, delta) < chi2_isf(FALSE_CAUSE_PROBABILITY, 6))
+
+
+def _same_target(first: Solution, second: Solution) -> bool:
+    """
+    Return whether two parts may see the same target: then the sensor moved between them.
+
+    Parts of a few samples, some of them wrong, fit by chance, each with a target of its own.
+    """
+    near = Estimate(second.estimate.X, first.estimate.state)
+    after = solution_at(reassigned(second.problem, near), near, LUMPED)
+    own, other = first.white_jacobian, after.white_jacobian
+    J = np.vstack([np.insert(own, [6] * 6, 0.0, axis=1), np.insert(other, [0] * 6, 0.0, axis=1)])
+    J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    r = np.concatenate([first.prefit_residuals, after.prefit_residuals])
+    rest = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    more = rest @ rest - first.sum_of_squares - second.sum_of_squares
+    factor = max(first.variance_factor, second.variance_factor, 1.0)
+    return bool(more < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
 
 
 def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
