@@ -98,8 +98,11 @@ def _same_target(first: Solution, second: Solution) -> bool:
     """
     Return whether two parts may see the same target: then the sensor moved between them.
 
-    Parts of a few samples, some of them wrong, fit by chance, each with a target of its own.
+    Parts of a few samples, some of them wrong, fit by chance, each with a target of its own. A part
+    that leaves its target free, as one edge of a plate does, may see any.
     """
+    if any(np.linalg.eigvalsh(part.covariance)[-1] > 1.0 for part in (first, second)):  # m, rad
+        return True
     near = Estimate(second.estimate.X, first.estimate.state)
     after = solution_at(reassigned(second.problem, near), near, LUMPED)
     own, other = first.white_jacobian, after.white_jacobian
