@@ -362,9 +362,9 @@ class VerifyConfig(Section, prefix='verify.'):
     near: tuple[float, ...] = key(
         (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '
         'empty: everything.', -50.0, 50.0, length=(0, 4))
-    tolerance: float = key(3e-4, 'Largest error of a length that passes (m).', 1e-9, 1.0)
+    tolerance: float = key(3e-4, 'Largest error of a length that passes (m).', 1e-9, 0.02)
     angle_tolerance: float = key(
-        1.7453e-3, 'Largest error of an angle that passes (rad).', 1e-9, 1.0)
+        1.7453e-3, 'Largest error of an angle that passes (rad).', 1e-9, 0.05)
 
 
 @dataclass(frozen=True)

@@ -72,10 +72,18 @@ class Table:
         unit = self._units.get(name)
         return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
 
-    def in_unit(self, names: Sequence[str], unit: str) -> Table:
-        """Return the table with another unit of some columns in its header."""
-        other = copy(self)
-        other._units = self._units | dict.fromkeys(names, unit)
+    def unit(self, name: str) -> str:
+        """Return the unit of a column in the header, empty where it has none."""
+        return self._units[name] or ''
+
+    def renamed(self, names: Sequence[str], others: Sequence[str], unit: str) -> Table:
+        """Return the table with other names of some columns, and their unit (empty: none)."""
+        other, old = copy(self), set(names)
+        other._columns = {name: column for name, column in self._columns.items()
+                          if name not in old}
+        other._columns |= {new: self._columns[name]
+                           for name, new in zip(names, others, strict=True)}
+        other._units = self._units | dict.fromkeys(others, unit)
         return other
 
     @property

@@ -13,16 +13,16 @@ weak prior prevents zero variances from few residuals.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from handeye_ros import orientations, se3
 from handeye_ros.checks.refusals import require_rotations
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError, TooFewError
+from handeye_ros.errors import TooFewError
 from handeye_ros.estimation.least_squares import (
     adjust,
     Adjusted,
@@ -32,15 +32,18 @@ from handeye_ros.estimation.least_squares import (
     System,
 )
 from handeye_ros.frames import mount_frame, mount_poses
+from handeye_ros.orientations import Notation
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, scaled, TableAnswer
+from handeye_ros.units import RADIANS
 import numpy as np
 
 MOST_PAIRS = 2000
 LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 MINIMUM = 5  # fewer do not show how large the noise is
+OTHER_LENGTHS = {'m': (('mm', 1e-3),), 'mm': (('m', 1e3),)}  # that may be meant, with the factor
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
 
 
@@ -204,30 +207,69 @@ def read(path: Path, config: Config) -> Input:
             views(se3.inverse(flange)))
         yield from views(flange).in_other_units()
         order = 'name the columns in the order of their values'
-        yield Misreading('flange quaternions as w x y z', order, views(_wxyz(flange)))
-        yield Misreading('target quaternions as w x y z', order, views(flange, _wxyz(target)))
+        w_last = bool(stated)  # as abb-quaternion, they were read as w x y z
+        yield Misreading(f'flange quaternions as {"x y z w" if w_last else "w x y z"}', order,
+                         views(_reordered(flange, w_last)))
+        yield Misreading('target quaternions as w x y z', order, views(flange, _reordered(target)))
         yield Misreading('the quaternions of both as w x y z', order,
-                         views(_wxyz(flange), _wxyz(target)))
-        used = orientations.notation_of(stated) if stated else orientations.RPY
-        angles = [f'flange_{label}' for label in used.labels]
-        if used.angle and table.has(angles):
-            for unit in ('rad', 'deg'):  # one of them is as read, and explains nothing
-                yield Misreading(f'the angles of the flange in {unit}', 'write their unit in the '
-                                 f'header, as in {angles[0]} [{unit}]',
-                                 views(table.in_unit(angles, unit).poses('flange', stated)))
-        for name, notation in orientations.NOTATIONS.items() if stated else ():
-            if notation is orientations.notation_of(stated):
-                continue
-            words, remedy = f'the flange written as {name}', f'set target.angles to {name}'
-            with suppress(InputError):  # it has other columns
-                other = table.poses('flange', name)
-                yield Misreading(words, remedy, views(other))
-                yield Misreading(f'{words}, in mm', f'{remedy}, and write the unit in the header, '
-                                 'as in flange_x [mm]', views(scaled(other, 1e-3)))
+                         views(_reordered(flange), _reordered(target)))
+        flanges = _otherwise_written(table, 'flange', stated, flange, orientations.NOTATIONS)
+        targets = _otherwise_written(table, 'target', '', target, {})
+        for words, remedy, poses in flanges:
+            yield Misreading(words, remedy, views(poses))
+        for words, remedy, poses in targets:
+            yield Misreading(words, remedy, views(flange, poses))
+        for (words, remedy, poses), (more, then, seen) in product(flanges[:1], targets[:1]):
+            yield Misreading(f'{words} and {more}', f'{remedy}, and {then}', views(poses, seen))
 
     return views(flange).read_from(path, otherwise)
 
 
-def _wxyz(T: Array) -> Array:
-    """Return the poses (n, 4, 4) with their quaternions read in the other order."""
-    return se3.from_quaternion(T[:, :3, 3], np.roll(se3.quaternion(T), -1, axis=1))
+def _otherwise_written(table: Table, prefix: str, stated: str, read: Array,
+                       notations: Mapping[str, Notation]) -> list[tuple[str, str, Array]]:
+    """
+    Return poses (n, 4, 4) as other angles and units give them, in words and with the remedy.
+
+    stated: how they were read; read: as that gives them; notations: others that may be meant.
+    The first entry is the other unit of the angles. Poses of which only the positions would
+    change are none of them: see in_other_units.
+    """
+    used = orientations.of(stated) if stated else orientations.RPY
+    columns = [f'{prefix}_{label}' for label in used.labels]
+    if not (used.angle and table.has(columns)):
+        return []
+    found, known = [], [scaled(read, factor) for factor in (1.0, 1e3, 1e-3)]
+    fitting = sorted(notations.items(), key=lambda item: item[1].labels != used.labels)
+    for name, notation in [(stated, used), *fitting]:
+        if not notation.angle:
+            continue
+        labels = [f'{prefix}_{label}' for label in notation.labels]
+        usual = table.unit(columns[0]) or notation.angle
+        length = table.unit(f'{prefix}_x') or notation.length
+        for (other, factor), unit in product(
+                (('', 1.0), *OTHER_LENGTHS.get(length, ())), (usual, *RADIANS)):
+            there = table.renamed(columns, labels, unit)
+            poses = scaled(there.poses(prefix, name), factor)
+            if any(np.allclose(poses, one, rtol=0, atol=1e-9) for one in known):
+                continue
+            known.append(poses)
+            words, remedy = f'the angles of the {prefix}', []
+            if notation is not used:
+                words, remedy = f'the {prefix} written as {name}', [f'set target.angles to {name}']
+            header = labels
+            if unit != usual:
+                words += f' in {unit}'
+                header = [f'{label} [{unit}]' for label in labels]
+            if header != columns:
+                remedy.append(f'name the columns {", ".join(header)}')
+            if other:
+                words += f' and its positions in {other}'
+                remedy.append(f'write their unit, as in {prefix}_x [{other}]')
+            found.append((words, ' and '.join(remedy), poses))
+    return found
+
+
+def _reordered(T: Array, w_last: bool = False) -> Array:
+    """Return the poses (n, 4, 4) with their quaternions read as w x y z, or as x y z w."""
+    shift = 1 if w_last else -1
+    return se3.from_quaternion(T[:, :3, 3], np.roll(se3.quaternion(T), shift, axis=1))
