@@ -19,7 +19,7 @@ from itertools import product
 from pathlib import Path
 
 from handeye_ros import orientations, se3
-from handeye_ros.checks.refusals import require_rotations
+from handeye_ros.checks.refusals import require_rotations, SMALLEST_TURN, turning
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
@@ -68,6 +68,11 @@ class Views(Lists):
         if len(self) < MINIMUM:
             raise TooFewError('A X = X B', MINIMUM, 'poses', len(self))
         require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')
+
+    def spread(self) -> float:
+        """Return that of the positions; 0 where the target does not turn: nothing explains it."""
+        turned = turning(self.seen)[0][0] >= SMALLEST_TURN
+        return super().spread() if turned else 0.0
 
     def solve(self) -> TableAnswer:
         """Return the least squares, weighted by the noise that its residuals show."""

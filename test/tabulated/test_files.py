@@ -319,7 +319,22 @@ def test_the_unit_of_the_angles_of_both_lists_is_named(handeye: Run, tmp_path: P
     text = file.read_text()
     file.write_text(text.replace('deg', 'rad', 3))
     refused(handeye('solve', *given('hand_eye', tmp_path / 'cell')), 3,
-            'with the angles of the target in rad they agree: name the columns target_roll [rad]')
+            'with the angles of the target in rad they agree')
+
+
+@pytest.mark.parametrize('seed', [8, 12, 19])
+def test_one_orientation_is_no_misreading(seed: int, handeye: Run, tmp_path: Path) -> None:
+    # angles in the other unit are as noisy as small turns
+    made = measured.hand_eye(np.random.default_rng(seed), noise=4.0, tilts=(0.0, 0.0, 0.0))
+    (tmp_path / 'poses.csv').write_text(made.tables['poses.csv'])
+    T = Table(tmp_path / 'poses.csv').poses('flange')
+    abc = Rotation.from_matrix(T[:, :3, :3]).as_euler('ZYX', degrees=True)
+    header, *lines = made.tables['poses.csv'].splitlines()
+    text = ['flange_a,flange_b,flange_c,' + header, *(
+        ','.join([*map(str, one), line]) for one, line in zip(abc, lines, strict=True))]
+    (tmp_path / 'poses.csv').write_text('\n'.join(text))
+    refused(handeye('solve', *given('hand_eye', tmp_path), '--set', 'target.angles=kuka'), 3,
+            'all poses share one orientation')
 
 
 @pytest.mark.parametrize('eye_on_base', [False, True])
