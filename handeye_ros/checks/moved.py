@@ -13,6 +13,7 @@ moves in any order.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+import math
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
@@ -115,14 +116,34 @@ def _same_target(first: Solution, second: Solution) -> bool:
     return bool(more < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
 
 
+def parted_by_outliers(solution: Solution) -> str:
+    """
+    Return in words that all stations that were dropped are the first, or the last, ones.
+
+    '' if they are not, or if wrong stations in a random order are so too with REFUSAL_P.
+    """
+    n, used = len(solution.full_problem.poses), solution.used
+    k = n - len(used)
+    if solution.problem.pose_model is not None or 2 > REFUSAL_P * math.comb(n, k):
+        return ''
+    which, side = {0: ('last', 'before'), k: ('first', 'after')}.get(int(used[0]), ('', ''))
+    if not which or np.ptp(used) >= n - k:
+        return ''
+    return (f'the {which} {k} of {n} samples contradict the {n - k} {side} them: the target or '
+            'the sensor seems to have moved in between, or the tool or base of the robot was '
+            'switched: check that both are fixed firmly, and take all samples again')
+
+
 def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     """
-    Return a solution, and a warning on a small move and its time, '' if there is none.
+    Return a solution, and a warning on a move and its time, '' if there is none.
 
     The likeliest move of either and the noise with it are estimated in turn, until it stays. With
     a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
     where the evidence is decisive.
     """
+    if parted := parted_by_outliers(agreed):
+        return agreed, parted
     n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
     if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return agreed, ''

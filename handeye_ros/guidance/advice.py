@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3, targets
+from handeye_ros.checks.moved import parted_by_outliers
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
@@ -129,6 +130,8 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
         proposal = propose(solution, samples, config, surely, mapped, without_sample)
     enough, why = enough_and_why(sigmas, proposal.std if proposal else None,
                                  largest_cause(solution), len(samples))
+    if parted := parted_by_outliers(solution):
+        enough, why = False, parted
     if enough and found.refusal:
         enough, why = False, str(found.refusal)
     sentences = [why, *offset_notes(solution)]

@@ -255,10 +255,11 @@ class Session(Copyable):
         if self.unusable_poses:
             raise self.unusable_poses
         if poses.period > sampling.max_pose_gap:
-            raise DataError(f'the flange poses come only every {poses.period:.2g} s, more than '
-                            f'sampling.max_pose_gap ({sampling.max_pose_gap:g} s): publish them '
-                            'more often, also while the robot stands still, or raise '
-                            'sampling.max_pose_gap', reason='sparse_poses')
+            raise DataError(
+                'the flange poses, or the joint values that give them, come only every '
+                f'{poses.period:.2g} s, more than sampling.max_pose_gap '
+                f'({sampling.max_pose_gap:g} s): publish them more often, also while the robot '
+                'stands still, or raise sampling.max_pose_gap', reason='sparse_poses')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
                         f'{poses.count} poses, but for {self._finder.longest_rest / NS:.2g} s at '
                         'most: stop at each sample, or lower sampling.still_time; if its poses '

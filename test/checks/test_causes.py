@@ -15,6 +15,7 @@ from handeye_ros.config import Config, flipped_range, with_values
 from handeye_ros.data import Array, FaceLine, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import chi2_isf
+from handeye_ros.guidance.advice import advise
 from handeye_ros.simulate import (
     FAULTS,
     Scenario,
@@ -188,6 +189,30 @@ def test_a_small_move_is_reported_though_noise_and_scales_could_stand_for_it(see
     seen = X @ se3.inverse(moved) @ se3.inverse(X)
     said = told(later(samples, lambda T: T @ seen), settings_of(scenario))
     assert re.search('the first [678] of 14 samples', said), said
+
+
+@pytest.mark.parametrize('name', ['sphere', 'wedge'])
+@pytest.mark.parametrize('first', [False, True])
+def test_a_move_is_told_while_few_samples_lie_beyond_it(name: str, first: bool) -> None:
+    made = cell(name, 2)
+    rng = np.random.default_rng(1)
+    mixed = [replace(made.samples[k], stamp=stamp)
+             for stamp, k in enumerate(rng.permutation(len(made.samples))[:12])]
+    bumped = se3.transform(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    beyond = mixed[:3] if first else mixed[-3:]
+    samples = [replace(s, T_base_flange=bumped @ s.T_base_flange) if s in beyond else s
+               for s in mixed]
+    words = ('the first 3 of 12 samples contradict the 9 after them' if first else
+             'the last 3 of 12 samples contradict the 9 before them')
+    assert words in told(samples, made.config)
+    found = pipeline.answer_samples(samples, [], made.config, 'laser')
+    advice = advise(samples, made.config, found)
+    assert words in advice.why and not advice.enough
+    # a single sample may be wrong for another reason, and so may others in any place
+    apart = [replace(s, T_base_flange=bumped @ s.T_base_flange) if k in (1, 5, 9) else s
+             for k, s in enumerate(mixed)]
+    assert 'moved' not in told(apart, made.config)
+    assert 'moved' not in told([*mixed[:9], samples[-1]], made.config)
 
 
 @pytest.mark.parametrize(('name', 'seed'), [('plate', 2), ('sphere', 1)])
