@@ -26,7 +26,6 @@ from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_estimate
 from handeye_ros.frames import sensor_axes
 from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
-from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth_file import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
@@ -396,7 +395,7 @@ def plain_values(comparison: Comparison) -> dict[str, Any]:
             rows.append({'name': row.name, 'failure': row.failure})
             continue
         figures = {name: getattr(row, name) for name in ROW_FIGURES}
-        rows.append({'name': row.name, 'transform': transform_values(row.T_flange_sensor),
+        rows.append({'name': row.name, 'transform': se3.transform_values(row.T_flange_sensor),
                      **{name: value for name, value in figures.items()
                         if value is not None or not name.startswith('error')}})
     return {'format': FORMAT, 'samples_used': comparison.used,

@@ -88,6 +88,12 @@ def quaternion(T: Array) -> Array:
     return cast(Array, q.reshape(*T.shape[:-2], 4))
 
 
+def transform_values(T: Array) -> dict[str, dict[str, float]]:
+    """Return a transform (4, 4) as plain values: translation x y z, rotation x y z w."""
+    return {'translation': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
+            'rotation': dict(zip('xyzw', map(float, quaternion(T)), strict=True))}
+
+
 def rpy(T: Array) -> Array:
     """
     Return roll, pitch, yaw (radians; URDF: extrinsic x-y-z) of a (4, 4) transform.

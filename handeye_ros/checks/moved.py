@@ -13,7 +13,6 @@ moves in any order.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-import math
 
 from handeye_ros import se3
 from handeye_ros.checks.hypotheses import (
@@ -36,6 +35,7 @@ from handeye_ros.estimation.solve import (
     solution_at,
 )
 from handeye_ros.frames import mount_frame, target_frame
+from handeye_ros.notes import parted_by_outliers
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,8 +99,8 @@ def _same_target(first: Solution, second: Solution) -> bool:
     """
     Return whether two parts may see the same target: then the sensor moved between them.
 
-    Parts of a few samples, some of them wrong, fit by chance, each with a target of its own. A part
-    that leaves its target free, as one edge of a plate does, may see any.
+    Parts of a few samples, some of them wrong, fit by chance, each with a target of its own. A
+    part that leaves its target free, as one edge of a plate does, may see any.
     """
     if any(np.linalg.eigvalsh(part.covariance)[-1] > 1.0 for part in (first, second)):  # m, rad
         return True
@@ -114,24 +114,6 @@ def _same_target(first: Solution, second: Solution) -> bool:
     more = rest @ rest - first.sum_of_squares - second.sum_of_squares
     factor = max(first.variance_factor, second.variance_factor, 1.0)
     return bool(more < factor * chi2_isf(FALSE_CAUSE_PROBABILITY, first.unknowns - 6))
-
-
-def parted_by_outliers(solution: Solution) -> str:
-    """
-    Return in words that all stations that were dropped are the first, or the last, ones.
-
-    '' if they are not, or if wrong stations in a random order are so too with REFUSAL_P.
-    """
-    n, used = len(solution.full_problem.poses), solution.used
-    k = n - len(used)
-    if solution.problem.pose_model is not None or 2 > REFUSAL_P * math.comb(n, k):
-        return ''
-    which, side = {0: ('last', 'before'), k: ('first', 'after')}.get(int(used[0]), ('', ''))
-    if not which or np.ptp(used) >= n - k:
-        return ''
-    return (f'the {which} {k} of {n} samples contradict the {n - k} {side} them: the target or '
-            'the sensor seems to have moved in between, or the tool or base of the robot was '
-            'switched: check that both are fixed firmly, and take all samples again')
 
 
 def with_possible_move(agreed: Solution) -> tuple[Solution, str]:

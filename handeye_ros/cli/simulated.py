@@ -8,11 +8,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import __version__
+from handeye_ros import __version__, se3
 from handeye_ros.bags import bag_write
 from handeye_ros.data import Array
 from handeye_ros.results import truth_file
-from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.simulate import (
     FAULTS,
@@ -41,7 +40,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     def truth(T_flange_sensor: Array, **more: Any) -> dict[str, Any]:
         return {'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
                 'scenario': name, 'seed': seed,
-                'T_flange_sensor': transform_values(T_flange_sensor), **more}
+                'T_flange_sensor': se3.transform_values(T_flange_sensor), **more}
 
     if name == measuring.MEASURING_CELL:
         recordings, X = measuring.measuring_cell(rng)
@@ -56,7 +55,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
         found, joints = made.truth, made.joints()
         tables: Mapping[str, str] = {'robot.urdf': robot.urdf()} if joints else {}
         values = truth(
-            found.T_flange_sensor, T_base_target=transform_values(found.T_base_target),
+            found.T_flange_sensor, T_base_target=se3.transform_values(found.T_base_target),
             **({} if found.time_offset is None else {'time_offset': found.time_offset}),
             noise={'sensor': scenario.sensor.noise,
                    'robot_translation': scenario.robot.repeatability[0],

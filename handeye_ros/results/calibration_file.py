@@ -67,7 +67,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         'format': f'{FORMAT}1',
         'name': calibration.name, 'method': calibration.method,
         'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
-        'transform': transform_values(T), 'rpy': _plain(se3.rpy(T)),
+        'transform': se3.transform_values(T), 'rpy': _plain(se3.rpy(T)),
         'covariance': _plain(calibration.covariance.ravel()),
         'target': _plain(calibration.target),
         **({'time_offset': _plain(asdict(offset))} if offset else {}),
@@ -77,12 +77,6 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         'provenance': {**{k: v for k, v in provenance.items() if k != 'config'},
                        'config': provenance.get('config', {})},  # long: after all others
     }
-
-
-def transform_values(T: Array) -> dict[str, dict[str, float]]:
-    """Return a transform (4, 4) as plain values: translation x y z, rotation x y z w."""
-    return {'translation': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
-            'rotation': dict(zip('xyzw', map(float, se3.quaternion(T)), strict=True))}
 
 
 def input_values(file: Path) -> dict[str, str]:

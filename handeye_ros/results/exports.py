@@ -30,7 +30,7 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import config_of, transform_values
+from handeye_ros.results.calibration_file import config_of
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -131,7 +131,7 @@ def as_json(calibration: Calibration) -> str:
         'name': calibration.name,
         'parent_frame': calibration.parent_frame,
         'child_frame': calibration.child_frame,
-        'transform': transform_values(T),
+        'transform': se3.transform_values(T),
         'rpy': se3.rpy(T).tolist(),
         'matrix': T.tolist(),
         'covariance': calibration.covariance.tolist(),
@@ -220,7 +220,7 @@ def easy_handeye2(calibration: Calibration) -> str:
             'tracking_marker_frame': TARGET_FRAME,
             'freehand_robot_movement': True,
         },
-        'transform': transform_values(calibration.T_flange_sensor)}
+        'transform': se3.transform_values(calibration.T_flange_sensor)}
     folder = '~/.ros2/easy_handeye2/calibrations'
     return (f'{commented(calibration)}# For easy_handeye2: its place is {folder}/{file}\n' + str(
         yaml.safe_dump(values, sort_keys=False, allow_unicode=True)))

@@ -22,7 +22,7 @@ from handeye_ros.arm import (
 from handeye_ros.data import Calibration
 from handeye_ros.output import write_atomically, yaml_text
 from handeye_ros.results import exports
-from handeye_ros.results.calibration_file import dated, transform_values
+from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.table import figures_table
 from handeye_ros.robot.selection import ArmOutcome, UNCHANGED_ARM
 import numpy as np
@@ -59,7 +59,7 @@ class ArmAnswer:
         for j, joint in enumerate(arm.joints):
             own = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind) for kind in arm.kinds}
             entries.append({
-                'name': joint.name, 'type': joint.kind, 'origin': transform_values(joint.origin),
+                'name': joint.name, 'type': joint.kind, 'origin': se3.transform_values(joint.origin),
                 'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
                 'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper,
                 **{kind: {name: of[rows].tolist() for name, of in columns.items()}
@@ -90,12 +90,12 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
     assert arm.configurations is not None
     return {
         'format': f'{FORMAT}1', 'name': calibration.name, 'base': arm.base, 'flange': arm.flange,
-        'joints': answer.joints, 'end': transform_values(arm.end),
+        'joints': answer.joints, 'end': se3.transform_values(arm.end),
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.kind == REVOLUTE},
-        'transform': transform_values(calibration.T_flange_sensor),
+        'transform': se3.transform_values(calibration.T_flange_sensor),
         'models': [{'parameters': list(m.kinds), **m.residuals,
                     'chosen': m is outcome.chosen} for m in outcome.models],
         'robot_smooth_error': outcome.smooth,

@@ -34,7 +34,6 @@ from handeye_ros.estimation.least_squares import (
 from handeye_ros.frames import mount_frame, mount_poses
 from handeye_ros.orientations import Notation
 from handeye_ros.published.cn105021139a import solve_motions
-from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, scaled, TableAnswer
 from handeye_ros.units import RADIANS
@@ -87,7 +86,7 @@ class Views(Lists):
         (residual, angle), (holdout, holdout_angle) = (
             np.sqrt((lengths ** 2).mean(axis=0)).tolist() for lengths in (off[used], left_out))
         X, Z = state
-        target = {'pose': transform_values(Z), 'residual_angle': angle,
+        target = {'pose': se3.transform_values(Z), 'residual_angle': angle,
                   'left_out_angle': holdout_angle}
         return TableAnswer(X, self.stated(fit.covariance[:6, :6], used),
                            np.isin(np.arange(len(off)), used), off[:, 0], residual, holdout,
@@ -239,7 +238,7 @@ def _otherwise_written(table: Table, prefix: str, stated: str, read: Array,
     The first entry is the other unit of the angles. Poses of which only the positions would
     change are none of them: see in_other_units.
     """
-    used = orientations.of(stated) if stated else orientations.RPY
+    used = orientations.notation_of(stated) if stated else orientations.RPY
     columns = [f'{prefix}_{label}' for label in used.labels]
     if not (used.angle and table.has(columns)):
         return []

@@ -24,7 +24,6 @@ from handeye_ros.estimation.problem import (
     UNUSED,
 )
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.results.calibration_file import transform_values
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.starts import some_stations
 from handeye_ros.targets.target import FACE, FaceTarget
@@ -237,7 +236,7 @@ class Plate(FaceTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the target's pose and edge angle as plain values."""
-        return {'pose': transform_values(state[:16].reshape(4, 4)),
+        return {'pose': se3.transform_values(state[:16].reshape(4, 4)),
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
 
     def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from handeye_ros import config, se3
 from handeye_ros.data import Calibration, Quality, SampleReport
-from handeye_ros.results.calibration_file import text, transform_values
+from handeye_ros.results.calibration_file import text
 import numpy as np
 
 ROUNDING = 1e-12  # of a rotation that goes through a quaternion and back
@@ -18,7 +18,7 @@ CALIBRATION = Calibration(
     T_flange_sensor=se3.transform(se3.exp_rotation(np.array([0.3, -1.2, 2.0])),
                                   np.array([0.0123, -0.05, 0.1])),
     covariance=ROOT @ ROOT.T,
-    target={'pose': transform_values(np.eye(4)), 'edge_angle': 1.5708, 'edge_angle_std': 1e-4,
+    target={'pose': se3.transform_values(np.eye(4)), 'edge_angle': 1.5708, 'edge_angle_std': 1e-4,
             'radius': 0.04, 'radius_std': 0.0, 'note': 'x'},
     quality=Quality(2, 1, 2.1e-5, 2.6e-5, 'position along z of flange (m)', 4e-5),
     samples=(SampleReport(1700000000500000001, True, 'p', 1.9e-5),
