@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from handeye_ros import se3
 from handeye_ros.arm import (
     corrected_urdf,
     ERROR_KINDS,
@@ -59,7 +60,8 @@ class ArmAnswer:
         for j, joint in enumerate(arm.joints):
             own = {kind: (joint_of == j) & (ERROR_KINDS[column_of] == kind) for kind in arm.kinds}
             entries.append({
-                'name': joint.name, 'type': joint.kind, 'origin': se3.transform_values(joint.origin),
+                'name': joint.name, 'type': joint.kind,
+                'origin': se3.transform_values(joint.origin),
                 'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
                 'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper,
                 **{kind: {name: of[rows].tolist() for name, of in columns.items()}
