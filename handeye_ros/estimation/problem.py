@@ -224,7 +224,7 @@ class Target(ABC):
         Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
         2 n (c - s) + r: where all lines go through c, all are as small as before.
         """
-        n, s, r = linear.by_point, linear.problem.observations.points, linear.residuals
+        n, s, r = linear.wrt_point, linear.problem.observations.points, linear.residuals
         c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
         return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
 
