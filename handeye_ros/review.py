@@ -105,9 +105,11 @@ def solved_session(session: Session, answer: Answer, config: Config) -> SolvedRe
     reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
     for i, stop in enumerate(stops):
         agreement = agreement_of.get(stop.number)
-        stops[i] = (replace(stop, reason='', agreement=agreement)
-                    if agreement and agreement.used else
-                    replace(stop, reason=reasons.get(stop.stamp, stop.reason)))
+        if agreement and agreement.used:
+            stops[i] = replace(stop, reason='', agreement=agreement)
+        else:
+            reason = reasons.get(stop.stamp, stop.reason)
+            stops[i] = replace(stop, reason=reason or 'the answer uses few of its profiles')
     used = [answer.samples[i] for i in solution.used]
     return SolvedRecording(tuple(stops), calibration, sweep=_sweep(used, calibration))
 

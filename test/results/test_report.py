@@ -114,6 +114,16 @@ def test_what_was_not_used_is_shown_with_its_reason(calibration: Calibration,
     assert 'Stop 3:\nnot used: no edge' in text
 
 
+def test_each_stop_agrees_as_the_file_says(calibration: Calibration, found: SolvedRecording
+                                           ) -> None:
+    stated = {s.stamp: s.residual for s in calibration.samples}
+    shown = {stop.stamp: stop.agreement for stop in found.stops if stop.agreement}
+    assert {stamp: agreement.residual for stamp, agreement in shown.items()} == pytest.approx(
+        stated)
+    left_out = np.array([agreement.left_out for agreement in shown.values()])
+    assert (left_out > list(stated.values())).all()
+
+
 def test_a_recording_that_says_something_else_is_reported(calibration: Calibration,
                                                           found: SolvedRecording) -> None:
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
