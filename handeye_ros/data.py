@@ -20,6 +20,7 @@ NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
 TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
+SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
 MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
 
 
@@ -30,7 +31,7 @@ def rms(values: Array) -> float:
 
 def robust_std(deviations: Array) -> float:
     """Return 1 sigma of normal deviations (n,), by their median size: outliers do not widen it."""
-    return float(1.4826 * np.median(np.abs(deviations)))
+    return float(SIGMA_OF_MEDIAN * np.median(np.abs(deviations)))
 
 
 def without_order(steps: Array) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array
+from handeye_ros.data import Arc, Array, SIGMA_OF_MEDIAN
 from handeye_ros.errors import FeatureError, mm
 from handeye_ros.profiles.lines import bin_means, SURELY_MORE, variance_of_bins
 from handeye_ros.profiles.ransac import circles_among
@@ -28,7 +28,6 @@ LARGEST_SHARE = 1.05  # the largest, for short and noisy arcs
 TOLERANCE_SIGMAS = 6.0
 FIT_WIDTHS, REFIT_WIDTHS = (3.0, 2.0, 1.0, 1.0), (2.0, 1.0)  # of successive fits, in tolerances
 FEWEST_FITTED = 5  # fewest points for another fit of a circle
-SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
 # noise over assumed noise that starts a new search; searches at most
 NOISE_RATIO, MOST_SEARCHES = 2.0, 4
 RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
