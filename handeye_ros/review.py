@@ -213,11 +213,11 @@ def _crossing(sample: Sample, points: Array, solution: Solution, name: str, conf
     pose = mount_poses_of([sample], config)[0] @ estimate.X
     in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
                               ) @ pose[:3, :3].T + pose[:3, 3]
-    found = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)
-             for kind in _kinds_at(solution.problem, target.kinds.index(name))]
-    distance = np.linalg.norm([one.g for one in found], axis=0)
+    conditions = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)
+                  for kind in _kinds_at(solution.problem, target.kinds.index(name))]
+    distance = np.linalg.norm([one.g for one in conditions], axis=0)
     nearest = int(np.argmin(distance))
-    across = np.array([one.dg_dp[nearest] for one in found])
+    across = np.array([one.dg_dp[nearest] for one in conditions])
     along_laser = across @ pose[:3, 0] / np.linalg.norm(across, axis=1)
     steepness = min(1.0, float(np.linalg.norm(along_laser)))
     return float(distance[nearest]), float(np.arcsin(steepness))

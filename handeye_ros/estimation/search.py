@@ -118,14 +118,14 @@ def with_all_blocks(solution: Solution) -> Solution:
         part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
         start, noise = near.estimate, Noise()
         if before is not None and len(used) > MANY_STATIONS:
-            found = before.conservative  # a few of very many hardly move the solution
-            start, noise = found.estimate, found.noise
-            part = part.with_pose_values(found.problem.pose_values)
+            conservative = before.conservative  # a few of very many hardly move the solution
+            start, noise = conservative.estimate, conservative.noise
+            part = part.with_pose_values(conservative.problem.pose_values)
         return with_contamination(map_solution(part, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = drop_outliers(
         near.used, len(whole.poses), whole.target.min_samples, fitted,
-        lambda found: found.conservative.left_out_squares(), lambda found: found.surely_wrong)
+        lambda fit: fit.conservative.left_out_squares(), lambda fit: fit.surely_wrong)
     return replace(solution, full_problem=whole, used=used,
                    dropped_squares={**near.dropped_squares, **dropped})
 
@@ -180,8 +180,8 @@ def loss(solution: Solution) -> float:
 
     Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
     """
-    found = float(np.log(SMALL_SQUARE + station_squares(solution)).mean())
-    return max(found, float(np.log(2 * LARGEST_SQUARE))) if _is_undetermined(solution) else found
+    level = float(np.log(SMALL_SQUARE + station_squares(solution)).mean())
+    return max(level, float(np.log(2 * LARGEST_SQUARE))) if _is_undetermined(solution) else level
 
 
 def is_convincing(solution: Solution) -> bool:

@@ -244,13 +244,13 @@ class Solution:
 
         Ends early if a step hardly changes the variances.
         """
-        found = self
+        current = self
         for _ in range(steps if self.configured_blocks else 0):
-            _, variances = found.prior_variances()
-            if np.abs(np.log(variances / found._tau_squared)).max() < 0.03:
+            _, variances = current.prior_variances()
+            if np.abs(np.log(variances / current._tau_squared)).max() < 0.03:
                 break
-            found = found.with_variances(variances)
-        return found
+            current = current.with_variances(variances)
+        return current
 
     @property
     def conservative(self) -> Solution:
@@ -543,7 +543,7 @@ def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
 def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
     """Return a solution with noise and prior scales estimated again, and further blocks."""
     linear = linearise(solution.problem, solution.estimate)
-    found = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
+    estimated = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        found = found.with_factors(found.estimated_factors()).rescaled(2)
-    return found
+        estimated = estimated.with_factors(estimated.estimated_factors()).rescaled(2)
+    return estimated

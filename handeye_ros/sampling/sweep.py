@@ -89,11 +89,11 @@ class ClockedPoses:
     def at(self, offset: float, lag: float = 0.0, drift: float = 0.0) -> Instants:
         """Return the flange at each sample; offset, lag (s), drift: as in the module's text."""
         shift = np.rint((offset + drift * self.since_middle) * 1e9).astype(np.int64)
-        found = self.trajectory.at((self.stamps + shift)[self.moving], lag)
+        instants = self.trajectory.at((self.stamps + shift)[self.moving], lag)
         n = len(self.stamps)
         T, twists, inside = self.T_base_flange.copy(), np.zeros((n, 6)), np.ones(n, dtype=bool)
-        T[self.moving], twists[self.moving] = found.T_base_flange, found.twists
-        inside[self.moving] = found.inside
+        T[self.moving], twists[self.moving] = instants.T_base_flange, instants.twists
+        inside[self.moving] = instants.inside
         return Instants(T, twists, inside)
 
 
@@ -138,8 +138,8 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
         (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    found = (*next(s.clock_values for s in samples if s.moving), 0.0, 0.0)
-    return replace(problem, pose_model=model, pose_values=np.array([found[k] for k in unknown]))
+    known = (*next(s.clock_values for s in samples if s.moving), 0.0, 0.0)
+    return replace(problem, pose_model=model, pose_values=np.array([known[k] for k in unknown]))
 
 
 def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
@@ -190,18 +190,18 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     problem = problem_of(samples, config)
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))
-    found = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
-    values, at = _poses_at(samples, found)
+    fit = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
+    values, at = _poses_at(samples, fit)
     if not at.inside.all():  # profiles in gaps between the poses pull the offset
         part = problem.subset(np.flatnonzero(at.inside))
-        found = _refined(part.with_pose_values(found.problem.pose_values), found.estimate)
-        values, at = _poses_at(samples, found)
+        fit = _refined(part.with_pose_values(fit.problem.pose_values), fit.estimate)
+        values, at = _poses_at(samples, fit)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True)
               if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, at.inside, strict=True) if not inside]
-    return Synchronised(paired, rejects, found.estimate)
+    return Synchronised(paired, rejects, fit.estimate)
 
 
 def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
@@ -218,9 +218,9 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
         values[0] = offset * problem.config.time_offset_std
         shifted = problem.with_pose_values(values)
         for start in islice(shifted.target.starts(shifted, rng), 3):
-            found = _refined(shifted, start)
-            loss = float(np.log1p(mean_squares(found)).mean())
-            best = (loss, found) if best is None or loss < best[0] else best
+            fit = _refined(shifted, start)
+            loss = float(np.log1p(mean_squares(fit)).mean())
+            best = (loss, fit) if best is None or loss < best[0] else best
         if best and typical_square(mean_squares(best[1])) < CONVINCING_SQUARE:
             break
     assert best is not None

@@ -76,13 +76,13 @@ class Trajectory:
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
-        found = self._reported(stamps)
+        instants = self._reported(stamps)
         if not lag:
-            return found
+            return instants
         late = self._reported(stamps + round(lag * 1e9))
-        found.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
-        found.twists[:, 3:] = late.twists[:, 3:]
-        return replace(found, inside=found.inside & late.inside)
+        instants.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
+        instants.twists[:, 3:] = late.twists[:, 3:]
+        return replace(instants, inside=instants.inside & late.inside)
 
     def _reported(self, stamps: NDArray[np.int64]) -> Instants:
         T, twists = np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros((len(stamps), 6))

@@ -342,13 +342,13 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
     root[:6, :6] = root_of(C)
     measured = _measured(shape, at, q, root, config.verify.certificate)
 
-    found = _likeliest_errors(at, measured)
-    error, known = found.error, len(measured.deviation)
-    scale = max(found.left / found.freedom, 1.0)
+    likeliest = _likeliest_errors(at, measured)
+    error, known = likeliest.error, len(measured.deviation)
+    scale = max(likeliest.left / likeliest.freedom, 1.0)
     smallest_error, weakest_direction, weakest_error, weakest_error_std = _weakest(
-        found.information, lever, error, mount_frame(config))
+        likeliest.information, lever, error, mount_frame(config))
     largest_error, largest_error_std = largest_displacement(
-        lever, error, scale * found.covariance)
+        lever, error, scale * likeliest.covariance)
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
@@ -360,8 +360,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 
                               np.linalg.norm(wrt_errors[:, 6:], axis=1)),
         region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
-        error=error, p_error=float(chi2_sf(found.left, found.freedom)),
-        p_no_error=float(chi2_sf((found.without - found.left) / scale, 6)),
+        error=error, p_error=float(chi2_sf(likeliest.left, likeliest.freedom)),
+        p_no_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
         largest_error=largest_error, largest_error_std=largest_error_std, residuals=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
@@ -537,16 +537,16 @@ def fit_without_outliers(groups: Numbers,
     p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
     def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
-        found, r, wrt_unknowns, group_of_point = fitted(used)
+        fit, r, wrt_unknowns, group_of_point = fitted(used)
         squares, freedom = _predicted(r, wrt_unknowns, group_of_point, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
-        return found, squares, freedom
+        return fit, squares, freedom
 
     with suppress(DataError):
-        (found, *_), _, dropped = drop_outliers(groups, len(groups), len(groups) - most - 1, at,
-                                                lambda found: found[1:])
+        (fit, *_), _, dropped = drop_outliers(groups, len(groups), len(groups) - most - 1, at,
+                                              lambda fit: fit[1:])
         if len(dropped) <= most:
-            return found, p, list(dropped)
+            return fit, p, list(dropped)
     return at(None, groups)[0], p, []
 
 

@@ -57,18 +57,18 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
             f'this is not the gauge: {on_gauge.mean():.0%} of the points lie on teeth of pitch '
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
-    found = shape.stations
-    rays = found.poses[found.observations.station, :3, :3] @ X[:3, 2]
+    stations = shape.stations
+    rays = stations.poses[stations.observations.station, :3, :3] @ X[:3, 2]
     by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
     good, scatter = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
-        np.stack([found.recording_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
-        SMALLEST_SCATTER * float(np.median(found.observations.error_factor[:, 1, 0])))
-    obs = found.observations.select(good)
+        np.stack([stations.recording_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
+        SMALLEST_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
+    obs = stations.observations.select(good)
     factor = np.zeros_like(obs.error_factor)
     factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], scatter[good])
-    found = replace(found, observations=replace(obs, error_factor=factor))
-    return _shape(found, frame, pitch, height, tooth[on_gauge][good], q)
+    stations = replace(stations, observations=replace(obs, error_factor=factor))
+    return _shape(stations, frame, pitch, height, tooth[on_gauge][good], q)
 
 
 def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scatter: float

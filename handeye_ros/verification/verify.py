@@ -145,11 +145,11 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
 
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
-        found = fit_shape(shape, X, calibration.covariance, config, smooth)
-        return (shape, found), found.residuals, found.wrt_unknowns, shape.stations.group_of_point
+        fit = fit_shape(shape, X, calibration.covariance, config, smooth)
+        return (shape, fit), fit.residuals, fit.wrt_unknowns, shape.stations.group_of_point
 
-    (shape, found), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
-    if max(found.scatter.p, found.p_error) < UNEXPLAINED_P and not routine.in_passes:
+    (shape, fit), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
+    if max(fit.scatter.p, fit.p_error) < UNEXPLAINED_P and not routine.in_passes:
         freed = refit_shape(shape, X, calibration.covariance, config, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
@@ -157,19 +157,19 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
                 f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
                 'object was under the sensor, that it did not move, and that nothing else was in '
                 'view (verify.near)')
-    quantities = (*found.quantities, *routine.scatter(shape.stations, found.distances))
-    per_station = _station_results(stations, shape.stations, found, p, dropped)
-    verdict, reasons = _decide(found, quantities, per_station, config.verify, smooth)
+    quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
+    per_station = _station_results(stations, shape.stations, fit, p, dropped)
+    verdict, reasons = _decide(fit, quantities, per_station, config.verify, smooth)
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, found.scatter, found.smallest_error, found.weakest_direction, found.region,
-        found.freedom, found.claim_p, per_station, stations.surface, says=routine.says,
+        quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
+        fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
         recorded=time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
 
 
-def _station_results(stations: StationSet, used: StationSet, found: Fit,
+def _station_results(stations: StationSet, used: StationSet, fit: Fit,
                      p: Mapping[int, float], dropped: Sequence[int]) -> tuple[StationResult, ...]:
     """Return the results of all stops or passes of which points are used, or were left out."""
     results = []
@@ -183,9 +183,9 @@ def _station_results(stations: StationSet, used: StationSet, found: Fit,
             results.append(StationResult(*identity, 0.0, 0.0, p[group], False, (
                 'it contradicts the others under every possible calibration')))
         elif len(rows):
-            worst = rows[np.argmax(np.abs(found.distances[rows]))]
+            worst = rows[np.argmax(np.abs(fit.distances[rows]))]
             results.append(StationResult(
-                *identity, float(abs(found.distances[worst])), float(found.distance_std[worst]),
+                *identity, float(abs(fit.distances[worst])), float(fit.distance_std[worst]),
                 p[group]))
     return tuple(results)
 
