@@ -20,7 +20,7 @@ from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import deviance, Explanation, explanation_of_problem
 from handeye_ros.checks.settings import require_settings, thinned
 from handeye_ros.config import Config, flipped_range
-from handeye_ros.data import Array, Calibration, EdgePoint, NS
+from handeye_ros.data import Array, Calibration, EdgePoint, NS, Profile
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import (
@@ -153,6 +153,21 @@ def test_clocks_are_not_blamed_for(scenario: Scenario, seed: int) -> None:
     made = simulate(scenario, np.random.default_rng(seed))
     config = settings_of(scenario)
     require_same_clock(pipeline.gather(made.profiles, made.poses, config), config)
+
+
+def test_clocks_are_not_blamed_for_profiles_that_shake_at_the_begin_or_end_of_stops() -> None:
+    """They rest for shorter than the robot, but neither earlier nor later."""
+    made, config = at_20_hz('plate')
+    rng, stations = np.random.default_rng(0), made.truth.stations
+
+    def shaken(profile: Profile) -> Profile:
+        for k, at in enumerate(stations):
+            share = (profile.stamp - at.start) / (at.end - at.start)
+            if 0 <= share <= 1 and (share < 0.4 if k % 3 else share > 0.6):
+                return replace(profile, points=profile.points + [0, rng.normal(0, 1e-3)])
+        return profile
+    require_same_clock(pipeline.gather([shaken(p) for p in made.profiles], made.poses, config),
+                       config)
 
 
 def test_a_stop_half_of_whose_arcs_moved_is_no_sample() -> None:
