@@ -41,7 +41,7 @@ def face_line(segment: Segment, points: Array) -> FaceLine:
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
     """
-    Return an edge with the uncertainty of the line and its bow across it.
+    Return an edge with the uncertainty of the line across it.
 
     correlated: uncertainty of the line over that for white noise; an edge that is the crossing of
     two lines has the same factor.

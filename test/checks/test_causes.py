@@ -123,6 +123,8 @@ def test_poses_that_fit_nothing_are_called_neither_moved_nor_a_convention(
 OTHER_TOOL = se3.perturb(np.eye(4), np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.2]))
 BUMPED = se3.perturb(np.eye(4), np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.01]))
 
+FAR = se3.perturb(np.eye(4), np.array([0.03, 0.02, 0.04, 0.1, 0.05, 0.0]))
+
 
 def later(samples: tuple[Sample, ...], change: Callable[[Array], Array]) -> list[Sample]:
     """Return samples in the order of time, the poses of the second half changed."""
@@ -147,6 +149,17 @@ def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words:
     first, rest = map(int, parted.groups())
     n = len(made.samples)
     assert first + rest == n and abs(first - n // 2) <= 2
+
+
+@pytest.mark.parametrize('name', ['plane', 'sphere'])
+def test_parts_that_see_neither_the_same_target_nor_with_one_transform_name_no_move(name: str
+                                                                                 ) -> None:
+    # as parts of a few samples with wrong poses fit, by chance
+    made = cell(name, 3)
+    samples = later(made.samples, lambda T: FAR @ T @ OTHER_TOOL)
+    with pytest.raises(DataError, match='contradict') as caught:
+        pipeline.solve(samples, [], made.config, 'laser')
+    assert caught.value.reason == 'misfit'
 
 
 def test_a_target_that_moved_is_no_other_surface() -> None:

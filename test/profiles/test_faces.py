@@ -227,6 +227,21 @@ def edge_of(points: Array) -> EdgePoint:
     return edge
 
 
+@pytest.mark.parametrize('bow', [-2e-4, -1e-4, 1e-4, 2e-4])  # of a bent laser line, at its end (m)
+def test_a_face_that_is_seen_bent_is_a_parabola_up_to_its_edge(bow: float) -> None:
+    def height(x: Array) -> Array:
+        return np.where(x > -0.012, face(x) + bow * (x / 0.02) ** 2, face(x) + 0.01)
+    off, seeds = [], 40
+    for seed in range(seeds):
+        line, (edge,) = found(marked(height, seed))
+        x, z = edge.point
+        assert abs(x + 0.012) < 2 * PITCH
+        assert abs(z - height(max(x, -0.01199))) < 8 * edge.std_across and edge.drop_depth == 0
+        x, z = line.points.T
+        off.append((z - height(x)) / line.points_std)
+    assert np.abs(np.sum(off, axis=0)).max() < 4 * seeds ** 0.5  # no point of it is biased
+
+
 def bent(radius: float, wall: float, tilt: float = 0.35) -> Array:
     """Return a face for x > 0 whose end is rounded, a wall below it seen at a slant, a table."""
     turn = np.linspace(0, np.pi / 2, 40)
