@@ -98,14 +98,16 @@ class Parameter:
         low, high = self.minimum, self.maximum
         if self.choices and (type(value) is not kind or value not in self.choices):
             return f'one of {", ".join(map(str, self.choices))}'
-        if type(value) is not kind or kind is float and not math.isfinite(value):
+        good = type(value) is kind and (kind is not float or math.isfinite(value))
+        if low is not None and high is not None and not (good and low <= value <= high):
+            whole = 'whole ' if kind is int else ''
+            return f'a {whole}number from {low:g} to {high:g} {self.unit}'.rstrip()
+        if not good:
             return f'a value of type {kind.__name__}'
         if kind is str and (not value.isprintable() or value != value.strip()):
             return 'a text without control characters, or blanks around it'
         if kind is str and self.default and not value:
             return f'a text such as {self.default}'
-        if low is not None and high is not None and not low <= value <= high:
-            return f'a number from {low:g} to {high:g} {self.unit}'.rstrip()
         return ''
 
 

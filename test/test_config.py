@@ -100,12 +100,12 @@ def test_an_unknown_key_suggests_the_nearest(key: str, hint: str) -> None:
 
 
 @pytest.mark.parametrize(('key', 'value', 'expected'), [
-    ('noise.sensor', '3e-5x', 'float'),
-    ('noise.sensor', 10**400, 'float'),
+    ('noise.sensor', '3e-5x', 'a number from 1e-09 to 0.01 m'),
+    ('noise.sensor', 10**400, 'a number from 1e-09 to 0.01 m'),
     ('noise.sensor', 1.0, 'a number from 1e-09 to 0.01 m'),
-    ('noise.sensor', None, 'float'),
-    ('limits.residual', float('inf'), 'float'),
-    ('sampling.min_points', 20.0, 'int'),
+    ('noise.sensor', None, 'a number from 1e-09 to 0.01 m'),
+    ('limits.residual', float('inf'), 'a number from 0 to 1 m'),
+    ('sampling.min_points', 20.0, 'a whole number from '),
     ('sampling.mode', 1, 'one of still'),
     ('name', 5, 'str'),
     ('profile.unit', 'cm', 'one of m, mm'),
@@ -223,6 +223,17 @@ def test_assignments_are_read_as_yaml(text: str, key: str, value: object) -> Non
 @pytest.mark.parametrize('text', ['noise.sensor', '', 'name=[', 'noise.sensor=abc', 'nme=x'])
 def test_a_bad_assignment_is_refused(text: str) -> None:
     with pytest.raises(InputError):
+        with_assignments(Config(), [text])
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('noise.sensor=.nan', 'a number from 1e-09 to 0.01 m'),
+    ('time_offset=12mm', 'a number from -10 to 10 s'),
+    ('page.port=8765.5', 'a whole number from 0 to 65535'),
+    ('verify.tolerance=0.3', 'a number from 1e-09 to 0.02 m'),  # mm are meant
+    ('verify.angle_tolerance=0.1', 'a number from 1e-09 to 0.05 rad')])
+def test_what_a_key_takes_is_told_with_its_unit(text: str, words: str) -> None:
+    with pytest.raises(BadValueError, match=f'expected {words}$'):
         with_assignments(Config(), [text])
 
 

@@ -269,7 +269,7 @@ def test_a_parameter_file_with_empty_lists_and_integers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(('argument', 'reason'), [
-    ('noise.sensor:=abc', "noise.sensor is 'abc', expected a value of type float"),
+    ('noise.sensor:=abc', "noise.sensor is 'abc', expected a number from 1e-09 to 0.01 m"),
     ('target.type:=points', 'target.type points is solved from files, .* "handeye solve'),
     ('name:=a/b', "name is 'a/b', expected the name of a folder"),
     ('target.size:=[1.0]', 'target.size is \\[1.0], expected a list of 0 or 2 values'),

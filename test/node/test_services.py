@@ -206,7 +206,7 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     assert set_parameter(client, 'target.radius', 0.04).successful
     for name, value, reason in (
             ('limits.residual', 3.0, 'Max: 1.0'),
-            ('noise.sensor', 'loud', "noise.sensor is 'loud', expected a value of type float"),
+            ('noise.sensor', 'loud', "noise.sensor is 'loud', expected a number from 1e-09"),
             ('profile_topic', 'a b', '"a b" cannot name a topic'),
             ('profile_topic', '/flange_pose', 'each needs its own'),
             ('page.port', 1234, 'read-only parameter: page.port')):
