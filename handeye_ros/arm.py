@@ -333,8 +333,8 @@ def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
 def _joint(element: ElementTree.Element, origin: Array) -> Joint:
     """Return the joint of a URDF element, at its origin (4, 4) in the joint before."""
     name, kind = element.attrib['name'], element.attrib['type']
-    axis, limit, mimic = (dict(found.attrib) if (found := element.find(part)) is not None else {}
-                          for part in ('axis', 'limit', 'mimic'))
+    axis, limit, mimic = (dict(child.attrib) if (child := element.find(tag)) is not None else {}
+                          for tag in ('axis', 'limit', 'mimic'))
     along = np.array(axis.get('xyz', '1 0 0').split(), dtype=float)
     lower, upper = (float(limit.get(end, 0.0)) for end in ('lower', 'upper'))
     if kind == 'continuous' or not lower < upper:

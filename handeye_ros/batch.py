@@ -331,7 +331,7 @@ def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
             key = (row['label'].rpartition('/')[0],
                    *(str(row.get(name, '')) for name in CELL_KEYS))
             cells.setdefault(key, []).append(row)
-    found = []
+    groups = []
     for key, cell in sorted(cells.items()):
         if len(cell) < 2 or cell[0]['verb'] == 'compare':
             continue
@@ -345,5 +345,5 @@ def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
                 said = trend.since_when(trend.trend(out / key[0], files=files)[0])
             except DataError as error:
                 said = str(error)
-        found.append((', '.join(filter(None, key)), len(cell), said))
-    return found
+        groups.append((', '.join(filter(None, key)), len(cell), said))
+    return groups

@@ -88,10 +88,10 @@ class Parameter:
 
     def _one(self, value: Any, kind: type[Any]) -> Any:
         """Return one value of a type, as plain Python."""
-        found = _plain(value, kind)
-        if expected := self._expected(found, kind):
+        plain = _plain(value, kind)
+        if expected := self._expected(plain, kind):
             raise BadValueError(self.key, value, expected)
-        return found
+        return plain
 
     def _expected(self, value: Any, kind: type[Any]) -> str:
         """Return in words what is expected instead of a value, '' for a good one."""
@@ -592,19 +592,19 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
     sections, known = dict(_sections(content, '')), {p.key for p in parameters()}
     general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
-    own = [name for name in sections if name.split('/')[-1] == NODE_NAME] or [
-        name for name, found in sections.items() if 2 * len(known & found.keys()) > len(known)]
+    named = [name for name in sections if name.split('/')[-1] == NODE_NAME] or [
+        name for name, keys in sections.items() if 2 * len(known & keys.keys()) > len(known)]
     if not sections:
         raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
                          'parameter file: "/**:", below it "ros__parameters:", below it the keys')
-    if len(own) > 1 or not own and not general:
-        names = ', '.join(own or sections)
+    if len(named) > 1 or not named and not general:
+        names = ', '.join(named or sections)
         raise InputError(f'{path} holds the parameters of {names}' + (
-            f': keep those of one "{NODE_NAME}"' if own else
+            f': keep those of one "{NODE_NAME}"' if named else
             f', and none of them is "{NODE_NAME}": give the calibration a section of that name, '
             'or "/**"'))
     values: dict[str, Any] = {}
-    for name in dict.fromkeys([*general, *own]):
+    for name in dict.fromkeys([*general, *named]):
         values |= sections[name]
     return {key: value for key, value in values.items() if not key.startswith(EVERY_NODES)}
 

@@ -39,28 +39,28 @@ class BlockEstimate:
 
 def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     """Return the first parameter of each block of a solution, by the name of the block."""
-    found = dict[str, BlockEstimate]()
+    estimates = dict[str, BlockEstimate]()
     variances = np.diag(solution.covariance)[solution.unknowns:]
-    for block, own in slices(solution.blocks):
-        n = float(solution.nuisance[own][0])
-        p = min(float(variances[own][0]), 1 - 1e-9)  # of a prior variance of 1
+    for block, columns in slices(solution.blocks):
+        n = float(solution.nuisance[columns][0])
+        p = min(float(variances[columns][0]), 1 - 1e-9)  # of a prior variance of 1
         alone, variance = n / (1 - p), p / (1 - p)
         stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
-        found[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
-                                          alone / math.sqrt(stated + variance),
-                                          alone / math.sqrt(max(variance, 1e-300)))
-    return found
+        estimates[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
+                                              alone / math.sqrt(stated + variance),
+                                              alone / math.sqrt(max(variance, 1e-300)))
+    return estimates
 
 
 def reported_parameters(solution: Solution) -> dict[str, Any]:
     """Return the reported nuisance parameters: values of single ones, scales of others."""
     report: dict[str, Any] = {}
-    every = block_estimates(solution.conservative).values()
-    for one in every:
-        if one.block.report and one.block.count == 1:
-            report |= {one.block.report: one.block.origin + one.value,
-                       f'{one.block.report}_std': one.std}
-    for block in (one.block for one in every):
+    estimates = block_estimates(solution.conservative).values()
+    for estimate in estimates:
+        if estimate.block.report and estimate.block.count == 1:
+            report |= {estimate.block.report: estimate.block.origin + estimate.value,
+                       f'{estimate.block.report}_std': estimate.std}
+    for block in (estimate.block for estimate in estimates):
         if block.report and block.count > 1:
             report[block.report] = math.hypot(report.get(block.report, 0.0), block.std)
     return report
@@ -128,16 +128,16 @@ def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
         abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))
-    for name, one in block_estimates(solution.conservative).items():
-        if one.block.parameter is None or one.block.count > 1:
+    for name, estimate in block_estimates(solution.conservative).items():
+        if estimate.block.parameter is None or estimate.block.count > 1:
             continue
         first = values[name] - best[name].value
-        noted = abs(one.contradiction) > NOTED_SIGMAS
+        noted = abs(estimate.contradiction) > NOTED_SIGMAS
         if used[name][1] > stated[name][1]:  # both lengths were freed, though one may be right
             first = lengths[PLATE_LENGTHS.index(name)]
-            noted = abs(values[name] - first) > one.std
+            noted = abs(values[name] - first) > estimate.std
         if noted:
-            yield _measure_note(name, first, values[name], one.std)
+            yield _measure_note(name, first, values[name], estimate.std)
     for label, (first, tolerance) in stated.items():
         if label in used:
             continue  # others were given up, to make the stations agree
@@ -190,8 +190,8 @@ def lost_edges(solution: Solution) -> str:
     if not len(solution.without_edges):
         return ''
     shown = int(solution.full_problem.subset(solution.used).shows_essential.sum())
-    part, estimate = solution.full_problem.subset(solution.without_edges), solution.estimate
-    where = part.target.describe_strays(part.observations, part.points_in_base(estimate.X),
-                                        estimate.state, part.config)
+    lost, estimate = solution.full_problem.subset(solution.without_edges), solution.estimate
+    where = lost.target.describe_strays(lost.observations, lost.points_in_base(estimate.X),
+                                        estimate.state, lost.config)
     return (f'the edges of {len(solution.without_edges)} of the {shown} samples that show one lie '
             'on none of the target' + (f': {where}' if where else ''))

@@ -200,11 +200,11 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_edges(solution)
         # 9. Predict each sample from the others.
         warnings = session.warnings if session else warnings
-        found = calibration_of(ordered, rejects, solution, config, frame_id,
-                               [*filter(None, [warning]), *warnings])
-        require_left_out(found.quality.holdout_rms, found.quality.residual_rms,
+        assembled = calibration_of(ordered, rejects, solution, config, frame_id,
+                                   [*filter(None, [warning]), *warnings])
+        require_left_out(assembled.quality.holdout_rms, assembled.quality.residual_rms,
                          config.limits.residual)
-        calibration = found
+        calibration = assembled
     except DataError as error:
         # 10. Without a certain cause, ask whether other settings or clocks explain the stops;
         # those that show another surface are left out.

@@ -154,8 +154,8 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
         return {}
     sample_of = {stop.number: stop.sample for stop in session.stops if stop.sample}
     samples, n = [*sample_of.values()], len(sample_of)
-    owner = {one.stamp: k for k, sample in enumerate(samples) for one in sample.parts}
-    stations = np.array([owner[one.stamp] for one in answer.samples])
+    owner = {part.stamp: k for k, sample in enumerate(samples) for part in sample.parts}
+    stations = np.array([owner[part.stamp] for part in answer.samples])
     used = [answer.samples[i] for i in solution.used]
     of_used = stations[solution.used]
     # a pass is used if the answer uses most of its profiles
@@ -178,9 +178,9 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
     """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
     ones = list(passes_expanded(samples))
     number = np.repeat(np.arange(len(samples)), [len(s.parts) for s in samples])
-    if any(one.moving for one in ones):
+    if any(sample.moving for sample in ones):
         at = ClockedPoses.of(ones).at(*clock_values)
-        ones = [replace(one, T_base_flange=T) for one, T, inside in zip(
+        ones = [replace(sample, T_base_flange=T) for sample, T, inside in zip(
             ones, at.T_base_flange, at.inside, strict=True) if inside]
         number = number[at.inside]
     if not ones:
@@ -215,9 +215,9 @@ def _crossing(sample: Sample, points: Array, solution: Solution, name: str, conf
                               ) @ pose[:3, :3].T + pose[:3, 3]
     conditions = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)
                   for kind in _kinds_at(solution.problem, target.kinds.index(name))]
-    distance = np.linalg.norm([one.g for one in conditions], axis=0)
+    distance = np.linalg.norm([condition.g for condition in conditions], axis=0)
     nearest = int(np.argmin(distance))
-    across = np.array([one.dg_dp[nearest] for one in conditions])
+    across = np.array([condition.dg_dp[nearest] for condition in conditions])
     along_laser = across @ pose[:3, 0] / np.linalg.norm(across, axis=1)
     steepness = min(1.0, float(np.linalg.norm(along_laser)))
     return float(distance[nearest]), float(np.arcsin(steepness))

@@ -326,14 +326,14 @@ def _of_tree(config: Config, moving: _Recorded, static: _Recorded, reader: Reade
     for transforms in static.items:  # first: a node that starts late publishes them late
         tracker.add(transforms, static=True)
     moving.require(reader)
-    found = [pose for transforms in moving.items
-             for pose in tracker.add(transforms, static=False)]
+    flange_poses = [pose for transforms in moving.items
+                    for pose in tracker.add(transforms, static=False)]
     reader.warnings += tracker.warnings
-    if not found:
+    if not flange_poses:
         raise InputError(f'{reader.path}: no flange poses in its transforms: '
                          f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
                          'robot_effector_frame')
-    return _fitting('/tf', found, reader.warnings), None
+    return _fitting('/tf', flange_poses, reader.warnings), None
 
 
 def _of_arm(arm: Arm, topic: _Recorded, reader: Reader) -> Poses:

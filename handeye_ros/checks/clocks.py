@@ -68,9 +68,9 @@ def require_steady_clocks(solution: Solution) -> None:
 
 def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples fit poses of another time better."""
-    found = [(stop, part) for stop in session.stops if not stop.final_reason
+    stops = [(stop, part) for stop in session.stops if not stop.final_reason
              and not session.excludes(stop) and (part := _profiles(stop, config))]
-    seen = [part for _, part in found]
+    seen = [part for _, part in stops]
     if len(seen) < targets.target_for(config).min_samples:
         return
     changes = np.concatenate([_differences(profiles) for profiles, *_ in seen])
@@ -78,7 +78,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     stills = [_still(*part, limit, config) for part in seen]
     # compared are the stops in which the profiles come to rest, whatever they show as it is set
     stated = explanation_of_results([
-        stop.sample for (stop, _), still in zip(found, stills, strict=True) if still.sample],
+        stop.sample for (stop, _), still in zip(stops, stills, strict=True) if still.sample],
         config)
     refuse_better(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
                            if abs(_offset(stills, behind)) > SMALLEST_OFFSET])
@@ -86,15 +86,15 @@ def require_same_clock(session: Session, config: Config) -> None:
 
 def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
     """Return some profiles of a stop, its pose (4, 4), start and end (2,) in s; None: too few."""
-    seen, found = stop.load(config), list[Profile]()
+    seen, profiles = stop.load(config), list[Profile]()
     for profile in seen.profiles:
-        if not found or profile.stamp - found[-1].stamp >= COMPARED_LAG:
+        if not profiles or profile.stamp - profiles[-1].stamp >= COMPARED_LAG:
             with suppress(UnusableMessageError):
-                found.append(profile.read(config.profile))
-    if len(found) < 2:
+                profiles.append(profile.read(config.profile))
+    if len(profiles) < 2:
         return None
     pose = se3.mean_pose(interpolate(seen.poses, [pose.stamp for pose in seen.poses]))
-    return found, pose, np.array([seen.poses[0].stamp, seen.poses[-1].stamp]) / NS
+    return profiles, pose, np.array([seen.poses[0].stamp, seen.poses[-1].stamp]) / NS
 
 
 def _differences(profiles: Sequence[Profile]) -> Array:
@@ -138,12 +138,12 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
     stops; a few stops without rest prove nothing.
     """
     pairs = list(zip(stills[max(behind, 0):], stills[max(-behind, 0):], strict=False))
-    found = np.array([still.rest - other.stop for still, other in pairs])
-    found = found[np.isfinite(found)]
+    offsets = np.array([still.rest - other.stop for still, other in pairs])
+    offsets = offsets[np.isfinite(offsets)]
     about = [still.stop[0] - other.stop[0] for still, other in pairs]
-    if len(found) and np.quantile(found, 0.25) < 0 < np.quantile(found, 0.75):
+    if len(offsets) and np.quantile(offsets, 0.25) < 0 < np.quantile(offsets, 0.75):
         return 0.0  # profiles that scatter seem to rest for shorter than the robot
-    return float(np.median(found if 2 * len(found) > len(about) else about))
+    return float(np.median(offsets if 2 * len(offsets) > len(about) else about))
 
 
 def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:

@@ -124,7 +124,7 @@ def _two_ways(T: Array, R: Array, valid: NDArray[np.bool_] | None = None) -> lis
     valid: (2, n) which of them are possible, None: all. The pose with a rotation nearest to that
     of a decided pose is decided next.
     """
-    n, found = R.shape[1], []
+    n, readings = R.shape[1], []
     able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
     for first in range(2):
         chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
@@ -134,8 +134,8 @@ def _two_ways(T: Array, R: Array, valid: NDArray[np.bool_] | None = None) -> lis
             nearness = np.maximum(nearness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
             best = int(np.argmax(np.where(undecided & able, nearness, -np.inf)))
             pick, pose = divmod(best, n)
-        found.append(se3.transform(R[chosen, np.arange(n)], T[:, :3, 3]))
-    return found
+        readings.append(se3.transform(R[chosen, np.arange(n)], T[:, :3, 3]))
+    return readings
 
 
 # Name, function that undoes it, and what to do.

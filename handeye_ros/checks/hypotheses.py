@@ -102,9 +102,9 @@ class Explanation:
         # the fewer conditions of a stop, typically
         m = min(int(np.median(np.concatenate([p.ranks for p in fit.parts]))) for fit in fits)
         unit = min(fit.parts[0].expected_rms for fit in fits) ** 2
-        return min(deviance(before / one, m) - deviance(after / one, m)
-                   for before, after, one in zip(stated.squares, self.squares, (1.0, unit),
-                                                 strict=True))
+        return min(deviance(before / scale, m) - deviance(after / scale, m)
+                   for before, after, scale in zip(stated.squares, self.squares, (1.0, unit),
+                                                   strict=True))
 
     def compared(self, stated: Explanation, change: str) -> str:
         """Return in words what fits as set, and what with a change."""
@@ -137,9 +137,9 @@ def explanation_of_problem(problem: Problem, all_starts: bool = False) -> Explan
 
     all_starts: as in a solve, not only the first two.
     """
-    found = (robust_solution(problem, np.random.default_rng(0), subsets=True)
-             if all_starts else quick_solution(problem))
-    return Explanation.of_solutions(found) if found else Explanation.nothing(len(problem.poses))
+    fit = (robust_solution(problem, np.random.default_rng(0), subsets=True)
+           if all_starts else quick_solution(problem))
+    return Explanation.of_solutions(fit) if fit else Explanation.nothing(len(problem.poses))
 
 
 def explanation_of_results(results: Sequence[Sample | Reject | None], config: Config,
@@ -152,14 +152,14 @@ def explanation_of_results(results: Sequence[Sample | Reject | None], config: Co
     """
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
-    every = Explanation.nothing(len(results))
+    explanation = Explanation.nothing(len(results))
     if len(ordered) < target_for(config).min_samples:
-        return every
+        return explanation
     if clocks:
         ordered = synchronised(ordered, config).samples
     fit = explanation_of_problem(problem_at_poses(ordered, config), all_starts)
-    every.squares[:, [number[sample.stamp] for sample in ordered]] = fit.squares
-    return replace(every, parts=fit.parts)
+    explanation.squares[:, [number[sample.stamp] for sample in ordered]] = fit.squares
+    return replace(explanation, parts=fit.parts)
 
 
 def deviance(q: Array, conditions: int) -> float:
@@ -195,10 +195,10 @@ def refuse_better(stated: Explanation, hypotheses: Sequence[Hypothesis]) -> None
     tried.
     """
     most, best = 0.0, None
-    for one in hypotheses:
-        fit = one.refit()
-        level = one.changes * (DECISIVE_EVIDENCE + 2 * math.log(len(hypotheses)))
+    for hypothesis in hypotheses:
+        fit = hypothesis.refit()
+        level = hypothesis.changes * (DECISIVE_EVIDENCE + 2 * math.log(len(hypotheses)))
         if fit.believable and (gain := fit.evidence_against(stated) - level) > most:
-            most, best = gain, one.refusal(fit)
+            most, best = gain, hypothesis.refusal(fit)
     if best:
         raise best

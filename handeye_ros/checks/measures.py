@@ -57,10 +57,10 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     other = with_all_blocks(replace(
         agreed, full_problem=replace(agreed.full_problem, config=free),
         linear=replace(agreed.linear, problem=replace(problem, config=free))))
-    found, before = (block_estimates(one.conservative) for one in (other, agreed))
-    lengths = [found[name] for name in PLATE_LENGTHS if name in found]
+    freed, before = (block_estimates(one.conservative) for one in (other, agreed))
+    lengths = [freed[name] for name in PLATE_LENGTHS if name in freed]
     wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
-    scales = [each['scale'] for each in (before, found) if 'scale' in each]
+    scales = [each['scale'] for each in (before, freed) if 'scale' in each]
     seen = [abs(one.value) > FREED_FROM * one.std for one in scales]
     return other if wrong or seen == [True, False] else agreed
 

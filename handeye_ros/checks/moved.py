@@ -172,12 +172,12 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
     """
     conservative, tried = agreed.conservative, dict[tuple[int, int], Solution]()
     for body, gains in zip((SENSOR, TARGET), first, strict=True):
-        while (one := (body, int(np.argmax(gains)))) not in tried:
-            further = _blocks_of_move(conservative, body, int(moments[one[1]]))
-            tried[one] = reestimated(conservative, further)
+        while (move := (body, int(np.argmax(gains)))) not in tried:
+            further = _blocks_of_move(conservative, body, int(moments[move[1]]))
+            tried[move] = reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
-            gains = _move_sums(agreed, tried[one], moments).gains()[body]
-    (body, k), moved = min(tried.items(), key=lambda one: one[1].deviance)
+            gains = _move_sums(agreed, tried[move], moments).gains()[body]
+    (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)
     return body, k, moved
 
 
@@ -202,9 +202,9 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
     """
     columns = np.hsplit(_wrt_moves(solution), 2)[body]
     columns[solution.problem.observations.station < station] = 0.0
-    return tuple(ParameterBlock(name, columns[:, part], float(MOVE_STD[part][0]),
+    return tuple(ParameterBlock(name, columns[:, axes], float(MOVE_STD[axes][0]),
                                 largest_variance=1.0)
-                 for name, part in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
+                 for name, axes in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
 def _wrt_moves(solution: Solution) -> Array:
@@ -247,9 +247,9 @@ class _MoveSums:
         scale = np.sqrt(np.diag(solution.covariance))  # m, rad and sigmas differ by 1e5
         values, axes = np.linalg.eigh(solution.covariance / scale / scale[:, None])
         root = (axes * np.sqrt(np.maximum(values, 0.0)) * scale[:, None]).T
-        return cls(np.array([D[part].T @ D[part] for part in rows]),
-                   np.array([root @ (J[part].T @ D[part]) for part in rows]),
-                   np.array([solution.postfit_residuals[part] @ D[part] for part in rows]))
+        return cls(np.array([D[span].T @ D[span] for span in rows]),
+                   np.array([root @ (J[span].T @ D[span]) for span in rows]),
+                   np.array([solution.postfit_residuals[span] @ D[span] for span in rows]))
 
     def gains(self, order: NDArray[np.intp] | None = None) -> Array:
         """
@@ -258,17 +258,17 @@ class _MoveSums:
         order: (k + 1,) of the parts, None: that of time.
         """
         order = np.arange(len(self.own)) if order is None else order
-        own, cross, slope = (np.cumsum(part[order[::-1]], axis=0)[-2::-1]
-                             for part in (self.own, self.cross, self.slope))
+        own, cross, slope = (np.cumsum(sums[order[::-1]], axis=0)[-2::-1]
+                             for sums in (self.own, self.cross, self.slope))
         both = own - np.swapaxes(cross, 1, 2) @ cross
         inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
         slopes = np.stack([slope[:, :6], slope[:, 6:]])
-        found = []
+        evidence = []
         for size in SIZE_FACTORS:
             information = np.eye(6) + size ** 2 * inside
             step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
-            found.append((slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1])
-        return np.asarray(np.max(found, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
+            evidence.append((slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1])
+        return np.asarray(np.max(evidence, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
 
     @property
     def p_value(self) -> float:

@@ -116,8 +116,8 @@ def grid(across: Sequence[float] | Array) -> Array:
 def _rigid(points: Array) -> Array:
     """Return the displacements (2 m, 3), all x first, of points (m, 2) under rigid motions."""
     x, z = points.T
-    one, none = np.ones(len(x)), np.zeros(len(x))
-    return np.concatenate([np.column_stack([one, none, z]), np.column_stack([none, one, -x])])
+    ones, zeros = np.ones(len(x)), np.zeros(len(x))
+    return np.concatenate([np.column_stack([ones, zeros, z]), np.column_stack([zeros, ones, -x])])
 
 
 def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]) -> list[Array]:

@@ -101,10 +101,10 @@ def stated_measures(linear: Linear) -> Blocks:
     target, state = linear.problem.target, linear.estimate.state
     for label, (stated, std) in target.stated_values(linear.problem.config).items():
         i = target.labels.index(label)
-        own = state[[i - len(target.labels)]]  # the measures are the last of its values
+        measure = state[[i - len(target.labels)]]  # the measures are the last of its values
         if std > 0:
             yield ParameterBlock(label, linear.jacobian[:, 6 + i:7 + i] * std, std, parameter=i,
-                                 value=own - stated,
+                                 value=measure - stated,
                                  largest_variance=1e8)  # a stated measure may be plainly wrong
 
 
@@ -209,8 +209,8 @@ def pose_model(linear: Linear) -> Blocks:
     last = np.cumsum(model.counts)
     for name, count, std, end in zip(model.names, model.counts, model.stds, last, strict=True):
         some = slice(int(end) - count, int(end))
-        own = problem.pose_twists[:, :, some]
-        yield ParameterBlock(name, linear.wrt_twists(own) * std, std, own, pose_slice=some,
+        moves = problem.pose_twists[:, :, some]
+        yield ParameterBlock(name, linear.wrt_twists(moves) * std, std, moves, pose_slice=some,
                              value=problem.pose_values[some],
                              least_variance=model.least_variance, report=name)
 
@@ -239,9 +239,9 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     """
     n = len(problem.poses)
     errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
-    for block, own in slices(blocks):
+    for block, columns in slices(blocks):
         if block.twists is not None:
-            errors += block.std * np.einsum('nxk,nk->nx', block.twists, values[:, own])
+            errors += block.std * np.einsum('nxk,nk->nx', block.twists, values[:, columns])
     return errors
 
 

@@ -84,8 +84,8 @@ def budget(solution: Solution) -> Budget:
     """
     conservative = solution.conservative
     parts = _of_noise(conservative)
-    for block, own in slices(conservative.blocks, conservative.unknowns):
-        gain = conservative.covariance[:6, own]
+    for block, columns in slices(conservative.blocks, conservative.unknowns):
+        gain = conservative.covariance[:6, columns]
         parts[block.name] = gain @ gain.T
     away = solution.shift_of_report
     parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}

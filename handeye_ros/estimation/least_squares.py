@@ -285,7 +285,7 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
 
     def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
         good = np.isin(np.arange(n), used)
-        state = system.least_squares(before.state if before else near, good.astype(float))
+        state = system.least_squares(before.state if before else start_near, good.astype(float))
         at = system.rows(state)
         whiten = at.whitener()
         r, J, kept = whiten(at.residuals), whiten(at.jacobian()), good[system.item]
@@ -300,8 +300,8 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
         freedom = fit.residuals.shape[1]
         return statistic / shared_variance_factor(statistic, freedom), freedom
 
-    near = graduated(start, squares, system.reweighted)
-    current = squares(near)
+    start_near = graduated(start, squares, system.reweighted)
+    current = squares(start_near)
     good = np.flatnonzero(current <= max(GROSS_SQUARE * max(1.0, typical_square(current)),
                                          np.sort(current)[:fewest][-1]))
     return drop_outliers(good, n, fewest, fitted, judged)[0]

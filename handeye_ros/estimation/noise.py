@@ -71,12 +71,12 @@ class Whitening:
     def __call__(self, values: Array) -> Array:
         """Return values (m, ...) whitened to unit covariance."""
         if len(self.rows) == 1:  # all rows, in their order
-            own = values.reshape(*self.rows[0].shape, -1)
-            return np.asarray((self.roots[0] @ own).reshape(values.shape))
+            stacked = values.reshape(*self.rows[0].shape, -1)
+            return np.asarray((self.roots[0] @ stacked).reshape(values.shape))
         whitened = np.empty_like(values)
         for rows, root in zip(self.rows, self.roots, strict=True):
-            own = values[rows]
-            whitened[rows] = (root @ own.reshape(*rows.shape, -1)).reshape(own.shape)
+            stacked = values[rows]
+            whitened[rows] = (root @ stacked.reshape(*rows.shape, -1)).reshape(stacked.shape)
         return whitened
 
 
@@ -109,8 +109,8 @@ def total_covariance(linear: Linear, at: StationGroup, noise: Noise) -> Array:
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
         total += at.correlation * _outer(linear.wrt_point[at.rows], config.distortion ** 2)
         total += _outer(linear.wrt_pose[at.rows], config.robot_smooth ** 2 * axes)
-        own = problem.target.feature_errors(linear)
-        total += _outer(own[at.rows]) * at.shared
+        feature_errors = problem.target.feature_errors(linear)
+        total += _outer(feature_errors[at.rows]) * at.shared
     return total
 
 

@@ -120,8 +120,8 @@ class Observations:
 
     def repeated(self, stations: int, points: Array) -> Self:
         """Return the observations of one station repeated, with points (stations * m, 2)."""
-        every = (getattr(self, f.name) for f in fields(self))
-        many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in every))
+        values = (getattr(self, f.name) for f in fields(self))
+        many = type(self)(*(np.tile(v, (stations, *[1] * (v.ndim - 1))) for v in values))
         return replace(many, points=points, station=np.repeat(np.arange(stations), len(self)))
 
 

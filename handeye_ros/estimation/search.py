@@ -92,8 +92,8 @@ def without_outliers(solution: Solution) -> Solution:
     near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        part = near.problem.subset(used)
-        return solution_at(part, least_squares_estimate(part, (before or near).estimate), LUMPED)
+        kept = near.problem.subset(used)
+        return solution_at(kept, least_squares_estimate(kept, (before or near).estimate), LUMPED)
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
@@ -115,13 +115,13 @@ def with_all_blocks(solution: Solution) -> Solution:
     near, whole = solution, solution.full_problem
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        part = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
+        kept = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
         start, noise = near.estimate, Noise()
         if before is not None and len(used) > MANY_STATIONS:
             conservative = before.conservative  # a few of very many hardly move the solution
             start, noise = conservative.estimate, conservative.noise
-            part = part.with_pose_values(conservative.problem.pose_values)
-        return with_contamination(map_solution(part, start, noise), len(whole.poses) - len(used))
+            kept = kept.with_pose_values(conservative.problem.pose_values)
+        return with_contamination(map_solution(kept, start, noise), len(whole.poses) - len(used))
 
     solution, used, dropped = drop_outliers(
         near.used, len(whole.poses), whole.target.min_samples, fitted,

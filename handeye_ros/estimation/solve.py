@@ -105,10 +105,10 @@ class Solution:
                 residuals = residuals - block.columns @ (block.value / block.std)
         whiten = whitening(linear, noise)
         problem = linear.problem
-        own = whiten(np.column_stack([linear.jacobian[:, problem.free_columns],
-                                     *(block.columns for block in blocks), residuals]))
-        A = own[:, :-1]
-        return cls(linear, noise, blocks, whiten, own[:, -1], A, A.T @ A, problem,
+        whitened = whiten(np.column_stack([linear.jacobian[:, problem.free_columns],
+                                           *(block.columns for block in blocks), residuals]))
+        A = whitened[:, :-1]
+        return cls(linear, noise, blocks, whiten, whitened[:, -1], A, A.T @ A, problem,
                    np.arange(len(problem.poses)))
 
     @property
@@ -185,8 +185,8 @@ class Solution:
         """Return the problem linearised after the step, with what depends on block parameters."""
         problem, estimate = self.problem, self.estimate
         values, delta = problem.pose_values.copy(), np.zeros(len(problem.target.labels))
-        for block, own in slices(self.blocks):
-            after = self.nuisance[own] * block.std
+        for block, columns in slices(self.blocks):
+            after = self.nuisance[columns] * block.std
             if block.parameter is not None and block.value is not None:
                 delta[block.parameter] = (after - block.value)[0]
             elif block.pose_slice is not None:
@@ -337,9 +337,9 @@ class Solution:
         std, conservative = np.zeros(len(self.problem.target.labels)), self.conservative
         variances = np.diag(conservative.covariance)
         std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
-        for block, own in slices(conservative.blocks, self.unknowns):
+        for block, columns in slices(conservative.blocks, self.unknowns):
             if block.parameter is not None:
-                std[block.parameter] = block.std * variances[own][0] ** 0.5
+                std[block.parameter] = block.std * variances[columns][0] ** 0.5
         return std
 
     @property

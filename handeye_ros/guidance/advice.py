@@ -175,14 +175,14 @@ def sigma_table(covariance: Array, mapped: MappedPoints, config: Config) -> tupl
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
     """Return the largest cause and its share of the sigma, None where noise dominates."""
-    found = budget(solution)
+    spent = budget(solution)
     squares = dict[Cause, float]()
-    for term in found.terms:
+    for term in spent.terms:
         for name, cause in CAUSES_BY_BLOCK.items():
             if term.name == name or term.name.startswith(f'{name}_'):
                 squares[cause] = squares.get(cause, 0.0) + term.mapped ** 2
     cause, square = max(squares.items(), key=lambda item: item[1], default=(SETBACK, 0.0))
-    share = square ** 0.5 / found.total.mapped
+    share = square ** 0.5 / spent.total.mapped
     return (cause, share) if share >= SMALLEST_CAUSE else None
 
 
@@ -234,13 +234,13 @@ def missing(solution: Solution, view: View, first: Array, config: Config) -> lis
     if problem.target.essential:  # others fill the view
         wanted.append((place + 'along the laser line', places[:, 0],
                        WANTED_PLACES * view.size[0] / 2, 'mm'))
-    found = []
+    lacks = []
     for text, values, half, unit in wanted:
         factor, so_far = np.degrees(1.0) if unit == 'degrees' else 1e3, float(np.ptp(values)) / 2
         if so_far < half:
-            found.append((so_far / half, f'{text}: {factor * so_far:.0f} {unit} to either side so '
+            lacks.append((so_far / half, f'{text}: {factor * so_far:.0f} {unit} to either side so '
                           f'far, {factor * half:.0f} wanted'))
-    return [min(found)[1]] if found else []
+    return [min(lacks)[1]] if lacks else []
 
 
 def turn_and_tilt(first: Array, R: Array) -> tuple[Array, Array]:

@@ -99,8 +99,8 @@ class FaceEnd:
 
     def lost(self, first: int, last: int) -> int:
         """Return the number of columns without a return, from the first to before the last."""
-        found = self.returns.searchsorted([first, last])
-        return last - first - int(found[1] - found[0])
+        bounds = self.returns.searchsorted([first, last])
+        return last - first - int(bounds[1] - bounds[0])
 
     @cached_property
     def column_pitch(self) -> float:
@@ -275,17 +275,17 @@ def _further_columns(end: FaceEnd) -> NDArray[np.intp]:
     """
     at = int(end.returns.searchsorted(end.column))
     ahead = end.returns[at:at + MOST_FURTHER + 2].tolist()
-    found, skipped = [end.column], False
+    columns, skipped = [end.column], False
     for column, after in pairwise([*ahead[1:], end.column]):
         if column - end.column > MOST_FURTHER:
             break
-        if _follows(end, found[-1], column):
-            found.append(column)
-        elif skipped or not _follows(end, found[-1], after):
+        if _follows(end, columns[-1], column):
+            columns.append(column)
+        elif skipped or not _follows(end, columns[-1], after):
             break
         else:
             skipped = True
-    return np.array(found[1:], dtype=np.intp)
+    return np.array(columns[1:], dtype=np.intp)
 
 
 def _follows(end: FaceEnd, column: int, after: int) -> bool:
@@ -384,5 +384,5 @@ def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, f
     if mixed_columns <= MOST_STRAY:
         return (mixed_columns if len(columns) == len(points) else 0), 0.0
     after = max(int(np.argmax(share > 0.5)), 1)
-    part = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
-    return mixed_columns, float(columns[after - 1] + part * (columns[after] - columns[after - 1]))
+    way = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
+    return mixed_columns, float(columns[after - 1] + way * (columns[after] - columns[after - 1]))

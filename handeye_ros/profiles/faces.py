@@ -54,9 +54,9 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         segment = ends[1].segment
         if len(segment.columns) * SURE_EDGE < best:
             break
-        found = [edge_at(end) for end in ends]
-        reasons += [reason for reason in found if isinstance(reason, str)]
-        of_segment = [edge for edge in found if isinstance(edge, EdgePoint)]
+        ends_found = [edge_at(end) for end in ends]
+        reasons += [reason for reason in ends_found if isinstance(reason, str)]
+        of_segment = [edge for edge in ends_found if isinstance(edge, EdgePoint)]
         sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in of_segment)
         behind = any(_is_above(end, other) for end in ends for other in end.behind)
         likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (

@@ -188,14 +188,14 @@ def _segments(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float)
         count = inner.stop - inner.start
         middle_x, middle_z = float(x[inner].sum()) / count, float(z[inner].sum()) / count
         dx, dz = x - middle_x, z - middle_z
-        own = dx[inner]
-        spread = float(own @ own)
+        steps = dx[inner]
+        spread = float(steps @ steps)
         if spread < count * NARROWEST_LINE ** 2:
             return []
-        slope = float(own @ dz[inner]) / spread
+        slope = float(steps @ dz[inner]) / spread
         residual = dz - slope * dx
-        own = residual[inner]
-        noise = max(math.sqrt(own @ own / max(count - 2, 1)), least_noise)
+        steps = residual[inner]
+        noise = max(math.sqrt(steps @ steps / max(count - 2, 1)), least_noise)
         if is_last:
             break
         bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)

@@ -196,8 +196,8 @@ class FileSection:
         value = self.values.get(key)
         if value is None:
             raise self.error(key, 'is missing')
-        found = type(value)
-        if found is not kind and (found, kind) != (int, float):
+        actual = type(value)
+        if actual is not kind and (actual, kind) != (int, float):
             raise self.error(key, f'is {value!r}, expected {kind.__name__}')
         if kind is float and not abs(value) <= LARGEST_NUMBER:
             raise self.error(key, f'is {value}')

@@ -113,13 +113,13 @@ def table(answer: ArmAnswer) -> RenderableType:
     for joint in answer.joints:
         cells, unknown = [], []
         for kind in GEOMETRY:
-            found = joint.get(kind, {'value': [], 'std': [], 'known': [0.0]})
+            entry = joint.get(kind, {'value': [], 'std': [], 'known': [0.0]})
             lengths = kind == POSITION or (kind == OFFSET and joint['type'] != REVOLUTE)
             factor, digits, unit = (1e3, 3, 'mm') if lengths else (math.degrees(1), 4, 'deg')
             values = [f'{value * factor:+.{digits}f} ± {std * factor:.{digits}f}'
-                      for value, std in zip(found['value'], found['std'], strict=True)]
+                      for value, std in zip(entry['value'], entry['std'], strict=True)]
             cells.append(f'{", ".join(values)} {unit}' if values else '-')
-            unknown += [kind] * (min(found['known']) > UNDETERMINED_SHARE)
+            unknown += [kind] * (min(entry['known']) > UNDETERMINED_SHARE)
         joints.add_row(joint['name'], *cells, ', '.join(unknown))
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     for model in answer.outcome.models:

@@ -108,8 +108,8 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     stops = ArmStops.of(np.concatenate(q), tuple(measured))
     state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
-    problem, every = sources[0].problem, np.concatenate([source.q for source in sources])
-    return ArmProblem(fit, problem.config.limits.residual, problem.config.in_hand, every,
+    problem, joint_values = sources[0].problem, np.concatenate([source.q for source in sources])
+    return ArmProblem(fit, problem.config.limits.residual, problem.config.in_hand, joint_values,
                       lambda *change: max(_median_residual(source, arm, *change)
                                           for source in sources))
 

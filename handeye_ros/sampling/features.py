@@ -68,20 +68,20 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
 
 def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
-    found, reasons = _showing(decoded(evenly(stop.profiles, MOST_OF_PASS), config), config)
-    if 2 * len(found) < MOST_OF_PASS < len(stop.profiles):
-        found, reasons = _showing(decoded(evenly(stop.profiles, 2 * MOST_OF_PASS), config), config)
-    if not found:
+    shown, reasons = _showing(decoded(evenly(stop.profiles, MOST_OF_PASS), config), config)
+    if 2 * len(shown) < MOST_OF_PASS < len(stop.profiles):
+        shown, reasons = _showing(decoded(evenly(stop.profiles, 2 * MOST_OF_PASS), config), config)
+    if not shown:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
-    T = interpolate(stop.poses, [profile.stamp for profile, _ in found])
+    T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
     single = tuple(
         Sample(profile.stamp, pose, features,
                flipped=_flipped(profile, config) if k % FLIPPED_EVERY == 0 else None)
-        for k, ((profile, features), pose) in enumerate(zip(found, T, strict=True)))
+        for k, ((profile, features), pose) in enumerate(zip(shown, T, strict=True)))
     middle = single[len(single) // 2]
     return replace(middle, profiles=len(single), of_pass=single,
                    trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap),
-                   beside=_beside(found[0][0]))
+                   beside=_beside(shown[0][0]))
 
 
 def _no_profiles(stop: Stop, config: Config) -> FeatureError:
@@ -121,13 +121,13 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
 def _showing(profiles: Sequence[Profile], config: Config
              ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
     """Return the profiles that show the target, with their features, and why others do not."""
-    found, reasons = [], []
+    shown, reasons = [], []
     for profile in profiles:
         try:
-            found.append((profile, features_of(profile, config)))
+            shown.append((profile, features_of(profile, config)))
         except FeatureError as error:
             reasons.append(str(error))
-    return found, reasons
+    return shown, reasons
 
 
 def combined_features(profiles: Sequence[Profile], config: Config
@@ -137,12 +137,12 @@ def combined_features(profiles: Sequence[Profile], config: Config
 
     Raises FeatureError when most do not show it, or do not agree.
     """
-    found, reasons = _showing(profiles, config)
-    if not found or 2 * len(found) < len(profiles):
+    shown, reasons = _showing(profiles, config)
+    if not shown or 2 * len(shown) < len(profiles):
         raise FeatureError(Counter(reasons).most_common(1)[0][0])
     target = targets.target_for(config)
-    return ([profile for profile, _ in found],
-            combine([features for _, features in found],
+    return ([profile for profile, _ in shown],
+            combine([features for _, features in shown],
                     1 if target.essential else len(target.kinds)))
 
 
@@ -271,8 +271,8 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     middle = np.median([a.circle for a in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
     away = np.array([_scatter(a, middle) for a in arcs])
-    own = float(np.median([_scatter(a, a.circle) for a in arcs]))
-    good = away < min(LARGEST_DISAGREEMENT, own + max(3.0 * own, SMALLEST_DISAGREEMENT))
+    scatter = float(np.median([_scatter(a, a.circle) for a in arcs]))
+    good = away < min(LARGEST_DISAGREEMENT, scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
     if good.sum() < LEAST_AGREEING * len(arcs):
         raise _disagreeing('where the sphere is',
                            float(np.linalg.norm(np.ptp(centres, axis=0))))

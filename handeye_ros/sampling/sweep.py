@@ -146,8 +146,8 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
     """Yield the blocks of errors of a moving robot: smooth in time, and of the exposure."""
     size, model = linear.problem.config.noise.robot_smooth, linear.problem.pose_model
     assert model is not None
-    own = stamps if model.stations is None else stamps[model.stations]
-    functions = smooth_basis_in_time((own - stamps[0]) * 1e-9)
+    own_stamps = stamps if model.stations is None else stamps[model.stations]
+    functions = smooth_basis_in_time((own_stamps - stamps[0]) * 1e-9)
     for name, axes, std in (('tracking_position', slice(0, 3), size),
                             ('tracking_rotation', slice(3, 6), size / TURN_LENGTH)):
         twists = np.einsum('xa,nk->nxak', np.eye(6)[:, axes], functions)
@@ -193,8 +193,8 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     fit = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
     values, at = _poses_at(samples, fit)
     if not at.inside.all():  # profiles in gaps between the poses pull the offset
-        part = problem.subset(np.flatnonzero(at.inside))
-        fit = _refined(part.with_pose_values(fit.problem.pose_values), fit.estimate)
+        inner = problem.subset(np.flatnonzero(at.inside))
+        fit = _refined(inner.with_pose_values(fit.problem.pose_values), fit.estimate)
         values, at = _poses_at(samples, fit)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True)

@@ -134,7 +134,7 @@ def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
     n = len(middle)
     graph = coo_matrix((np.maximum(length, 1e-9), links.T), shape=(n, n)).tocsr()
     label = connected_components(graph, directed=False)[1]
-    found = []
+    chains = []
     for number in np.unique(label):
         rows = np.flatnonzero(label == number)
         inner = graph[rows][:, rows]
@@ -142,8 +142,8 @@ def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
         along = dijkstra(inner, directed=False, indices=end)
         if along.max() >= SHORTEST_SEAM:
             order = np.argsort(along)
-            found.append((pairs[rows[order]], along[order]))
-    return found
+            chains.append((pairs[rows[order]], along[order]))
+    return chains
 
 
 def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:

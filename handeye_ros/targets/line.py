@@ -142,8 +142,8 @@ class Line(FaceTarget):
         alone = replace(whole.config, target=replace(target, use_face=False))
         problem = some_of(replace(whole, config=alone), rng)
         for parts in one_end(problem):
-            found = (e for part in parts for e in shortlisted(part, line_candidates(part)))
-            for e in sorted(found, key=lambda estimate: _typical_distance(problem, estimate)):
+            starts = (e for half in parts for e in shortlisted(half, line_candidates(half)))
+            for e in sorted(starts, key=lambda estimate: _typical_distance(problem, estimate)):
                 yield _with_face(whole, e) if target.use_face else e
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array

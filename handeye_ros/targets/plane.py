@@ -96,16 +96,16 @@ class Plane(FaceTarget):
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         problem = some_of(replace(whole, target=PLANE), rng)
-        found: list[Estimate] = []
+        candidates: list[Estimate] = []
         for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,):
-            known = len(found)
-            for part in one_surface(problem):
-                found += shortlisted(part, plane_candidates(part, more), more)
-            fresh = [i for i in distinct(np.array([e.X for e in found])) if i >= known]
+            known = len(candidates)
+            for of_surface in one_surface(problem):
+                candidates += shortlisted(of_surface, plane_candidates(of_surface, more), more)
+            fresh = [i for i in distinct(np.array([e.X for e in candidates])) if i >= known]
             if self.ambiguous(problem.observations):
-                away = {i: _typical_distance(problem, found[i]) for i in fresh}
+                away = {i: _typical_distance(problem, candidates[i]) for i in fresh}
                 fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
-            yield from (found[i] for i in fresh)
+            yield from (candidates[i] for i in fresh)
 
     def views_alike(self, problem: Problem, estimate: Estimate) -> str:
         """Return in words that all samples see the plane at one angle, '' if they do not."""

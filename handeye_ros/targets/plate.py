@@ -247,7 +247,7 @@ class Plate(FaceTarget):
         observations, p: all of these stations; where several points agree, it is another edge.
         """
         rows, outward = _edge_points(observations, p, state)
-        size, found = config.target.size, []
+        size, texts = config.target.size, []
         for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
             if opposite in (P_FAR, Q_FAR) and not size:
                 continue
@@ -257,10 +257,10 @@ class Plate(FaceTarget):
             middle = float(np.median(away)) if len(away) else 0.0
             count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
             if count > 1:
-                found.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
+                texts.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
                     f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
                     ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
-        return '; '.join(found)
+        return '; '.join(texts)
 
 
 PLATE = Plate()

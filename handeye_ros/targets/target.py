@@ -228,10 +228,10 @@ def face_ends(obs: Observations) -> EndRows:
     """Return the ends of faces among observations."""
     _, feature, count = np.unique(obs.error_source, return_inverse=True, return_counts=True)
     kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
-    found = sorted({(int(k), int(e)) for k, e in zip(kind, obs.ending, strict=True) if e})
+    ends = sorted({(int(k), int(e)) for k, e in zip(kind, obs.ending, strict=True) if e})
     slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
                       where=obs.outward[:, 0] != 0)
-    return EndRows(feature, {(k, e): (kind == k) & (obs.ending == e) for k, e in found}, slope)
+    return EndRows(feature, {(k, e): (kind == k) & (obs.ending == e) for k, e in ends}, slope)
 
 
 def setbacks(linear: Linear) -> Blocks:
@@ -258,7 +258,7 @@ def edge_shapes(linear: Linear) -> Blocks:
     ends = face_ends(obs)
     outwards = ends.outwards(linear) * obs.shape_std
     for kind in sorted({kind for kind, _ in ends.parts}):
-        rows = np.any([own for (k, _), own in ends.parts.items() if k == kind], axis=0)
+        rows = np.any([of_end for (k, _), of_end in ends.parts.items() if k == kind], axis=0)
         # it comes from few points of a curve, and is extrapolated
         yield ParameterBlock(f'shape_{linear.problem.target.kinds[kind]}',
                              np.where(rows, outwards, 0.0)[:, None], 1.0, least_variance=1.0)

@@ -92,18 +92,18 @@ def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
         labelled = WEDGE.reassign(problem.observations, p, start.state, problem.config)
         part = replace(problem, observations=labelled)
         alike.setdefault(labelled.kind.tobytes(), (part, []))[1].append(start)
-    found = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
-             for labelled, some in alike.values()
-             for end in shortlisted(labelled, some, len(some))]
-    return [end for _, end in sorted(found, key=lambda pair: pair[0])]
+    refined = [(float((linearise(labelled, end).residuals ** 2).sum()), end)
+               for labelled, some in alike.values()
+               for end in shortlisted(labelled, some, len(some))]
+    return [end for _, end in sorted(refined, key=lambda pair: pair[0])]
 
 
 def crossings(observations: Observations) -> Observations:
     """Return the conditions that the crossing of each station's two lines lies on an edge."""
     rows = ObservationRows()
     for station in np.unique(observations.station):
-        own = observations.select(observations.station == station)
-        (a, u), (b, v) = (_fitted(own.points[own.kind == side]) for side in range(2))
+        of_station = observations.select(observations.station == station)
+        (a, u), (b, v) = (_fitted(of_station.points[of_station.kind == side]) for side in range(2))
         # two lines that are parallel cross nowhere: any point of one of them then
         along = np.linalg.lstsq(np.column_stack([u, -v]), b - a, rcond=None)[0][0]
         for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):

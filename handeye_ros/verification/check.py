@@ -175,8 +175,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     else:
         likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
         verdict, sentence = _change_found(likeliest, odds)
-    every = sorted([sample.stamp for sample in samples] + [reject.stamp for reject in others])
-    left_out = [every.index(samples[k].stamp) + 1 for k in left_out]
+    all_stamps = sorted([sample.stamp for sample in samples] + [reject.stamp for reject in others])
+    left_out = [all_stamps.index(samples[k].stamp) + 1 for k in left_out]
     if left_out:
         sentence += f'. Left out, as they contradict the others: stops {left_out}'
     target, sensor, _ = causes

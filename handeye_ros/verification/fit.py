@@ -562,10 +562,10 @@ def _predicted(r: Array, wrt_unknowns: Array, group_of_point: Numbers, groups: N
     left = r - U @ (U.T @ r)
     squares, freedom = np.zeros(len(groups)), np.zeros(len(groups), dtype=np.intp)
     for k, group in enumerate(groups):
-        own, own_left = U[group_of_point == group], left[group_of_point == group]
-        share, V = np.linalg.eigh(own.T @ own)
+        wrt_own, own_left = U[group_of_point == group], left[group_of_point == group]
+        share, V = np.linalg.eigh(wrt_own.T @ wrt_own)
         shared = share < 1 - ALONE_SHARE
-        b = (own_left @ own @ V)[shared]
+        b = (own_left @ wrt_own @ V)[shared]
         squares[k] = own_left @ own_left + b @ (b / (1 - share[shared]))  # Woodbury
-        freedom[k] = len(own) - np.count_nonzero(~shared)
+        freedom[k] = len(wrt_own) - np.count_nonzero(~shared)
     return squares / np.maximum(freedom, 1), freedom

@@ -168,10 +168,10 @@ class Routine:
         of_axes = self.shape is point
         number = stations.observations.kind if of_axes else stations.recording_of_point
         for k in range(int(number.max()) + 1 if self.form else 0):
-            part = distances[number == k]
-            size = float(3 * part.std(ddof=1) if of_axes else np.ptp(part))
+            of_part = distances[number == k]
+            size = float(3 * of_part.std(ddof=1) if of_axes else np.ptp(of_part))
             name = f'{self.form} {"xyz"[k]}' if of_axes else f'{self.form} {k + 1}, noise included'
-            yield Quantity(name, size, size / math.sqrt(2 * max(len(part) - 1, 1)),
+            yield Quantity(name, size, size / math.sqrt(2 * max(len(of_part) - 1, 1)),
                            characteristic=self.symbol)
 
 
