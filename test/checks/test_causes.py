@@ -152,8 +152,7 @@ def test_what_moved_is_named(name: str, change: Callable[[Array], Array], words:
 
 
 @pytest.mark.parametrize('name', ['plane', 'sphere'])
-def test_parts_that_see_neither_the_same_target_nor_with_one_transform_name_no_move(name: str
-                                                                                    ) -> None:
+def test_parts_with_neither_one_target_nor_one_transform_name_no_move(name: str) -> None:
     # as parts of a few samples with wrong poses fit, by chance
     made = cell(name, 3)
     samples = later(made.samples, lambda T: FAR @ T @ OTHER_TOOL)
