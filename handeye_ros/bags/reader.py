@@ -103,7 +103,7 @@ class Reader:
             reason = '; '.join(self.warnings) or 'the recording was stopped before it began'
             raise InputError(f'{self.path}: holds no messages ({reason}): record again')
 
-    def wanted(self, topic: str, kind: str, encoding: str) -> str:
+    def register_topic(self, topic: str, kind: str, encoding: str) -> str:
         """Take note of a topic and its type; return its name, '' if it is not requested."""
         topic = full_name(topic)
         package, _, name = kind.partition('/')  # some write it as ROS 1 did
@@ -258,8 +258,8 @@ class _Mcap:
             self._schemas[record.id] = record.name
             return
         kind = self._schemas.get(record.schema_id, 'of unknown type')
-        self._channels[record.id] = self._reader.wanted(record.topic, kind,
-                                                        record.message_encoding)
+        self._channels[record.id] = self._reader.register_topic(record.topic, kind,
+                                                                record.message_encoding)
 
     def _fetch(self, start: int, index: int) -> bytes:
         try:
@@ -334,7 +334,7 @@ class _Sqlite:
                 names = {}
                 for key, name, kind, encoding in database.execute(
                         'SELECT id, name, type, serialization_format FROM topics'):
-                    if topic := self._reader.wanted(str(name), str(kind), str(encoding)):
+                    if topic := self._reader.register_topic(str(name), str(kind), str(encoding)):
                         names[key] = topic
                 marks = ', '.join('?' * len(names))
                 for key, number, time, data in database.execute(

@@ -170,7 +170,8 @@ class SessionFiles:
             os.close(self._lock)
         self._lock = None
 
-    def add(self, stop: Stop, config: Config, joints: Sequence[tuple[int, bytes]] = ()) -> Stop:
+    def add_stop(self, stop: Stop, config: Config, joints: Sequence[tuple[int, bytes]] = ()
+                 ) -> Stop:
         """
         Write an evaluated stop; return it as it is on the disk.
 
@@ -178,11 +179,11 @@ class SessionFiles:
         """
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]
-        file = self.append(STOP, config, seen, joints)
+        file = self.add_event(STOP, config, seen, joints)
         return replace(stop, poses=(), profiles=(), reader=partial(load, file, stop.began))
 
-    def append(self, kind: str, config: Config, stop: Stop = NO_STOP,
-               joints: Sequence[tuple[int, bytes]] = ()) -> Path:
+    def add_event(self, kind: str, config: Config, stop: Stop = NO_STOP,
+                  joints: Sequence[tuple[int, bytes]] = ()) -> Path:
         """
         Write an event; return its file.
 
@@ -217,7 +218,7 @@ class SessionFiles:
     def restarted(self, config: Config) -> SessionFiles:
         """Return the files of another session, which exists at once; raises UnwritableError."""
         other = SessionFiles(self._parent)
-        other.append(CONFIGURED, config)  # so that `last` names it
+        other.add_event(CONFIGURED, config)  # so that `last` names it
         self.close()
         return other
 

@@ -195,7 +195,7 @@ class Target(ABC):
     free_shape: settings of the target with which its shape (the last parameter) is unknown, where
         it has one
     one_axis: what rotations about one axis alone leave undetermined, in words
-    faces: how many straight lines of it one view has, 0 of a round target
+    face_count: how many straight lines of it one view has, 0 of a round target
     """
 
     name: str
@@ -206,7 +206,7 @@ class Target(ABC):
     min_samples = 6
     free_shape: ClassVar[Mapping[str, Any]] = {}
     one_axis = 'the position along it is free'
-    faces = 0
+    face_count = 0
 
     @property
     def essential_kinds(self) -> list[int]:

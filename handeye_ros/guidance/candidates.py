@@ -222,7 +222,7 @@ def _labelled_alike(linear: Linear, before: Linear, strict: Config) -> NDArray[n
 def _enough_of_faces(linear: Linear, A: Array, points: Array, same_point: Array, before: Linear,
                      view: View) -> NDArray[np.bool_]:
     """Return where the faces are in view as far as is needed to find what lies between them."""
-    if linear.problem.target.faces == 2:
+    if linear.problem.target.face_count == 2:
         return _corner_seen(A, points, before, view)
     if len(before.problem.observations) == same_point[0].sum():  # an edge point alone
         return _face_seen(linear.problem.poses @ linear.estimate.X, points[:, 0], before, view)

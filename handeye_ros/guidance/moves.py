@@ -82,7 +82,7 @@ def noun(target: Target) -> str:
 
 def next_move(taken: int, target: Target, config: Config, view: View) -> Move:
     """Return the move after a number of samples (at least one)."""
-    is_round, two_edges = not target.faces, len(target.essential) > 1
+    is_round, two_edges = not target.face_count, len(target.essential) > 1
     steps = SPHERE_MOVES if is_round else TWO_EDGES if two_edges else ONE_EDGE
     turn, *shares, beside = steps[taken % len(steps)]
     tilt = np.round(np.array(shares[:2]) * config.guidance.tilt, 3)

@@ -53,7 +53,7 @@ class Review:
     agreements: of the samples by their numbers
     no_agreements: why there are none
     advised: the number of the last sample in the advice, 0 for none
-    basis: identifies samples and settings that it follows from
+    made_from: identifies samples and settings that it follows from
     """
 
     advice: Advice
@@ -61,7 +61,7 @@ class Review:
     agreements: Mapping[int, Agreement] = field(default_factory=dict)
     no_agreements: str = ''
     advised: int = 0
-    basis: object = None
+    made_from: object = None
 
     @property
     def solution(self) -> Solution | None:
@@ -171,7 +171,7 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._asked and self._asked[0] == self._basis():
+        if self._asked and self._asked[0] == self._made_from():
             message = self._asked[1]
             if not message.done() or (self.calibration and not message.exception()):
                 return message
@@ -181,10 +181,10 @@ class LiveAnswer:
         """Begin the review, if samples or settings have changed."""
         live = self._live
         outdated = self.asked_settings not in (None, values_of(live.config, ANSWER_KEYS))
-        if not live.running and (outdated or self._basis() != self.review.basis):
+        if not live.running and (outdated or self._made_from() != self.review.made_from):
             self._begin(asked=outdated)
 
-    def _basis(self) -> tuple[object, ...]:
+    def _made_from(self) -> tuple[object, ...]:
         """Return what identifies samples and settings; a session by its files."""
         live = self._live
         # a stop that goes on gives another sample of the same number
@@ -194,7 +194,7 @@ class LiveAnswer:
 
     def _begin(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
-        live, config, now = self._live, self._live.framed, self._live.session
+        live, config, now = self._live, self._live.config_with_base, self._live.session
         if current := live.current():
             self.seen = extremes(np.concatenate([self.seen, current.points]))
         if asked:
@@ -203,30 +203,30 @@ class LiveAnswer:
         session.restore(now.stops, now.last_number, now.frame_id)
         sampled = {stop.began for stop in now.stops if stop.sample}
         without_sample = [T for began, T in live.without_sample.items() if began not in sampled]
-        basis = self._basis()
+        made_from = self._made_from()
         message = live.run_job(
-            COMPUTED if asked else '', partial(self._accept, basis, session, asked),
+            COMPUTED if asked else '', partial(self._accept, made_from, session, asked),
             review_of, session, config, self.seen, without_sample,
             asked or self.calibration is not None)
         if asked:
-            self._asked = basis, message
+            self._asked = made_from, message
         return message
 
-    def _accept(self, basis: tuple[object, ...], session: Session, asked: bool, job: Future[Review]
-                ) -> str:
+    def _accept(self, made_from: tuple[object, ...], session: Session, asked: bool,
+                job: Future[Review]) -> str:
         """
         Put the review and, if it was asked for, the answer; return the message about that.
 
         Raises DataError for a refusal, and what the job raises.
         """
         live = self._live
-        if basis[0] is not live.files:
+        if made_from[0] is not live.files:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
         try:
-            self.review = replace(result_or_ended(job), basis=basis)
+            self.review = replace(result_or_ended(job), made_from=made_from)
         except HandeyeError as error:  # no refusal: the previous answer stays
-            self.review = replace(self.review, no_agreements=str(error), basis=basis)
+            self.review = replace(self.review, no_agreements=str(error), made_from=made_from)
             raise
         answer = self.review.answer
         if answer is None or not asked:

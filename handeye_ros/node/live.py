@@ -4,8 +4,8 @@
 A running session without ROS: from messages to stored samples.
 
 The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
-into the session. A stop that is over, or long enough, waits in `to_evaluate` or `early` for the
-worker, which has it evaluated in another process, stores it on the disk and puts it into the
+into the session. A stop that is over, or long enough, waits in `to_evaluate` or `ready_stop` for
+the worker, which has it evaluated in another process, stores it on the disk and puts it into the
 session. After each such piece of work the worker (pool.py) calls `changed`, which publishes
 ~/samples (outputs.py). What is used is stored, and what is stored is used. What follows from the
 samples is in answer.py and verification.py.
@@ -17,7 +17,7 @@ after the answer. During a verification nothing is stored until its result.
 Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
 reviews, solves and verifications computed, in two processes (pool.py); the worker waits for the
-stops alone. Locks: `lock` for what messages change, held for at most one message; one in
+stops alone. Locks: `lock` for what messages change, held for one message or a copy; one in
 outputs.py, so that nothing is published after the end; one in node.py, so that settings change
 one by one.
 """
@@ -74,8 +74,8 @@ class LiveSession:
     """
     All functions of the running node; those that are no add_* are for the worker: see ask.
 
-    What messages change (session, verification, to_evaluate, early, joints, the latest messages
-    and their counts) is used under lock. The stops of the session, and all else, are changed by
+    What messages change (session, verification, to_evaluate, ready_stop, joints, the latest
+    messages and their counts) is used under lock. The stops of the session, and all else, are changed by
     the worker alone: it reads them without, others see them at any time.
 
     attempt: the last one
@@ -94,7 +94,7 @@ class LiveSession:
         self.lock = Lock()
         self.session = Session(config)
         self.to_evaluate: deque[Stop] = deque()  # complete stops, not yet evaluated
-        self.early: Stop | None = None  # the current stop, once it has enough profiles
+        self.ready_stop: Stop | None = None  # the current stop, once it has enough profiles
         self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
         self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
@@ -128,7 +128,7 @@ class LiveSession:
                 self.messages['pose'].add(pose.stamp)
                 self._poses.append(pose)
                 self.session.add_pose(pose)
-            self.early = self.session.current_if_ready() or self.early
+            self.ready_stop = self.session.current_if_ready() or self.ready_stop
             self._queue_stops()
             self.verification.add_poses(poses)
 
@@ -144,7 +144,7 @@ class LiveSession:
         while len(self.to_evaluate) > MOST_STOPS:
             self.to_evaluate.popleft()
             self._overflowed += 1
-        if self.to_evaluate or self.early or self._superseded:
+        if self.to_evaluate or self.ready_stop or self._superseded:
             self.wake()
 
     @property
@@ -201,9 +201,9 @@ class LiveSession:
         """Have the worker look for what is due; threads that meet here at worst ask twice."""
         if not self._woken:
             self._woken = True
-            self.worker.run_later(self._go_on)
+            self.worker.run_later(self._do_what_is_due)
 
-    def _go_on(self) -> None:
+    def _do_what_is_due(self) -> None:
         """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
         self._woken = False
         with self.lock:
@@ -249,7 +249,7 @@ class LiveSession:
             return self.session.copied()
 
     @property
-    def framed(self) -> Config:
+    def config_with_base(self) -> Config:
         """Return the current settings with the frame of the poses as the base frame."""
         return self.session.with_base(self.config)
 
@@ -287,11 +287,11 @@ class LiveSession:
     def process_next(self) -> bool:
         """Evaluate the next stop that is due; return whether there was one."""
         with self.lock:
-            over = bool(self.to_evaluate)
-            stop = self.to_evaluate.popleft() if over else self.early
-            self.early = self.early if over else None
+            is_over = bool(self.to_evaluate)
+            stop = self.to_evaluate.popleft() if is_over else self.ready_stop
+            self.ready_stop = self.ready_stop if is_over else None
         if stop:
-            self._process(stop, over)
+            self._process(stop, is_over)
         elif self._stale:
             self._process_again(self._stale.popleft())
         else:
@@ -301,7 +301,7 @@ class LiveSession:
     def process_all(self) -> None:
         """Evaluate all stops, of which the current one counts as complete; raises InputError."""
         with self.lock:
-            self.early = None  # it is part of the current stop
+            self.ready_stop = None  # it is part of the current stop
         while self.process_next():
             pass
         with self.lock:
@@ -309,23 +309,23 @@ class LiveSession:
         for stop in stops:
             self._process(stop, True)
 
-    def _process(self, stop: Stop, over: bool) -> None:
+    def _process(self, stop: Stop, is_over: bool) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if not over and self.session.was_handed_out(stop):
+        if not is_over and self.session.was_handed_out(stop):
             return
         if self.verification.routine:
             with suppress(DataError):
-                self.verification.add_stop(stop, over)
+                self.verification.add_stop(stop, is_over)
             return
         stop, remark = self._with_result(stop)  # the remark refuses nothing, as in a recording
         earlier = self._known(stop.number)
         try:
-            stop = self._stored(stop)
+            stop = self._store(stop)
         except InputError as error:
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
-        self._put(stop, over)
+        self._put(stop, is_over)
         if earlier is None or bool(earlier.sample) != bool(stop.sample):
             # the same result with more profiles is not reported again
             verdict = (f'sample {stop.number} taken' if stop.sample else
@@ -338,10 +338,10 @@ class LiveSession:
         stop = self._known(number)
         if stop and not stop.reader:  # it could not be stored before
             with suppress(InputError):
-                self._put(self._stored(self._with_result(stop)[0]), over=False)
+                self._put(self._store(self._with_result(stop)[0]), is_over=False)
         elif stop and not stop.final_reason:
             result = self.result_elsewhere(stop, self.config)
-            self._put(replace(stop, result=result), over=False)
+            self._put(replace(stop, result=result), is_over=False)
 
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
@@ -366,11 +366,11 @@ class LiveSession:
         """Return the stop of a number in the session."""
         return next((stop for stop in self.session.stops if stop.number == number), None)
 
-    def _stored(self, stop: Stop) -> Stop:
+    def _store(self, stop: Stop) -> Stop:
         """Store an evaluated stop; return the stored form. Raises InputError."""
         with self.lock:
             joints = list(self.joints)
-        return self._write(self.files.add, stop, self.config, joints)
+        return self._write(self.files.add_stop, stop, self.config, joints)
 
     def _write(self, write: Callable[..., Result], *args: Any) -> Result:
         """
@@ -398,12 +398,12 @@ class LiveSession:
         path = self.files.path
         if self._store_trouble or path and not path.is_dir():
             with suppress(InputError):  # kept as trouble
-                self._write(self.files.append, CONFIGURED, self.config)
+                self._write(self.files.add_event, CONFIGURED, self.config)
 
-    def _put(self, stop: Stop, over: bool) -> None:
+    def _put(self, stop: Stop, is_over: bool) -> None:
         """Put an evaluated stop into the session, in place of an earlier part of it."""
         with self.lock:
-            self.session.put(stop, over)
+            self.session.put(stop, is_over)
 
     # services
 
@@ -417,7 +417,7 @@ class LiveSession:
             with self.lock:
                 stop = self.session.current_stop()
             if self.verification.routine:
-                return self.verification.add_stop(stop, over=True)
+                return self.verification.add_stop(stop, is_over=True)
             stop, objection = self._with_result(stop)
             if stop.final_reason:
                 raise DataError(f'{stop.final_reason}: move on, and turn the tool')
@@ -425,7 +425,7 @@ class LiveSession:
                 raise DataError(f'{objection}, and take the sample again' if objection else
                                 sample_summary(stop.result))
             note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
-            self._put(self._stored(stop), over=True)
+            self._put(self._store(stop), is_over=True)
         except HandeyeError as error:
             if error.reason == 'moving' and silence > POSES_SILENT:  # it did, long ago
                 error = silent_poses(silence)
@@ -441,7 +441,7 @@ class LiveSession:
         if not samples:
             raise DataError('there is no sample to remove', reason='nothing_to_remove')
         last = samples[-1]
-        self._write(self.files.append, REMOVED, self.config, Stop(0, number=last.number))
+        self._write(self.files.add_event, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:
             self.session.remove(last)
         return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
@@ -464,7 +464,7 @@ class LiveSession:
                              self._stale):
                 messages.clear()
             self.session.clear()
-            self.early = None
+            self.ready_stop = None
             self.verification.end()
         self.attempt, self.without_sample, self._overflowed = None, {}, 0
         self.answer.forget(why)
@@ -480,7 +480,7 @@ class LiveSession:
         with self.lock:
             self.session = session
         if replace(old_config, session=self.config.session) != self.config:
-            self.files.append(CONFIGURED, self.config)
+            self.files.add_event(CONFIGURED, self.config)
         if session.samples:
             self.answer.asked_settings = {}  # as with other settings: solve again
         count = sum(stop.sample is not None for stop in session.stops)
@@ -507,4 +507,4 @@ class LiveSession:
             self._stale = deque(stop.number for stop in self.session.stops)
         if self.files.path:
             with suppress(InputError):  # kept as trouble
-                self._write(self.files.append, CONFIGURED, config)
+                self._write(self.files.add_event, CONFIGURED, config)

@@ -157,15 +157,15 @@ class LiveVerification:
         return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
                 f'{dropped}')
 
-    def add_stop(self, stop: Stop, over: bool) -> str:
+    def add_stop(self, stop: Stop, is_over: bool) -> str:
         """
         Add a stop, in place of an earlier part of it; return the progress, or raise DataError.
 
-        over: whether it is complete, and is not looked at again.
+        is_over: whether it is complete, and is not looked at again.
         """
         live, routine = self._live, self.routine
         assert routine
-        if over:
+        if is_over:
             with live.lock:
                 live.session.mark_handed_out(stop)
         if routine.in_passes:

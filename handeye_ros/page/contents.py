@@ -52,15 +52,15 @@ class PageSource:
     Content and actions of the page.
 
     state: returns plain values
-    acts: the buttons by name, each is called with the values of its request and returns success
+    actions: the buttons by name, each is called with the values of its request and returns success
         and message, or raises HandeyeError
-    reads: by name, each is called with the values of its query and returns plain values, or name
+    queries: by name, each is called with the values of its query and returns plain values, or name
         and text of a file
     """
 
     state: Callable[[], Mapping[str, Any]]
-    acts: Mapping[str, Act]
-    reads: Mapping[str, Read] = field(default_factory=dict)
+    actions: Mapping[str, Act]
+    queries: Mapping[str, Read] = field(default_factory=dict)
 
 
 def source(node: HandeyeNode) -> PageSource:
@@ -68,16 +68,16 @@ def source(node: HandeyeNode) -> PageSource:
     def service(name: str) -> Act:
         return lambda values: node.call_service(name)
 
-    acts: dict[str, Act] = {
+    actions: dict[str, Act] = {
         **{name: service(name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values['session'])))}
-    reads: dict[str, Read] = {
+    queries: dict[str, Read] = {
         'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
-    return PageSource(lambda: contents(node.state, node.live), acts, reads)
+    return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:

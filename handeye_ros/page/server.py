@@ -206,7 +206,7 @@ class PageServer:
         return _static(name) if name in ASSET_FILES else _sentence(404, 'there is no such page')
 
     async def _read(self, request: web.Request) -> web.StreamResponse:
-        read = self._source.reads.get(request.match_info['name'])
+        read = self._source.queries.get(request.match_info['name'])
         if read is None:
             return _sentence(404, 'there is no such page')
         try:
@@ -219,7 +219,7 @@ class PageServer:
         return web.json_response(plain(answer), headers=HEADERS)
 
     async def _act(self, request: web.Request) -> web.StreamResponse:
-        act = self._source.acts.get(request.match_info['name'])
+        act = self._source.actions.get(request.match_info['name'])
         if act is None:
             return _sentence(404, 'there is no such button')
         if request.content_type != 'application/json':

@@ -415,16 +415,16 @@ class Session(Copyable):
         return replace(stop, number=before.number if before else self.last_number + 1,
                        result=Reject(result.stamp, why, final=True) if why else result)
 
-    def put(self, stop: Stop, over: bool = True) -> Stop:
+    def put(self, stop: Stop, is_over: bool = True) -> Stop:
         """Store and return an evaluated stop, in place of an earlier part of it."""
         self._stops[stop.began] = stop
         self.last_number = max(self.last_number, stop.number)
-        if over:
+        if is_over:
             self.mark_handed_out(stop)
         return stop
 
     def remove(self, stop: Stop) -> None:
-        """Forget the result of a stop, which is closed."""
+        """Forget the result of a stop, which is not handed out again."""
         self.mark_handed_out(stop)
         self._stops.pop(stop.began, None)
 

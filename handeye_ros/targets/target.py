@@ -128,13 +128,13 @@ class FaceTarget(ProfileTarget):
 
     moves: ClassVar[Sequence[int]]
     edge_kinds: tuple[int, ...] = ()
-    faces = 1
+    face_count = 1
     several_in_view = False
 
     def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
         """Append the conditions of a face line or an edge point."""
         if isinstance(feature, FaceLine):
-            add_face(rows, station, feature, ERRORS_PER_FEATURE * number, number % self.faces)
+            add_face(rows, station, feature, ERRORS_PER_FEATURE * number, number % self.face_count)
         elif isinstance(feature, EdgePoint):
             for kind in self.edge_kinds:
                 rows.add(station, self.edge_place(feature), kind, edge_error_factor(feature),
@@ -146,7 +146,7 @@ class FaceTarget(ProfileTarget):
 
     def pieces(self, observations: Observations) -> NDArray[np.intp]:
         """Return the number (m,) of the surface, or pair of surfaces, in its profile."""
-        return observations.error_number // (self.faces * ERRORS_PER_FEATURE)
+        return observations.error_number // (self.face_count * ERRORS_PER_FEATURE)
 
     def ambiguous(self, observations: Observations) -> bool:
         """Return whether a station shows several surfaces or pairs of them."""

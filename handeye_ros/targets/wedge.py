@@ -154,7 +154,7 @@ class Wedge(FaceTarget):
     kinds = KINDS
     labels, moves = ('y', 'z', 'ry', 'rz', 'turn', 'angle'), (1, 2, 4, 5)
     extract = staticmethod(corner_features)
-    faces, several_in_view = 2, True
+    face_count, several_in_view = 2, True
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""

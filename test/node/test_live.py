@@ -121,7 +121,7 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
             live.add_poses([item])
         else:
             live.add_profile(item)
-        if live.to_evaluate or live.early:
+        if live.to_evaluate or live.ready_stop:
             update(live)
             answer, last = live.answer.review.answer, live.session.stops[-1].sample
             if answer and last:
