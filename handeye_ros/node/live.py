@@ -75,8 +75,8 @@ class LiveSession:
     All functions of the running node; those that are no add_* are for the worker: see ask.
 
     What messages change (session, verification, to_evaluate, ready_stop, joints, the latest
-    messages and their counts) is used under lock. The stops of the session, and all else, are changed by
-    the worker alone: it reads them without, others see them at any time.
+    messages and their counts) is used under lock. The stops of the session, and all else, are
+    changed by the worker alone: it reads them without, others see them at any time.
 
     attempt: the last one
     without_sample: T_base_flange (4, 4) of stops without a sample, by their beginnings
