@@ -104,6 +104,8 @@ GOOD = {
 def test_an_argument_of_another_type_is_named(wrong):
     for name, arguments in GOOD.items():
         for argument in arguments:
+            if argument == 'progress' and callable(wrong):
+                continue
             with pytest.raises(InputError, match=f'({argument}|a key of the values): an? '):
                 getattr(handeye_ros, name)(**{**arguments, argument: wrong})
 

@@ -117,11 +117,11 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     session, config, attempt = live.copied(), live.config, live.attempt
     review = live.answer.review
     obstacles, profiles, poses = obstacles or {}, live.messages['profile'], live.messages['pose']
-    rotations = iter(se3.quaternion(np.reshape([
-        stop.sample.T_base_flange for stop in session.stops if stop.sample], (-1, 4, 4))))
+    T = {stop.number: stop.sample.T_base_flange for stop in session.stops if stop.sample}
+    # at once, which is faster; the scipy of Jazzy knows no empty rotations
+    rotations = dict(zip(T, se3.quaternion(np.array([*T.values()])), strict=True)) if T else {}
     samples = [_sample(stop, session, review.agreements.get(stop.number),
-                       next(rotations) if stop.sample else None)
-               for stop in session.stops]
+                       rotations.get(stop.number)) for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion
     remedy = '' if trouble else ': sampling continues by itself if the clock was set back'
