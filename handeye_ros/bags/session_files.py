@@ -128,8 +128,10 @@ class Stored:
         session = Session(config)
         frames = (profile.frame_id for stop in self.stops.values()
                   for profile in stop.load(config).profiles)
-        stops = [_evaluated(stop, config) for _, stop in sorted(self.stops.items())]
-        session.restore(stops, self.last_number, next(frames, ''))
+        session.restore((), self.last_number, next(frames, ''))
+        for number, stored in sorted(self.stops.items()):
+            stop = _evaluated(stored, config)
+            session.put(replace(session.numbered(stop, stop.result), number=number))
         return session
 
 

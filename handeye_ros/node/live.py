@@ -341,7 +341,9 @@ class LiveSession:
                 self._put(self._store(self._with_result(stop)[0]), is_over=False)
         elif stop and not stop.final_reason:
             result = self.result_elsewhere(stop, self.config)
-            self._put(replace(stop, result=result), is_over=False)
+            with self.lock:
+                stop = self.session.numbered(stop, result)
+            self._put(stop, is_over=False)
 
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""

@@ -177,9 +177,12 @@ class Streams:
         """Return whether settings name other topics than these; raises InputError."""
         if _topics_named(config) == self._named:
             return False
-        names = [self._full_name(name) for _, name, _, _ in pose_topics(config, self._tracker)]
-        if self._full_name(config.profile_topic) in names:
-            raise InputError('profile_topic and pose_topic are the same: each needs its own')
+        poses = (name for _, name, *_ in pose_topics(config, self._tracker))
+        names = [config.profile_topic, *poses,
+                 *([] if config.kinematics else [config.joint_topic])]
+        if len({self._full_name(name) for name in names}) < len(names):
+            raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
+                             'needs its own')
         return True
 
     def _full_name(self, topic: str) -> str:

@@ -68,9 +68,11 @@ def _sample_of(stop: Stop, config: Config) -> Sample:
 
 def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
-    shown, reasons = _showing(decoded(evenly(stop.profiles, MOST_OF_PASS), config), config)
-    if 2 * len(shown) < MOST_OF_PASS < len(stop.profiles):
-        shown, reasons = _showing(decoded(evenly(stop.profiles, 2 * MOST_OF_PASS), config), config)
+    # of a stored pass some may lie beyond its poses, with another time_offset
+    profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
+    shown, reasons = _showing(decoded(evenly(profiles, MOST_OF_PASS), config), config)
+    if 2 * len(shown) < MOST_OF_PASS < len(profiles):
+        shown, reasons = _showing(decoded(evenly(profiles, 2 * MOST_OF_PASS), config), config)
     if not shown:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])

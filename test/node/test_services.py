@@ -209,6 +209,7 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
             ('noise.sensor', 'loud', "noise.sensor is 'loud', expected a number from 1e-09"),
             ('profile_topic', 'a b', '"a b" cannot name a topic'),
             ('profile_topic', '/flange_pose', 'each needs its own'),
+            ('joint_topic', '/profile', 'each needs its own'),
             ('page.port', 1234, 'read-only parameter: page.port')):
         result = set_parameter(client, name, value)
         assert (result.successful, reason in result.reason) == (False, True), result.reason

@@ -10,6 +10,7 @@ from handeye_ros.data import NS, Profile, Reject, Sample, TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
+from handeye_ros.sampling.stops import Stop
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -257,3 +258,13 @@ def test_one_wild_stamp_changes_nothing_but_that_message(
     assert outcomes[0] == outcomes[1]
     # the first of all may be early: nothing tells that it is
     assert len(session.warnings) == (0 if place == 0 and jump < 0 else 1)
+
+
+def test_profiles_of_a_pass_beyond_its_poses_are_not_used() -> None:
+    # as in a stored sweep after time_offset was changed
+    config = with_values(CONFIG, {'sampling.mode': 'moving'}, 'test')
+    track = tuple(stops((0.0, 1.0)))
+    seen = profiles(0.5, 3.0)
+    assert isinstance(result_of(Stop(track[0].stamp, track, tuple(seen)), config), Sample)
+    beyond = result_of(Stop(track[0].stamp, track, tuple(profiles(2.0, 3.0))), config)
+    assert isinstance(beyond, Reject) and 'no profile has a stamp' in beyond.reason
