@@ -177,6 +177,17 @@ def test_settings_that_change_need_no_new_samples() -> None:
     assert taken(state_of(live)) == count
 
 
+def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> None:
+    items = [*SPHERE.poses, *SPHERE.profiles]
+    once, live = fed(), new(set_to(SPHERE.config, sampling__min_points=5000))
+    feed(live, items)
+    feed(live, later(items, 1000))
+    assert taken(state_of(live)) == 0
+    changed(live, sampling__min_points=20)
+    assert taken(state_of(live)) == taken(state_of(once))
+    assert taken(state_of(live)) == len(live.copied().stops) / 2
+
+
 def test_a_sensor_that_is_said_to_distort_shows_more_arcs() -> None:
     sphere = SCENARIOS['small_sphere']
     sphere = replace(sphere, sensor=replace(sphere.sensor, distortion=2e-3))
