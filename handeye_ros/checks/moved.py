@@ -106,6 +106,7 @@ def _same_target(first: Solution, second: Solution) -> bool:
         return True
     near = Estimate(second.estimate.X, first.estimate.state)
     after = solution_at(reassigned(second.problem, near), near, LUMPED)
+    # both parts in one fit: two transforms, and the target in common
     own, other = first.white_jacobian, after.white_jacobian
     J = np.vstack([np.insert(own, [6] * 6, 0.0, axis=1), np.insert(other, [0] * 6, 0.0, axis=1)])
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)

@@ -52,11 +52,11 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
     made: Simulated | SimulatedFiles
     if scenario := SCENARIOS.get(name) or FAULTS.get(name):
         made = simulate(scenario, rng)
-        truth_of, joints = made.truth, made.joints()
+        known, joints = made.truth, made.joints()
         tables: Mapping[str, str] = {'robot.urdf': robot.urdf()} if joints else {}
         values = truth(
-            truth_of.T_flange_sensor, T_base_target=se3.transform_values(truth_of.T_base_target),
-            **({} if truth_of.time_offset is None else {'time_offset': truth_of.time_offset}),
+            known.T_flange_sensor, T_base_target=se3.transform_values(known.T_base_target),
+            **({} if known.time_offset is None else {'time_offset': known.time_offset}),
             noise={'sensor': scenario.sensor.noise,
                    'robot_translation': scenario.robot.repeatability[0],
                    'robot_rotation': scenario.robot.repeatability[1]},

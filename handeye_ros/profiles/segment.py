@@ -194,8 +194,8 @@ def _segments(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float)
             return []
         slope = float(steps @ dz[inner]) / spread
         residual = dz - slope * dx
-        steps = residual[inner]
-        noise = max(math.sqrt(steps @ steps / max(count - 2, 1)), least_noise)
+        inside = residual[inner]
+        noise = max(math.sqrt(inside @ inside / max(count - 2, 1)), least_noise)
         if is_last:
             break
         bent = _bent_end(residual, noise), _bent_end(residual[::-1], noise)
