@@ -40,7 +40,6 @@ from handeye_ros.bags.session_files import (
     OutputFolders,
     read_session,
     resumed,
-    SessionFiles,
 )
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, Sample, TimedPose
@@ -114,10 +113,9 @@ class Inline(Pool):
 def work(output_dir: Path, acknowledge: int) -> None:
     """Go on with the last session: take samples, and sometimes remove one, for ever."""
     config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, OutputFolders())
-    live = LiveSession(config, OutputFolders(), SessionFiles(OutputFolders().folder, found),
-                       Inline(), lambda: None)
+    live = LiveSession(config, OutputFolders(), Inline(), lambda: None)
     if found:
-        live.restore(found.session(config), found.config)
+        live.open(found, found.session(config))
     rng, start = random.Random(), time.time_ns()
     while True:
         start += 2 * NS

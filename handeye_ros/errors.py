@@ -14,6 +14,8 @@ import difflib
 import math
 import os
 from pathlib import Path
+import sys
+import traceback
 from typing import Any
 
 INSTALL_TF2 = ('install ros-jazzy-tf2-msgs and source the setup.bash of ROS or, where ROS comes '
@@ -49,6 +51,14 @@ class InputError(HandeyeError):
     """Wrong usage, or input that cannot be read (exit code 2)."""
 
     exit_code = 2
+
+
+def told(what: str, error: Exception) -> str:
+    """Return the sentence of an exception; of one that is no refusal the log shows where."""
+    if isinstance(error, HandeyeError):
+        return str(error)
+    print(*traceback.format_exception(error), file=sys.stderr, flush=True)
+    return f'{what} failed: {error!r}; the log shows where'
 
 
 class UnusableMessageError(InputError):

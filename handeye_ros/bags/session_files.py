@@ -14,7 +14,7 @@ of the files, and is written again when the session is continued.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import fcntl
@@ -125,10 +125,11 @@ class Stored:
 
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
-        session = Session(config)
-        frames = (profile.frame_id for stop in self.stops.values()
-                  for profile in stop.load(config).profiles)
-        session.restore((), self.last_number, next(frames, ''))
+        poses = (pose.parent_frame for stop in self.stops.values()
+                 for pose in stop.load(config).poses)
+        profiles = (profile.frame_id for stop in self.stops.values()
+                    for profile in stop.load(config).profiles)
+        session = Session(config, (), self.last_number, (next(poses, None), next(profiles, None)))
         for number, stored in sorted(self.stops.items()):
             stop = _evaluated(stored, config)
             session.put(replace(session.numbered(stop, stop.result), number=number))
@@ -148,23 +149,29 @@ class SessionFiles:
     path: the folder of the session, None before the first event. Not for several threads at once.
     """
 
-    def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None) -> None:
+    def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None,
+                 config: Config | None = None) -> None:
         """
         Begin with the first event, or continue a session.
 
-        parent: returns the folder that holds the folders of sessions. Raises InputError for a
-        session that another node has open, UnwritableError.
+        parent: returns the folder that holds the folders of sessions; config: the settings from
+        now on, which are written if they differ. Raises InputError for a session that another node
+        has open, UnwritableError.
         """
         self._parent = parent
         self.path = stored.path if stored else None
         self._lock: int | None = None
         self._unsynced = stored is not None
         if stored:
-            with write_errors_for(stored.path):
+            with ExitStack() as failed, write_errors_for(stored.path):
                 self._lock = _claimed(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
+                failed.callback(self.close)
                 write_metadata(stored.path, files_of(stored.path))
+                if config and replace(stored.config, session=config.session) != config:
+                    self.add_event(CONFIGURED, config)
+                failed.pop_all()
 
     def close(self) -> None:
         """Release the lock, so that another node can continue the session."""
@@ -221,7 +228,6 @@ class SessionFiles:
         """Return the files of another session, which exists at once; raises UnwritableError."""
         other = SessionFiles(self._parent)
         other.add_event(CONFIGURED, config)  # so that `last` names it
-        self.close()
         return other
 
     def sync(self) -> None:

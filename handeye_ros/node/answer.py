@@ -199,8 +199,8 @@ class LiveAnswer:
             self.seen = extremes(np.concatenate([self.seen, current.points]))
         if asked:
             self.asked_settings = values_of(config, ANSWER_KEYS)
-        session = Session(config)  # the messages of the streams stay here
-        session.restore(now.stops, now.last_number, now.frame_id)
+        # the messages of the streams stay here
+        session = Session(config, now.stops, now.last_number, now.frames)
         sampled = {stop.began for stop in now.stops if stop.sample}
         without_sample = [T for began, T in live.without_sample.items() if began not in sampled]
         made_from = self._made_from()

@@ -38,8 +38,9 @@ from handeye_ros.bags.session_files import (
     OutputFolders,
     REMOVED,
     SessionFiles,
+    Stored,
 )
-from handeye_ros.config import Config
+from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
 from handeye_ros.errors import (
     DataError,
@@ -83,14 +84,15 @@ class LiveSession:
     running: the long computations in words, '' for a review
     """
 
-    def __init__(self, config: Config, folders: OutputFolders, files: SessionFiles, pool: Pool,
+    def __init__(self, config: Config, folders: OutputFolders, pool: Pool,
                  changed: Callable[[], object]) -> None:
         """
         Start without samples; raises BadValueError for a method that does not exist.
 
         pool: where long computations run; changed: called by the worker after every change.
         """
-        self.config, self.folders, self.files, self.pool = config, folders, files, pool
+        self.config, self.folders, self.pool = config, folders, pool
+        self.files = SessionFiles(folders.folder)
         self.lock = Lock()
         self.session = Session(config)
         self.to_evaluate: deque[Stop] = deque()  # complete stops, not yet evaluated
@@ -451,49 +453,44 @@ class LiveSession:
 
     def clear_samples(self) -> str:
         """Forget samples, verification, answer, and all messages; raises InputError."""
-        note = ''
-        if self.files.path:
-            note = f'; they are kept in {self.path}' if self.files.path.is_dir() else ''
-            self.files, self._store_trouble = self.files.restarted(self.config), ''
-        count = self._forget('the samples were cleared')
+        count, files, note = self._sample_count(), self.files, ''
+        config = replace(self.config, samples=SamplesConfig())  # numbers begin again
+        if files.path:
+            note = f'; they are kept in {files.path}' if files.path.is_dir() else ''
+            files = files.restarted(config)
+        self._begin(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
-    def _forget(self, why: str) -> int:
-        """Forget stops, messages, and what follows; return the number of samples there were."""
-        count = sum(stop.sample is not None for stop in self.session.stops)
+    def open(self, stored: Stored, session: Session) -> str:
+        """
+        Continue with a session of the disk, and solve; return the message. Raises InputError.
+
+        session: its stops, evaluated with the samples that it excludes.
+        """
+        config = replace(self.config, samples=session.config.samples)
+        files = SessionFiles(self.folders.folder, stored, config)
+        session.configure(config)
+        self._begin(files, session, 'another session was opened')
+        if session.samples:
+            self.answer.asked_settings = {}  # as with other settings: solve again
+        return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
+
+    def _begin(self, files: SessionFiles, session: Session, why: str) -> None:
+        """Go on with another session; forget messages, and what followed from the one before."""
         with self.lock:
             for messages in (self._profiles, self._poses, self.joints, self.to_evaluate,
                              self._stale):
                 messages.clear()
-            self.session.clear()
-            self.ready_stop = None
+            self.session, self.config, self.ready_stop = session, session.config, None
             self.verification.end()
+        if files is not self.files:
+            self.files.close()
+        self.files, self._store_trouble = files, ''
         self.attempt, self.without_sample, self._overflowed = None, {}, 0
         self.answer.forget(why)
-        return count
 
-    def restore(self, session: Session, old_config: Config) -> str:
-        """
-        Continue with the stops of an earlier run, and solve; return the message.
-
-        old_config: its settings; the current ones are stored if they differ. Raises
-        UnwritableError.
-        """
-        with self.lock:
-            self.session = session
-        if replace(old_config, session=self.config.session) != self.config:
-            self.files.add_event(CONFIGURED, self.config)
-        if session.samples:
-            self.answer.asked_settings = {}  # as with other settings: solve again
-        count = sum(stop.sample is not None for stop in session.stops)
-        return f'continuing with {count_of(count, "sample")} of {self.path}'
-
-    def open(self, files: SessionFiles, session: Session, old_config: Config) -> str:
-        """Continue with another session; see restore."""
-        self._forget('another session was opened')
-        self.files.close()
-        self.files = files
-        return self.restore(session, old_config)
+    def _sample_count(self) -> int:
+        return sum(stop.sample is not None for stop in self.session.stops)
 
     def configure(self, config: Config) -> None:
         """Apply another configuration, already checked by the node."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 import re
-from threading import Lock
-import traceback
 from typing import Any
 
 from handeye_ros import config as configuration
@@ -18,11 +17,10 @@ from handeye_ros.bags.session_files import (
     PARAMETERS,
     read_session,
     resumed,
-    SessionFiles,
     Stored,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
-from handeye_ros.errors import HandeyeError, InputError, UnknownKeyError
+from handeye_ros.errors import InputError, told, UnknownKeyError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
@@ -50,6 +48,7 @@ REQUEST_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 SLOW_SERVICES = ('compute_calibration', 'verify_result')  # no other service waits for these
 # Keys that cannot change while the node runs.
 FIXED_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
+EXCLUDE = 'samples.exclude'
 # Keys of targets that are solved from files alone.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
@@ -60,10 +59,9 @@ class HandeyeNode(Node):
     def __init__(self) -> None:
         """Subscribe and serve; raises InputError for an invalid configuration."""
         super().__init__('handeye')
-        self._folders = folders = OutputFolders(self.get_namespace())
+        folders = OutputFolders(self.get_namespace())
         config, stored = declare(self, folders)
-        self.live = LiveSession(config, folders, SessionFiles(folders.folder, stored), Pool(),
-                                lambda: self._outputs.show())
+        self.live = LiveSession(config, folders, Pool(), self._show_changes)
         live, answer, verification = self.live, self.live.answer, self.live.verification
         self._requests: dict[str, Callable[[], Any]] = {work.__name__: work for work in (
             live.take_sample, live.remove_last_sample, live.clear_samples,
@@ -71,12 +69,10 @@ class HandeyeNode(Node):
             verification.verify_start, verification.verify_result)}
         self._outputs = Outputs(self, self.live)
         self._streams = Streams(self, self.live, self.live.add_joints)
-        self._changing = Lock()  # the page sets parameters from its own thread
         self._warned: set[str] = set()  # warnings in the log
-        self.add_on_set_parameters_callback(self._check_change)
-        self.add_post_set_parameters_callback(self._apply_change)
+        self.add_on_set_parameters_callback(self._on_set)
         if stored:
-            self.get_logger().info(self.live.restore(stored.session(config), stored.config))
+            self.get_logger().info(self.live.open(stored, stored.session(config)))
         elif config.session:
             self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
                                       'one begins')
@@ -104,6 +100,13 @@ class HandeyeNode(Node):
         for period, work in ((1.0, self._diagnose), (CURRENT_PERIOD, self._outputs.show_current)):
             self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _show_changes(self) -> None:
+        """Publish what the worker has changed; a session that it began excludes other samples."""
+        self._outputs.show()
+        exclude = {EXCLUDE: list(self.live.config.samples.exclude)}
+        if _values([self.get_parameter(EXCLUDE)]) != exclude:
+            self.set_values(exclude)
 
     def stop(self) -> None:
         """Publish nothing more: the process ends, and what computes with it."""
@@ -135,15 +138,10 @@ class HandeyeNode(Node):
         try:
             answer = self.live.ask(self._requests[name])
             text, success = answer.result() if isinstance(answer, Future) else answer, True
-        except HandeyeError as error:
-            text, success = str(error), False
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
-            self.get_logger().error(traceback.format_exc())
-            text, success = f'{name} failed: {error!r}; the log shows where', False
+            text, success = told(name, error), False
         if name == 'clear_samples' and success:
             self._streams.restart()
-            if self.live.config.samples.exclude:  # numbers begin again
-                self.set_values({'samples.exclude': []})
         text = with_trouble(self.state, text, success, name)
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
@@ -153,22 +151,20 @@ class HandeyeNode(Node):
     def open_session(self, name: str) -> str:
         """Continue a previous session with the current settings; raises HandeyeError."""
         config = self.live.config
-        path = self._folders.folder(config) / Path(name).name
+        path = self.live.folders.folder(config) / Path(name).name
         if path == self.live.files.path:
             return f'{path} is the current session'
         stored = read_session(path)
-        session, files = stored.session(config), SessionFiles(self._folders.folder, stored)
-        text = self.live.ask(partial(self.live.open, files, session, stored.config))
-        self.set_values({'samples.exclude': list(stored.config.samples.exclude)})
-        return text
+        session = stored.session(replace(config, samples=stored.config.samples))
+        return self.live.ask(partial(self.live.open, stored, session))
 
     def set_values(self, values: Mapping[str, Any]) -> str:
-        """Set parameters by key; return why one is refused, '' if all are set."""
-        results = self.set_parameters([
+        """Set parameters by key, all or none; return why one is refused, '' if all are set."""
+        result = self.set_parameters_atomically([
             # ROS gives an empty list no type
             RosParameter(key, RosParameter.Type.INTEGER_ARRAY, value) if value == [] else
             RosParameter(key, value=value) for key, value in values.items()])
-        return '; '.join(result.reason for result in results if not result.successful)
+        return '' if result.successful else str(result.reason)
 
     def _on_trigger(self, name: str, _: Trigger.Request, response: Trigger.Response
                     ) -> Trigger.Response:
@@ -185,40 +181,43 @@ class HandeyeNode(Node):
 
     # parameters
 
-    def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
+    def _on_set(self, changes: list[RosParameter]) -> SetParametersResult:
+        """Apply changed parameters; ROS keeps the values before where that is refused."""
+        reason = ''
         try:
-            self._checked_settings(changes)
-        except HandeyeError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+            values = _values(changes)
+            # not asked are changes of the worker itself, and those of ROS such as use_sim_time
+            if self._with(values) != self.live.config:
+                self.live.ask(partial(self._apply, values))
+        except Exception as error:  # noqa: BLE001 - whoever sets it wants to know
+            reason = told('the change', error)
+        return SetParametersResult(successful=not reason, reason=reason)
 
-    def _checked_settings(self, changes: Iterable[RosParameter]) -> tuple[Config, bool]:
-        """Return the changed settings, and whether they name other topics; raises InputError."""
-        config = configuration.with_values(self.live.config, _values(changes), PARAMETERS)
+    def _with(self, values: Mapping[str, Any]) -> Config:
+        return configuration.with_values(self.live.config, values, PARAMETERS)
+
+    def _apply(self, values: Mapping[str, Any]) -> None:
+        """Apply changed settings; raises InputError. For the worker: one after the other."""
+        config, live, session = self._with(values), self.live, self.live.session
         _check_names(config)
-        session, old = self.live.copied(), self.live.config
         unknown = [number for number in config.samples.exclude
-                   if number > session.last_number and number not in old.samples.exclude]
+                   if number > session.last_number and number not in live.config.samples.exclude]
         if unknown:
             raise InputError(f'there is no sample {unknown[0]} to exclude: the last stop is '
                              f'{session.last_number}; ~/samples lists all')
-        other_topics = self._streams.names_other_topics(config)
-        if other_topics and session.stops:
+        if not self._streams.names_other_topics(config):
+            live.configure(config)
+            return
+        if session.stops:
             raise InputError('the topics cannot change while there are stops from them: call '
                              '~/clear_samples first, which begins a new session')
-        return config, other_topics
-
-    def _apply_change(self, changes: list[RosParameter]) -> None:
-        if not _values(changes):
-            return  # of ROS, such as use_sim_time
-        with self._changing:
-            config, other_topics = self._checked_settings(changes)
-            self.live.ask(partial(self.live.configure, config))
-            if other_topics:
-                self._streams.stop()
-                self.live.ask(self.live.clear_samples)
-                self._streams = Streams(self, self.live, self.live.add_joints)
-                self._streams.start()
+        self._streams.stop()
+        try:
+            live.clear_samples()
+            live.configure(self._with(values))
+        finally:  # to the topics before, where no new session can be written
+            self._streams = Streams(self, live, live.add_joints)
+            self._streams.start()
 
 
 def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:

@@ -23,10 +23,9 @@ import os
 import signal
 import sys
 import threading
-import traceback
 from typing import Any, TypeVar
 
-from handeye_ros.errors import HandeyeError
+from handeye_ros.errors import HandeyeError, told
 
 PROCESS_COUNT = 2  # a stop is evaluated while the calibration is computed
 NICE_VALUE = 5  # nice value of the processes: the streams come first
@@ -72,12 +71,8 @@ class Worker(ThreadPoolExecutor):
             work(*args)
             self._changed()
             self.failure = ''
-        except HandeyeError as error:
-            self.failure = str(error)
         except Exception as error:  # noqa: BLE001 - the thread must go on
-            self.failure = ('the work on the samples failed, which should not happen: '
-                            f'{error!r}; see the log, and please report it')
-            print(traceback.format_exc(), file=sys.stderr, flush=True)
+            self.failure = told('the work on the samples', error)
 
 
 class Pool:

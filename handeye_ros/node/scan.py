@@ -20,17 +20,19 @@ from dataclasses import replace
 from pathlib import Path
 import sys
 from threading import Lock
+from typing import Any
 
 from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
-from handeye_ros.errors import DataError, UnusableMessageError
+from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import other_sensor
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
 from handeye_ros.node.streams import Streams, WARNING_PERIOD
 from handeye_ros.results.calibration_file import file_of, read_calibration, use_config
+from handeye_ros.sampling.stream import REORDER_TIME
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
 from handeye_ros.units import assignment_in_si
@@ -67,8 +69,7 @@ class ScanNode(Node):
         seen = returns_of(profile)
         if doubt := other_sensor(profile.frame_id, self._sensor):
             self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
-        with self._lock:
-            self._profiles.append(seen)
+        self._keep(self._profiles, seen)
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Keep poses; raises UnusableMessageError for those in another frame."""
@@ -78,8 +79,14 @@ class ScanNode(Node):
                 raise UnusableMessageError(
                     f'PoseStamped message not used: it is given in "{pose.parent_frame}", but '
                     f'robot_base_frame is "{self.config.base_frame}"')
-            with self._lock:
-                self._poses.append(pose)
+            self._keep(self._poses, pose)
+
+    def _keep(self, kept: deque[Any], item: Profile | TimedPose) -> None:
+        """Keep an item; if the clock was set back, without those before."""
+        with self._lock:
+            if kept and kept[-1].stamp - item.stamp > REORDER_TIME:
+                kept.clear()
+            kept.append(item)
 
     def _publish_ready(self) -> None:
         """Publish the points of profiles older than the last pose."""
@@ -92,12 +99,7 @@ class ScanNode(Node):
                 self._profiles.remove(profile)
             span = latest - ready[0].stamp - self._offset + POSES_AROUND
             poses = [pose for pose in self._poses if abs(latest - pose.stamp) <= span]
-        try:
-            track = trajectory_of(poses, self.config.sampling.max_pose_gap)
-        except DataError as error:  # the clock was set back
-            self.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
-            self._poses.clear()
-            return
+        track = trajectory_of(poses, self.config.sampling.max_pose_gap)
         points = self._scanner.points(ready, track)
         lost = self._scanner.count.without_pose
         if lost > self._dropped:

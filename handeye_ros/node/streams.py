@@ -11,7 +11,6 @@ from pathlib import Path
 import struct
 import threading
 import time
-import traceback
 from typing import Any, Protocol, TypeVar
 
 from geometry_msgs.msg import PoseStamped
@@ -22,7 +21,7 @@ from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import NS, RawProfile, TimedPose
-from handeye_ros.errors import InputError, INSTALL_TF2, UnusableMessageError
+from handeye_ros.errors import InputError, INSTALL_TF2, told
 from handeye_ros.node.state import MessageCount
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -196,6 +195,7 @@ class Streams:
     def restart(self) -> None:
         """Accept transforms of any time from now on: a bag may be played again."""
         self._tracker.restart()
+        self._last_stamp = None
 
     # the thread
 
@@ -240,10 +240,9 @@ class Streams:
                 try:
                     topic.receive(data)
                 except Exception as error:  # noqa: BLE001 - the streams must continue
-                    if not isinstance(error, UnusableMessageError):
-                        log.error(traceback.format_exc())
-                    topic.messages.add_malformed(str(error))
-                    log.warning(str(error), throttle_duration_sec=WARNING_PERIOD)
+                    reason = told(f'the reading of {topic.name}', error)
+                    topic.messages.add_malformed(reason)
+                    log.warning(reason, throttle_duration_sec=WARNING_PERIOD)
         return MOST_AT_ONCE
 
     def _on_profile(self, data: bytes) -> None:

@@ -26,14 +26,12 @@ import os
 from pathlib import Path
 import secrets
 import socket
-import sys
 import threading
-import traceback
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from aiohttp import web
-from handeye_ros.errors import HandeyeError, InputError
+from handeye_ros.errors import HandeyeError, InputError, told
 from handeye_ros.page.contents import PageSource, plain, source
 
 if TYPE_CHECKING:
@@ -135,7 +133,7 @@ class PageServer:
         try:
             return json.dumps(plain(self._source.state()), allow_nan=False)
         except Exception as error:  # noqa: BLE001 - the page must go on
-            return json.dumps({'error': _told(error)})
+            return json.dumps({'error': told('this', error)})
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -161,7 +159,7 @@ class PageServer:
         except ConnectionError:  # closed before the request was complete
             return _sentence(400, 'the connection is closed')
         except Exception as error:  # noqa: BLE001 - whoever asks wants to know
-            return _sentence(500, _told(error))
+            return _sentence(500, told('this', error))
 
     def _is_ours(self, host: str) -> bool:
         """Return whether a Host names this machine; other names may be of another site."""
@@ -237,14 +235,6 @@ class PageServer:
         except HandeyeError as error:
             success, message = False, str(error)
         return web.json_response({'success': success, 'message': message}, headers=HEADERS)
-
-
-def _told(error: Exception) -> str:
-    """Return the sentence of a refusal; what is none is also in the log, with its place."""
-    if isinstance(error, HandeyeError):
-        return str(error)
-    print(*traceback.format_exception(error), file=sys.stderr, flush=True)
-    return f'this failed: {error!r}; the log shows where'
 
 
 def _sentence(status: int, text: str) -> web.Response:

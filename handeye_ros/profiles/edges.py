@@ -313,9 +313,10 @@ def _wall(end: FaceEnd, further: NDArray[np.intp]) -> tuple[float, float] | None
         return None
     u, v = u[low], v[low]
     mean, spread = float(v.mean()), float(v.std())
-    slope = float((v - mean) @ (u - u.mean())) / len(v) / spread ** 2
-    if abs(slope) > WALL_SLOPE:
+    covariance = float((v - mean) @ (u - u.mean())) / len(v)
+    if not abs(covariance) < WALL_SLOPE * spread ** 2:  # also of points at one depth
         return None
+    slope = covariance / spread ** 2
     scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.column_pitch / 12 ** 0.5
     std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
     place, least = float(u.mean() - slope * mean), _end_of_face(end, all_u, all_v)

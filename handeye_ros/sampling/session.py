@@ -58,35 +58,39 @@ class Session(Copyable):
     """
     Receives poses and profiles, returns each stop once, and keeps what it gives.
 
-    last_number: the last one assigned.
+    config: the current settings
+    last_number: the last one assigned
     """
 
-    def __init__(self, config: Config) -> None:
-        """Start with no messages; raises BadValueError for a method that does not exist."""
-        targets.target_for(config)
-        self._config = config
-        self.clear()
+    def __init__(self, config: Config, stops: Iterable[Stop] = (), last_number: int = 0,
+                 frames: tuple[str | None, str | None] = (None, None)) -> None:
+        """
+        Start with no messages; raises BadValueError for a method that does not exist.
 
-    def clear(self) -> None:
-        """Forget all samples and all messages."""
+        stops, last_number, frames: those of a session that goes on.
+        """
+        targets.target_for(config)
+        self.config = config
         self._stops: dict[int, Stop] = {}  # the evaluated ones, by their beginnings
-        self.last_number = 0
+        self.last_number = last_number
         self._next_check: tuple[int, float] = -1, 0.0  # beginning of a stop, time in it
-        self._finder = StopFinder(self._config.sampling)
+        self._finder = StopFinder(config.sampling)
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
         self._handed_out: set[int] = set()  # beginnings of stops that are not returned (again)
         self._unasked_stops = 0  # stops in manual mode
         self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
-        self._pose_stream: Stream[TimedPose] = Stream('pose')
-        self._profile_stream: Stream[AnyProfile] = Stream('profile')
+        self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
+        self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
+        for stop in stops:
+            self.put(stop)
 
     def configure(self, config: Config) -> None:
         """Apply another configuration to what comes from now on, the current stop too."""
-        if config.sampling.moving != self._config.sampling.moving:
+        if config.sampling.moving != self.config.sampling.moving:
             self._finder = StopFinder(config.sampling)
-        self._config, self._finder.sampling = config, config.sampling
+        self.config, self._finder.sampling = config, config.sampling
 
     def add_pose(self, pose: TimedPose) -> None:
         """Take a pose of the flange; one that cannot be used is dropped with a warning."""
@@ -96,7 +100,7 @@ class Session(Copyable):
         for pose in poses:
             self._reach = math.hypot(*pose.translation)
             stop = self._finder.add(pose)
-            if stop and self._config.sampling.by_itself:
+            if stop and self.config.sampling.by_itself:
                 self._waiting.append(stop)
             elif stop:
                 self._unasked_stops += 1
@@ -130,7 +134,7 @@ class Session(Copyable):
     def _before_setting_back(self) -> list[Stop]:
         """Continue after a clock was set back; return the stops from before."""
         stops = self._current_and_waiting()
-        self._finder = StopFinder(self._config.sampling)
+        self._finder = StopFinder(self.config.sampling)
         if self._pose_stream.set_back:
             self._pose_stream.restart()
         if self._profile_stream.set_back:
@@ -150,7 +154,7 @@ class Session(Copyable):
         return self._current_and_waiting()
 
     def _current_and_waiting(self) -> list[Stop]:
-        current = self._finder.current() if self._config.sampling.by_itself else None
+        current = self._finder.current() if self.config.sampling.by_itself else None
         stops, self._waiting = [*self._waiting, *([current] if current else [])], []
         return self._hand_out(stops)
 
@@ -161,7 +165,7 @@ class Session(Copyable):
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
-        return stop.with_profiles(self._profiles.items, self._config)
+        return stop.with_profiles(self._profiles.items, self.config)
 
     def was_handed_out(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
@@ -182,11 +186,11 @@ class Session(Copyable):
         self._require_poses_now()
         stop = self._finder.current()
         if stop is None:
-            needed, motion = self._config.sampling.still_time, self.motion
+            needed, motion = self.config.sampling.still_time, self.motion
             if motion is None:
                 how = 'too few poses have come to measure its motion: wait'
-            elif motion.speed * needed <= self._config.sampling.still_translation and (
-                    motion.turning * needed <= self._config.sampling.still_rotation):
+            elif motion.speed * needed <= self.config.sampling.still_translation and (
+                    motion.turning * needed <= self.config.sampling.still_rotation):
                 missing = max(needed - motion.still, 0.1)
                 how = f'but for {motion.still:.1f} s: wait {missing:.1f} s more'
             else:
@@ -224,7 +228,7 @@ class Session(Copyable):
         return None
 
     def _no_poses(self) -> DataError:
-        topic, keys = self._config.pose_origin
+        topic, keys = self.config.pose_origin
         return DataError(f'no flange pose was received on {topic}: start the robot driver, or set '
                          f'{keys}', reason='no_poses')
 
@@ -240,9 +244,9 @@ class Session(Copyable):
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        poses, sampling, count = self._pose_stream, self._config.sampling, len(self._handed_out)
+        poses, sampling, count = self._pose_stream, self.config.sampling, len(self._handed_out)
         if sampling.mode == 'still' and self._finder.short_rests > count and (
-                0 < count < targets.target_for(self._config).min_samples):
+                0 < count < targets.target_for(self.config).min_samples):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
                             f'times, and {self._finder.short_rests} times for less: stay longer '
                             'at each stop, or lower sampling.still_time', reason='no_stops')
@@ -276,18 +280,18 @@ class Session(Copyable):
                            'profiles')
         out_of_plane = max((abs(float(beside[0])) for beside in self._beside), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
-                *frame_notes(self._profile_stream.frame, out_of_plane, self._config))
+                *frame_notes(self._profile_stream.frame, out_of_plane, self.config))
 
     @property
     def conflict(self) -> InputError | None:
         """Return the error of contradicting frames, or of a tilted light plane, or None."""
-        wanted = self._config.robot_base_frame.lstrip('/')
+        wanted = self.config.robot_base_frame.lstrip('/')
         if wanted and self.base_frame and wanted != self.base_frame:
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
         if between := _tilted(self._beside):
-            along, across = self._config.profile.axes
+            along, across = self.config.profile.axes
             return InputError(
                 f'the profiles lie between {between[0] * 1e3:.1f} and {between[1] * 1e3:.1f} mm '
                 f'beside the plane of {along} and '
@@ -309,6 +313,11 @@ class Session(Copyable):
                 return (f'only {kind}s of frame "{stream.successor}" come now, and none of '
                         f'"{stream.frame}" gave a sample: the session begins anew')
         return ''
+
+    @property
+    def frames(self) -> tuple[str | None, str | None]:
+        """Return the frames of poses and profiles, None before the first."""
+        return self._pose_stream.frame, self._profile_stream.frame
 
     @property
     def frame_id(self) -> str:
@@ -367,7 +376,7 @@ class Session(Copyable):
 
     def excludes(self, stop: Stop) -> bool:
         """Return whether samples.exclude contains the sample of a stop."""
-        return stop.number in self._config.samples.exclude
+        return stop.number in self.config.samples.exclude
 
     def with_base(self, config: Config) -> Config:
         """Return the settings with the frame of the poses as the base, if they name none."""
@@ -380,7 +389,7 @@ class Session(Copyable):
 
         Raises InputError when messages of two frames came on one topic.
         """
-        return [self.put(self.numbered(stop, result_of(stop, self._config))).result
+        return [self.put(self.numbered(stop, result_of(stop, self.config))).result
                 for stop in self.remaining()]
 
     def current_if_ready(self) -> Stop | None:
@@ -390,7 +399,7 @@ class Session(Copyable):
         At first it needs MOST_PROFILES. A stop without a sample is returned a few more times,
         later and later, as the cause may be gone. completed() returns it again when it is over.
         """
-        sampling, stood = self._config.sampling, self._finder.stood
+        sampling, stood = self.config.sampling, self._finder.stood
         first = (sampling.still_time + 2 * sampling.settle_time) * NS
         began, next_check = self._next_check
         if began != self._finder.began:
@@ -403,7 +412,7 @@ class Session(Copyable):
             return None
         stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < NO_PROFILE_PATIENCE else 0
-        return stop if len(stop.steady(self._config)) >= enough else None
+        return stop if len(stop.steady(self.config)) >= enough else None
 
     def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""
@@ -411,7 +420,7 @@ class Session(Copyable):
         others = [other for other in self.stops
                   if other is not before and not self.excludes(other)]
         why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
-            result, others, self._config)
+            result, others, self.config)
         return replace(stop, number=before.number if before else self.last_number + 1,
                        result=Reject(result.stamp, why, final=True) if why else result)
 
@@ -427,13 +436,6 @@ class Session(Copyable):
         """Forget the result of a stop, which is not handed out again."""
         self.mark_handed_out(stop)
         self._stops.pop(stop.began, None)
-
-    def restore(self, stops: Sequence[Stop], last_number: int, frame_id: str) -> None:
-        """Continue from the stops of an earlier run; last_number: the last one assigned."""
-        self.clear()
-        self.last_number, self._profile_stream.frame = last_number, frame_id or None
-        for stop in stops:
-            self.put(stop)
 
 
 def _tilted(seen: Sequence[Array]) -> tuple[float, float] | None:

@@ -64,8 +64,8 @@ class Stream(Copyable, Generic[Stamped]):
     set_back: by how much the clock was set back (ns), 0 if it was not
     """
 
-    def __init__(self, kind: str) -> None:
-        """Start with none; kind: what the messages are, for the warnings."""
+    def __init__(self, kind: str, frame: str | None = None) -> None:
+        """Start with none; kind: what they are, for the warnings; frame: if it is known before."""
         self._kind = kind
         self._pending: Stamped | None = None
         self._dropped: Counter[str] = Counter()
@@ -75,7 +75,7 @@ class Stream(Copyable, Generic[Stamped]):
         self.count = 0
         self.late = False
         self.repeats = 0
-        self.frame: str | None = None
+        self.frame = frame
         self.set_back = 0
         self._late_since = -1  # stamp of the first of consecutive late messages
         self._late_last = self._late_count = 0

@@ -157,7 +157,7 @@ def test_a_stray_of_another_frame_is_counted_and_more_are_refused(kind: str) -> 
 def test_a_first_message_of_another_frame_is_the_stray_unless_the_session_continues() -> None:
     session = played([pose(0, frame='map'), *stops((0.1, 1.2), rate=25.0)], profiles(0, 1.2))
     assert session.base_frame == 'base' and len(session.samples) == 1
-    session.restore((), 0, 'laser')
+    session = Session(CONFIG, frames=session.frames)
     for one in profiles(0, 1.2):
         session.add_profile(replace(one, frame_id='other sensor'))
     with pytest.raises(InputError, match='two frames, "laser" and "other sensor"'):

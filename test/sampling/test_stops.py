@@ -216,15 +216,3 @@ def test_the_last_sample_can_be_removed() -> None:
     assert removed_last(session).result is second and session.samples == (first,)
     assert removed_last(session).result is first and not session.samples
     session.require_stops()  # they were stops
-
-
-def test_clearing_forgets_everything_also_the_frames_and_the_time() -> None:
-    session = played(stops((0, 1)), [*profiles(0, 1), profile(1.5, frame='x')], finish=False)
-    session.clear()
-    assert session.samples == session.rejects == session.warnings == ()
-    assert session.frame_id == ''
-    again = sorted([*stops((0, 1)), *(replace(p, frame_id='x') for p in profiles(0, 1))],
-                   key=lambda item: item.stamp)
-    for item in again:
-        add(session, item)
-    assert len(session.evaluate_remaining()) == 1 and session.frame_id == 'x'

@@ -8,7 +8,7 @@ from dataclasses import replace
 import tempfile
 
 from cells import recorded, set_to
-from handeye_ros.bags.session_files import OutputFolders, resumed, SessionFiles
+from handeye_ros.bags.session_files import OutputFolders, resumed
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
@@ -41,10 +41,9 @@ def new(config: Config = SPHERE.config, pool: Pool | None = None) -> LiveSession
     folders, stored = OutputFolders(), None
     if config.session:
         _, stored = resumed({'output_dir': config.output_dir, 'session': config.session}, folders)
-    live = LiveSession(config, folders, SessionFiles(folders.folder, stored), pool or Inline(),
-                       lambda: None)
+    live = LiveSession(config, folders, pool or Inline(), lambda: None)
     if stored:
-        live.restore(stored.session(config), stored.config)
+        live.open(stored, stored.session(config))
     return live
 
 
