@@ -168,6 +168,39 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
     assert np.abs(third.answer.calibration.T_flange_sensor - found).max() < 1e-9
 
 
+def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profiles(
+        tmp_path: Path) -> None:
+    other = again(feed(stored(tmp_path), stops=3))
+    assert other.config_with_base.robot_base_frame == 'base', 'before the first message'
+    foreign = [replace(pose, parent_frame='map') for pose in SPHERE.poses]
+    feed(other, replace(SPHERE, poses=tuple(foreign)))
+    assert 'two frames, "base" and "map"' in state_of(other)['session']['trouble']
+    assert taken(state_of(other)) == 3
+
+
+def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path: Path) -> None:
+    live = feed(stored(tmp_path), stops=3)
+    changed(live, samples__exclude=[2])
+    before, text = Path(live.path), live.clear_samples()
+    assert text.startswith('3 samples removed') and live.config.samples.exclude == ()
+    changed(live, noise__sensor=4e-5)  # which is to be written
+    found, path = read_session(before), live.path
+    session = found.session(replace(live.config, samples=found.config.samples))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # there is room for metadata.yaml alone
+    resource.setrlimit(resource.RLIMIT_FSIZE,
+                       ((before / 'metadata.yaml').stat().st_size + 100, hard))
+    try:
+        with pytest.raises(InputError, match='cannot write'):
+            live.open(found, session)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (live.path, taken(state_of(live)), live.config.samples.exclude) == (path, 0, ())
+    assert live.open(found, session) == f'continuing with 3 samples of {before}'
+    assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
+    assert read_session(before).config == live.config
+
+
 def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path) -> None:
     live = feed(stored(tmp_path), stops=2)
     before = Path(live.path)

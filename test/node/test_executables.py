@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 import signal
 import subprocess
@@ -22,7 +22,7 @@ from handeye_ros.errors import InputError  # noqa: E402
 from handeye_ros.node.main import ros  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
-from moving_scan import calibration, moving, plane_profiles  # noqa: E402
+from moving_scan import calibration, moving, plane_profiles, STEP, T0  # noqa: E402
 import numpy as np  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from recordings import scan  # noqa: E402
@@ -35,6 +35,7 @@ from ros_helpers import (  # noqa: E402
     pose_message,
     RELIABLE,
     run_module,
+    XZ,
 )
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
@@ -167,6 +168,46 @@ def test_scanned_points_are_published_in_the_base(tmp_path: Path, client: Client
     z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 4)[:, 2]
                         for c in got])
     np.testing.assert_allclose(z, 0.1, atol=1e-6)
+
+
+def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(
+        tmp_path: Path, client: Client) -> None:
+    write_calibration(calibration(), tmp_path / 'calibration.yaml')
+    got: list[PointCloud2] = []
+    client.node.create_subscription(PointCloud2, '/handeye_scan/points', got.append, 100)
+
+    def send(ms: int) -> None:
+        pose, one = moving(ms)[-1], plane_profiles(ms)[-1]
+        client.send(client.poses, [pose_message(pose.stamp, pose.translation, pose.quaternion)],
+                    200.0)
+        x, z = one.points.T
+        client.send(client.profiles, [cloud_message(cloud({'x': x, 'z': z}, XZ, 8), one.stamp)],
+                    200.0)
+
+    with started('scan', tmp_path):
+        client.until(lambda: client.profiles.get_subscription_count()
+                     and client.poses.get_subscription_count()
+                     and client.node.count_publishers('/handeye_scan/points'), 'it is there')
+        place = count(10_000)
+
+        def came() -> bool:
+            send(next(place))
+            return bool(got)
+
+        client.until(came, 'it hears both')
+        waiting = plane_profiles(1)[0]
+        waiting = cloud_message(cloud(dict(zip('xz', (waiting.points + [0, 1]).T, strict=True)),
+                                      XZ, 8), T0 + 12_000 * STEP)
+        client.send(client.profiles, [waiting] * 5, 200.0)  # no pose comes after it
+        for ms in range(5_000, 5_100):
+            send(ms)
+        got.clear()
+        for ms in range(11_950, 12_050):
+            send(ms)
+        client.until(lambda: got, 'the scan goes on')
+    z = np.concatenate([np.frombuffer(bytes(c.data), np.float32).reshape(-1, 3)[:, 2]
+                        for c in got])
+    np.testing.assert_allclose(z, 0.1, atol=1e-4)
 
 
 # -- corrected_pose

@@ -20,11 +20,14 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402, I100
 from geometry_msgs.msg import PointStamped, PoseStamped  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from ros_clouds import cloud  # noqa: E402
 from ros_helpers import (  # noqa: E402
     BEST_EFFORT,
     Client,
+    cloud_message,
     listed,
     offered,
+    parameter,
     pose_message,
     RELIABLE,
     ROOT,
@@ -32,6 +35,7 @@ from ros_helpers import (  # noqa: E402
     set_parameter,
     sphere_profile,
     stand_still,
+    XZ,
 )
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
@@ -136,6 +140,7 @@ def test_samples_by_hand_and_refusals(client: Client, node: subprocess.Popen[str
     assert set_parameter(client, 'samples.exclude', [1]).successful
     assert client.call('clear_samples').message.startswith('1 sample removed')
     assert client.state()['samples'] == '0'
+    client.until(lambda: not parameter(client, 'samples.exclude'), 'ROS shows it')
     stand_still(client, START + 100 * 10**9)  # numbers begin again, and none is excluded
     client.until_counted(profiles=40, poses=40)
     assert client.call('take_sample').message.startswith('sample 1 taken: ')
@@ -165,6 +170,24 @@ def test_malformed_messages_stop_nothing_and_their_cause_is_in_every_answer(
     for text in (state['message'], client.call('take_sample').message):
         assert 'the last 5 profiles cannot be used; the last reason: ' in text
         assert 'set profile.unit to mm' in text
+
+
+def test_what_came_before_the_samples_were_cleared_tells_no_duration(
+        client: Client, node: subprocess.Popen[str]) -> None:
+    def send(stamp: int) -> None:
+        x = np.tile(np.linspace(-0.03, 0.03, 300), 2)
+        client.profiles.publish(cloud_message(
+            cloud({'x': x, 'z': np.full(600, 0.2)}, XZ, 8, height=2), stamp))
+
+    send(START)  # two profiles, of which none says when it was taken
+    send(START + NS // 20)
+    client.until_counted(profiles=2)
+    assert client.call('clear_samples').success
+    send(START + 2 * NS // 20)
+    send(START + 3 * NS // 20)
+    client.until_counted(profiles=4)
+    stand_still(client, START + NS)
+    client.until_counted(profiles=24, poses=20)
 
 
 def test_a_clock_that_is_set_back_takes_nothing_that_is_not(

@@ -337,3 +337,14 @@ def test_simulated_ends_are_as_near_to_the_edge_as_they_say(
     z = np.array(away) / std
     assert np.sqrt(np.mean(np.square(away))) < worst
     assert 0.3 < np.sqrt((z ** 2).mean()) < 1.8 and np.abs(z).max() < 5
+
+
+def test_points_of_one_depth_below_an_edge_are_no_wall() -> None:
+    def ledge(x: Array) -> Array:
+        z, last = np.where(x > 0, 0.17, np.nan), int(np.searchsorted(x, 0))
+        for away, share in ((1, 0.25), (4, 0.48), *((k, 0.7) for k in range(7, 13)), (16, 1.0)):
+            z[last - away] = 0.17 + share * 1.5e-3
+        return z
+
+    _, (edge, *_) = found(with_lost(drawn(ledge, noise=0.0)))
+    assert edge.ending == 'gap' and np.isfinite(edge.point).all()

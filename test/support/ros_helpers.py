@@ -18,12 +18,12 @@ from geometry_msgs.msg import PoseStamped
 from handeye_ros.node.streams import TFMessage
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_clouds import cloud
 from sensor_msgs.msg import PointCloud2, PointField
@@ -184,6 +184,13 @@ def set_parameter(client: Client, name: str, value: Any) -> SetParametersResult:
     """Return whether a parameter of the node is set, and why not."""
     request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     return client.request(SetParameters, 'set_parameters', request).results[0]
+
+
+def parameter(client: Client, name: str) -> Any:
+    """Return the value of a parameter of the node, as ROS shows it."""
+    value, = client.request(GetParameters, 'get_parameters',
+                            GetParameters.Request(names=[name])).values
+    return parameter_value_to_python(value)
 
 
 def listed() -> set[tuple[str, str, str]]:
