@@ -275,9 +275,9 @@ class Sample:
     trajectory: trajectory of a moving robot (sampling.trajectory)
     clock_values: from the stamp to the time of its pose, of the rotation behind the position (s),
         and drift (sampling.sweep)
-    of_pass: samples of the single profiles of a pass, whose middle one this sample repeats
-    beside: of the first profile used, (3,): beside its plane, and the mean along the line and the
-        range (metres); None where it is unknown
+    per_profile: samples of the single profiles of a pass, whose middle one this sample repeats
+    centroid: mean of the points of the first profile used, (3,): across its plane, along the line,
+        and range (metres); None where it is unknown
     """
 
     stamp: int
@@ -287,8 +287,8 @@ class Sample:
     flipped: tuple[Feature, ...] | None = None
     trajectory: Any = None
     clock_values: tuple[float, ...] = (0.0,)
-    of_pass: tuple[Sample, ...] = ()
-    beside: Array | None = None
+    per_profile: tuple[Sample, ...] = ()
+    centroid: Array | None = None
 
     @property
     def moving(self) -> bool:
@@ -296,9 +296,9 @@ class Sample:
         return self.trajectory is not None
 
     @property
-    def parts(self) -> tuple[Sample, ...]:
-        """Return the samples that an answer uses: of a pass one per profile, else this one."""
-        return self.of_pass or (self,)
+    def station_samples(self) -> tuple[Sample, ...]:
+        """Return the sample of each of its stations: of a pass one per profile, else this one."""
+        return self.per_profile or (self,)
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,7 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
         return {}
     sample_of = {stop.number: stop.sample for stop in session.stops if stop.sample}
     samples, n = [*sample_of.values()], len(sample_of)
-    owner = {part.stamp: k for k, sample in enumerate(samples) for part in sample.parts}
+    owner = {part.stamp: k for k, sample in enumerate(samples) for part in sample.station_samples}
     stations = np.array([owner[part.stamp] for part in answer.samples])
     used = [answer.samples[i] for i in solution.used]
     of_used = stations[solution.used]
@@ -177,7 +177,7 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
                config: Config) -> Array:
     """Return the RMS residual (n,) of samples that a solution does not use, NaN without points."""
     ones = list(passes_expanded(samples))
-    number = np.repeat(np.arange(len(samples)), [len(s.parts) for s in samples])
+    number = np.repeat(np.arange(len(samples)), [len(s.station_samples) for s in samples])
     if any(sample.moving for sample in ones):
         at = ClockedPoses.of(ones).at(*clock_values)
         ones = [replace(sample, T_base_flange=T) for sample, T, inside in zip(

@@ -132,14 +132,13 @@ class Stored:
         session = Session(config, (), self.last_number, (next(poses, None), next(profiles, None)))
         for number, stored in sorted(self.stops.items()):
             stop = _evaluated(stored, config)
-            session.put(replace(session.numbered(stop, stop.result), number=number))
+            session.add_stop(replace(session.evaluated(stop, stop.result), number=number))
         return session
 
 
 def _evaluated(stop: Stop, config: Config) -> Stop:
     """Return the stop with what it gives with a configuration."""
-    return replace(stop, result=replace(stop.result, stamp=stop.load(config).start)
-                   if stop.final_reason else result_of(stop, config))
+    return stop if stop.final_reason else replace(stop, result=result_of(stop, config))
 
 
 class SessionFiles:
@@ -189,7 +188,7 @@ class SessionFiles:
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]
         file = self.add_event(STOP, config, seen, joints)
-        return replace(stop, poses=(), profiles=(), reader=partial(load, file, stop.began))
+        return replace(stop, poses=(), profiles=(), reader=partial(load, file, stop.stamp))
 
     def add_event(self, kind: str, config: Config, stop: Stop = NO_STOP,
                   joints: Sequence[tuple[int, bytes]] = ()) -> Path:
@@ -283,7 +282,7 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
         for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
     reason = stop.result.reason if kind == STOP and isinstance(stop.result, Reject) else ''
-    values = {'event': kind, 'number': stop.number, 'began': stop.began,
+    values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
               'taken': stop.sample is not None, 'text': reason, 'refused': stop.final_reason}
     if sample := stop.sample:
         values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
@@ -344,7 +343,7 @@ def read_session(path: Path) -> Stored:
     return Stored(path, config, stops, len(taken), last_number)
 
 
-def load(file: Path, began: int, config: Config) -> Stop:
+def load(file: Path, stamp: int, config: Config) -> Stop:
     """Return a stop with its poses and profiles from its file; raises InputError."""
     offset = round(config.time_offset * 1e9)
     reader = ProfileReader(config.profile)
@@ -356,7 +355,7 @@ def load(file: Path, began: int, config: Config) -> Stop:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
-    return Stop(began, tuple(poses), tuple(profiles))
+    return Stop(stamp, tuple(poses), tuple(profiles))
 
 
 def _read_file(file: Path, topics: Collection[str] | None = None) -> list[tuple[str, Raw]]:
@@ -380,9 +379,9 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
             require_format(file, form, FORMAT)
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
-        began, refused = int(values['began']), str(values['refused'])
-        stop = Stop(began, reader=partial(load, file, began), number=int(values['number']),
-                    result=Reject(began, refused, final=True) if refused else NOT_EVALUATED)
+        stamp, refused = int(values['began']), str(values['refused'])
+        stop = Stop(stamp, reader=partial(load, file, stamp), number=int(values['number']),
+                    result=Reject(stamp, refused, final=True) if refused else NOT_EVALUATED)
         return (str(values['event']), with_values(Config(), settings, str(file)), stop,
                 bool(values['taken']))
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:

@@ -95,12 +95,12 @@ class Advice:
 
 @single_threaded
 def advise(samples: Sequence[Sample], config: Config, found: Answer | None = None,
-           seen: Array | None = None, without_sample: Sequence[Array] = ()) -> Advice:
+           seen: Array | None = None, failed_poses: Sequence[Array] = ()) -> Advice:
     """
     Return what to do next after samples, in the order of their stamps.
 
     found: their answer, None where there are no samples; seen: points (n, 2) of profiles, from
-    which the field of view is learnt; without_sample: poses of the flange (4, 4) at which stops
+    which the field of view is learnt; failed_poses: poses of the flange (4, 4) at which stops
     gave no sample. The limits of guidance.* are relative to the first sample.
     """
     target = targets.target_for(config)
@@ -126,7 +126,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     proposal = None
     if not sweeping:
         surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
-        proposal = propose(solution, samples, config, surely, mapped, without_sample)
+        proposal = propose(solution, samples, config, surely, mapped, failed_poses)
     enough, why = enough_and_why(sigmas, proposal.std if proposal else None,
                                  largest_cause(solution), len(samples))
     if parted := parted_by_outliers(solution):

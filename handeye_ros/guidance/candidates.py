@@ -54,11 +54,11 @@ class Proposal:
 
 
 def propose(solution: Solution, samples: Sequence[Sample], config: Config, view: View,
-            mapped: MappedPoints, without_sample: Sequence[Array] = ()) -> Proposal | None:
+            mapped: MappedPoints, failed_poses: Sequence[Array] = ()) -> Proposal | None:
     """
     Return the pose that helps most, None if none keeps the target in view.
 
-    The limits of guidance.* are relative to the first of samples; without_sample: poses of the
+    The limits of guidance.* are relative to the first of samples; failed_poses: poses of the
     flange (4, 4) at which stops gave no sample.
     """
     rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
@@ -69,7 +69,7 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
         sensors, places = _random_poses(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
                                         anchor_of(template, 0), view, config, rng)
         poses = sensors @ se3.inverse(X)
-        allowed = _allowed(mount_poses(poses, config), taken, without_sample, config)
+        allowed = _allowed(mount_poses(poses, config), taken, failed_poses, config)
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
@@ -125,13 +125,13 @@ def _random_poses(T: Array, first: Array, anchor: Array, view: View, config: Con
     return se3.transform(R, spot - np.einsum('nij,nj->ni', R[:, :, [0, 2]], places)), places
 
 
-def _allowed(flange: Array, taken: Array, without_sample: Sequence[Array], config: Config
+def _allowed(flange: Array, taken: Array, failed_poses: Sequence[Array], config: Config
              ) -> NDArray[np.bool_]:
     """Return which poses (n, 4, 4) of the flange are within reach and unlike those visited."""
     sampling = config.sampling
     allowed = np.asarray(np.linalg.norm(
         flange[:, :3, 3] - taken[0, :3, 3], axis=1) <= config.guidance.reach)
-    visited = [(T, REFUSED_DISTANCE) for T in without_sample]
+    visited = [(T, REFUSED_DISTANCE) for T in failed_poses]
     if sampling.new_translation and sampling.new_rotation:  # if either is 0, every stop is used
         near = (sampling.new_translation + STOP_POSE_ERROR[0],
                 sampling.new_rotation + STOP_POSE_ERROR[1])

@@ -69,18 +69,18 @@ class Review:
         return self.answer.solution if self.answer else None
 
 
-def review_of(session: Session, config: Config, seen: Array, without_sample: Sequence[Array],
+def review_of(session: Session, config: Config, seen: Array, failed_poses: Sequence[Array],
               asked: bool) -> Review:
     """
     Return what follows from the samples of a session.
 
-    seen, without_sample: see advise; asked: whether somebody waits for the answer, or has one:
+    seen, failed_poses: see advise; asked: whether somebody waits for the answer, or has one:
     then the cause of a refusal is searched in the stops.
     """
     answer = pipeline.answer_samples(session.samples, session.rejects, config, session.frame_id,
                                      session if asked else None)
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
-    return Review(advise(in_order, config, answer, seen, without_sample), answer,
+    return Review(advise(in_order, config, answer, seen, failed_poses), answer,
                   agreements(session, answer, config),
                   '' if answer.solution else str(answer.refusal),
                   max((stop.number for stop in session.stops if stop.sample), default=0))
@@ -190,7 +190,7 @@ class LiveAnswer:
         # a stop that goes on gives another sample of the same number
         samples = [(stop.number, stop.sample) for stop in live.session.stops if stop.sample]
         return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')),
-                len(live.without_sample), samples)
+                len(live.failed_poses), samples)
 
     def _begin(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
@@ -201,12 +201,12 @@ class LiveAnswer:
             self.asked_settings = values_of(config, ANSWER_KEYS)
         # the messages of the streams stay here
         session = Session(config, now.stops, now.last_number, now.frames)
-        sampled = {stop.began for stop in now.stops if stop.sample}
-        without_sample = [T for began, T in live.without_sample.items() if began not in sampled]
+        sampled = {stop.stamp for stop in now.stops if stop.sample}
+        failed_poses = [T for stamp, T in live.failed_poses.items() if stamp not in sampled]
         made_from = self._made_from()
         message = live.run_job(
             COMPUTED if asked else '', partial(self._accept, made_from, session, asked),
-            review_of, session, config, self.seen, without_sample,
+            review_of, session, config, self.seen, failed_poses,
             asked or self.calibration is not None)
         if asked:
             self._asked = made_from, message

@@ -80,7 +80,7 @@ class LiveSession:
     changed by the worker alone: it reads them without, others see them at any time.
 
     attempt: the last one
-    without_sample: T_base_flange (4, 4) of stops without a sample, by their beginnings
+    failed_poses: T_base_flange (4, 4) of stops without a good sample, by their stamps
     running: the long computations in words, '' for a review
     """
 
@@ -106,10 +106,10 @@ class LiveSession:
         self.worker = Worker(changed)
         self._woken = True  # nothing is due before start()
         self.running: list[str] = []
-        self._stale: deque[int] = deque()  # numbers of stops to be evaluated again
+        self._outdated: deque[int] = deque()  # numbers of stops to be evaluated again
         self._store_trouble = ''
         self.attempt: Attempt | None = None
-        self.without_sample: dict[int, Array] = {}
+        self.failed_poses: dict[int, Array] = {}
         self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
 
     # messages
@@ -146,14 +146,14 @@ class LiveSession:
         while len(self.to_evaluate) > MOST_STOPS:
             self.to_evaluate.popleft()
             self._overflowed += 1
-        if self.to_evaluate or self.ready_stop or self._superseded:
+        if self.to_evaluate or self.ready_stop or self._frame_change:
             self.wake()
 
     @property
-    def _superseded(self) -> str:
+    def _frame_change(self) -> str:
         """Return in words that a topic has another frame now; '' if that would lose anything."""
         used = self.verification.routine or self.answer.calibration
-        return '' if used else self.session.superseded
+        return '' if used else self.session.frame_change
 
     @property
     def pose(self) -> Array | None:
@@ -209,10 +209,10 @@ class LiveSession:
         """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
         self._woken = False
         with self.lock:
-            superseded = self._superseded
-        if superseded:
+            frame_change = self._frame_change
+        if frame_change:
             self.clear_samples()
-            self.attempt = Attempt(superseded)
+            self.attempt = Attempt(frame_change)
         elif self.process_next():
             self.wake()
         else:
@@ -263,7 +263,7 @@ class LiveSession:
     @property
     def working(self) -> str:
         """Return the running tasks in words; empty without any."""
-        again = 'the samples are extracted again from their profiles' if self._stale else ''
+        again = 'the samples are extracted again from their profiles' if self._outdated else ''
         return '; '.join(filter(None, (*self.running, again)))
 
     @property
@@ -294,8 +294,8 @@ class LiveSession:
             self.ready_stop = self.ready_stop if is_over else None
         if stop:
             self._process(stop, is_over)
-        elif self._stale:
-            self._process_again(self._stale.popleft())
+        elif self._outdated:
+            self._process_again(self._outdated.popleft())
         else:
             return False
         return True
@@ -313,21 +313,21 @@ class LiveSession:
 
     def _process(self, stop: Stop, is_over: bool) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if not is_over and self.session.was_handed_out(stop):
+        if not is_over and self.session.is_done(stop):
             return
         if self.verification.routine:
             with suppress(DataError):
                 self.verification.add_stop(stop, is_over)
             return
         stop, remark = self._with_result(stop)  # the remark refuses nothing, as in a recording
-        earlier = self._known(stop.number)
+        earlier = self._find(stop.number)
         try:
             stop = self._store(stop)
         except InputError as error:
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
-        self._put(stop, is_over)
+        self._add_stop(stop, is_over)
         if earlier is None or bool(earlier.sample) != bool(stop.sample):
             # the same result with more profiles is not reported again
             verdict = (f'sample {stop.number} taken' if stop.sample else
@@ -337,22 +337,22 @@ class LiveSession:
 
     def _process_again(self, number: int) -> None:
         """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
-        stop = self._known(number)
+        stop = self._find(number)
         if stop and not stop.reader:  # it could not be stored before
             with suppress(InputError):
-                self._put(self._store(self._with_result(stop)[0]), is_over=False)
+                self._add_stop(self._store(self._with_result(stop)[0]), is_over=False)
         elif stop and not stop.final_reason:
             result = self.result_elsewhere(stop, self.config)
             with self.lock:
-                stop = self.session.numbered(stop, result)
-            self._put(stop, is_over=False)
+                stop = self.session.evaluated(stop, result)
+            self._add_stop(stop, is_over=False)
 
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
         try:
             return self.pool.run(result_of, stop.trimmed(config), config)
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
-            return Reject(stop.began, str(error))  # the stop itself will be stored
+            return Reject(stop.stamp, str(error))  # the stop itself will be stored
 
     def _with_result(self, stop: Stop) -> tuple[Stop, str]:
         """
@@ -360,13 +360,13 @@ class LiveSession:
 
         The pose of a stop without a good sample is noted, so that it is not proposed again.
         """
-        stop = self.session.numbered(stop, self.result_elsewhere(stop, self.config))
+        stop = self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
         objection = self.answer.objection(stop)
         if objection or stop.sample is None:
-            self.without_sample[stop.began] = stop.pose(self.config)
+            self.failed_poses[stop.stamp] = stop.pose(self.config)
         return stop, objection
 
-    def _known(self, number: int) -> Stop | None:
+    def _find(self, number: int) -> Stop | None:
         """Return the stop of a number in the session."""
         return next((stop for stop in self.session.stops if stop.number == number), None)
 
@@ -390,7 +390,7 @@ class LiveSession:
             raise
         if self._store_trouble:
             self._store_trouble = ''
-            self._stale.extend(stop.number for stop in self.session.stops if not stop.sample)
+            self._outdated.extend(stop.number for stop in self.session.stops if not stop.sample)
         return result
 
     def store_rest(self) -> None:
@@ -404,10 +404,10 @@ class LiveSession:
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.add_event, CONFIGURED, self.config)
 
-    def _put(self, stop: Stop, is_over: bool) -> None:
+    def _add_stop(self, stop: Stop, is_over: bool) -> None:
         """Put an evaluated stop into the session, in place of an earlier part of it."""
         with self.lock:
-            self.session.put(stop, is_over)
+            self.session.add_stop(stop, is_over)
 
     # services
 
@@ -428,8 +428,8 @@ class LiveSession:
             if objection or stop.sample is None:
                 raise DataError(f'{objection}, and take the sample again' if objection else
                                 sample_summary(stop.result))
-            note = ' again, as the robot has not moved since' if self._known(stop.number) else ''
-            self._put(self._store(stop), is_over=True)
+            note = ' again, as the robot has not moved since' if self._find(stop.number) else ''
+            self._add_stop(self._store(stop), is_over=True)
         except HandeyeError as error:
             if error.reason == 'moving' and silence > POSES_SILENT:  # it did, long ago
                 error = silent_poses(silence)
@@ -479,14 +479,14 @@ class LiveSession:
         """Go on with another session; forget messages, and what followed from the one before."""
         with self.lock:
             for messages in (self._profiles, self._poses, self.joints, self.to_evaluate,
-                             self._stale):
+                             self._outdated):
                 messages.clear()
             self.session, self.config, self.ready_stop = session, session.config, None
             self.verification.end()
         if files is not self.files:
             self.files.close()
         self.files, self._store_trouble = files, ''
-        self.attempt, self.without_sample, self._overflowed = None, {}, 0
+        self.attempt, self.failed_poses, self._overflowed = None, {}, 0
         self.answer.forget(why)
 
     def _sample_count(self) -> int:
@@ -503,7 +503,7 @@ class LiveSession:
         if config.profile != old.profile:  # what could not be read may be readable now
             self.messages['profile'].excuse()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
-            self._stale = deque(stop.number for stop in self.session.stops)
+            self._outdated = deque(stop.number for stop in self.session.stops)
         if self.files.path:
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.add_event, CONFIGURED, config)

@@ -208,11 +208,11 @@ class Streams:
                 most = max(map(self._drain, self._topics))
                 if time.monotonic() - looked > LOOK_PERIOD:
                     looked = time.monotonic()
-                    self._match()
+                    self._match_reliability()
                 if most < MOST_AT_ONCE:
                     time.sleep(READ_PERIOD)
 
-    def _match(self) -> None:
+    def _match_reliability(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
         for topic in [topic for topic in self._topics if topic.key]:
             publishers = self._publishers(topic.name)

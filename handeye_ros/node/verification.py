@@ -40,7 +40,7 @@ class Part:
     """
     What was measured of one face, ball or pass.
 
-    stops: what each of them gave, by its beginning; profiles, poses: of a pass; every step-th of
+    stops: what each of them gave, by its stamp; profiles, poses: of a pass; every step-th of
     the received profiles is kept.
     """
 
@@ -151,7 +151,7 @@ class LiveVerification:
             parts = [*parts, Part()]
         with live.lock:
             for stop in live.session.copied().remaining():  # they began before
-                live.session.mark_handed_out(stop)
+                live.session.mark_done(stop)
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
         return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
@@ -167,12 +167,12 @@ class LiveVerification:
         assert routine
         if is_over:
             with live.lock:
-                live.session.mark_handed_out(stop)
+                live.session.mark_done(stop)
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')
         result = live.result_elsewhere(stop, routine.settings(live.config))
-        self._parts[-1].stops[stop.began] = result
+        self._parts[-1].stops[stop.stamp] = result
         text = f'{self.text}; {sample_summary(result)}'
         live.attempt = Attempt(f'verification: {text}', replace(stop, result=result))
         if isinstance(result, Reject):

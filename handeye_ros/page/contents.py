@@ -189,7 +189,7 @@ def _edges(live: LiveSession) -> dict[int, str]:
     if answer is None or answer.solution is None:
         return {}
     number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
-              for one in stop.sample.parts}
+              for one in stop.sample.station_samples}
     shown = edges_used(answer.solution.problem)
     return {number.get(answer.samples[i].stamp, 0): edges
             for i, edges in zip(answer.solution.used.tolist(), shown, strict=True)}

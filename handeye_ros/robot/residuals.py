@@ -185,31 +185,31 @@ class ArmStops:
     @property
     def axes(self) -> int:
         """Return the number of residuals in one vector: they differ in their noise."""
-        return max(seen.axes for seen in self.measured)
+        return max(one.axes for one in self.measured)
 
     @cached_property
     def unknowns(self) -> int:
         """Return the number of unknowns without a prior: X and the targets."""
-        return int(self.parts[-1][2].stop)
+        return int(self.by_target[-1][2].stop)
 
     @cached_property
-    def parts(self) -> list[tuple[Measurement, slice, slice]]:
+    def by_target(self) -> list[tuple[Measurement, slice, slice]]:
         """Return for each target its measurements, its stops, and the columns of its unknowns."""
         stops = np.cumsum([0, *map(len, self.measured)])
-        columns = np.cumsum([6, *(seen.unknowns for seen in self.measured)])
-        return [(seen, slice(*own), slice(*free)) for seen, own, free in zip(
+        columns = np.cumsum([6, *(one.unknowns for one in self.measured)])
+        return [(one, slice(*own), slice(*free)) for one, own, free in zip(
             self.measured, pairwise(stops), pairwise(columns), strict=True)]
 
     @cached_property
     def station(self) -> NDArray[np.intp]:
         """Return the stop (m,) of each residual."""
-        return np.concatenate([seen.station + stops.start for seen, stops, _ in self.parts])
+        return np.concatenate([one.station + stops.start for one, stops, _ in self.by_target])
 
     def residuals(self, state: ArmState) -> list[Residuals]:
         """Return the residuals of each target, without the smooth error."""
         T = state.arm.forward(self.q)
-        return [seen.residuals(T[stops], state.X, target) for (seen, stops, _), target in zip(
-            self.parts, state.targets, strict=True)]
+        return [one.residuals(T[stops], state.X, target) for (one, stops, _), target in zip(
+            self.by_target, state.targets, strict=True)]
 
     def distances(self, state: ArmState) -> Array:
         """Return the length (n,) of the residual of each stop, RMS of several (m)."""
@@ -223,9 +223,9 @@ class ArmStops:
         By X, the targets, the errors of the arm and the smooth error.
         """
         twists, rows = state.arm.twists(self.q)[:, :, state.arm.free], []
-        for residual, (seen, stops, columns) in zip(self.residuals(state), self.parts,
-                                                    strict=True):
-            station = seen.station + stops.start
+        for residual, (one, stops, columns) in zip(self.residuals(state), self.by_target,
+                                                   strict=True):
+            station = one.station + stops.start
             wrt_own = np.zeros((len(residual.values), self.unknowns))
             wrt_own[:, :6], wrt_own[:, columns] = residual.wrt_own[:, :6], residual.wrt_own[:, 6:]
             wrt_arm = (residual.wrt_pose[:, None] @ twists[station])[:, 0]
@@ -238,8 +238,8 @@ class ArmStops:
 
     def moved(self, state: ArmState, step: Array) -> ArmState:
         """Return a state after a step (u,)."""
-        targets = tuple(seen.moved(target, step[columns]) for (seen, _, columns), target in zip(
-            self.parts, state.targets, strict=True))
+        targets = tuple(one.moved(target, step[columns]) for (one, _, columns), target in zip(
+            self.by_target, state.targets, strict=True))
         of_arm, smooth = np.split(step[self.unknowns:], [len(state.arm.values)])
         return ArmState(se3.perturb(state.X, step[:6]), targets,
                         replace(state.arm, values=state.arm.values + of_arm),

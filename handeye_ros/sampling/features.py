@@ -52,27 +52,29 @@ def result_of(stop: Stop, config: Config) -> Sample | Reject:
     try:
         return _pass_of(stop, config) if config.sampling.moving else _sample_of(stop, config)
     except FeatureError as error:
-        return Reject(stop.start, str(error))
+        return Reject(stop.stamp, str(error))
 
 
 def _sample_of(stop: Stop, config: Config) -> Sample:
     """Return the sample of a robot that stood still; raises FeatureError with the reason."""
-    profiles = decoded(stop.steady(config), config)
+    profiles = decoded(stop.settled_profiles(config), config)
     if not profiles:
         raise _no_profiles(stop, config)
     used, features = combined_features(profiles, config)
     poses = interpolate(stop.poses, [profile.stamp for profile in used])
     return Sample(used[0].stamp, se3.mean_pose(poses), features, len(used),
-                  _flipped(used[0], config), beside=_beside(used[0]))
+                  _flipped(used[0], config), centroid=_centroid(used[0]))
 
 
 def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    shown, reasons = _showing(decoded(evenly(profiles, MOST_OF_PASS), config), config)
+    chosen = decoded(evenly(profiles, MOST_OF_PASS), config)
+    shown, reasons = _features_of_each(chosen, config)
     if 2 * len(shown) < MOST_OF_PASS < len(profiles):
-        shown, reasons = _showing(decoded(evenly(profiles, 2 * MOST_OF_PASS), config), config)
+        chosen = decoded(evenly(profiles, 2 * MOST_OF_PASS), config)
+        shown, reasons = _features_of_each(chosen, config)
     if not shown:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
@@ -81,14 +83,14 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
                flipped=_flipped(profile, config) if k % FLIPPED_EVERY == 0 else None)
         for k, ((profile, features), pose) in enumerate(zip(shown, T, strict=True)))
     middle = single[len(single) // 2]
-    return replace(middle, profiles=len(single), of_pass=single,
+    return replace(middle, profiles=len(single), per_profile=single,
                    trajectory=trajectory_of(stop.poses, config.sampling.max_pose_gap),
-                   beside=_beside(shown[0][0]))
+                   centroid=_centroid(shown[0][0]))
 
 
 def _no_profiles(stop: Stop, config: Config) -> FeatureError:
     """Return the refusal of a stop without a usable profile of the time of its poses."""
-    for profile in stop.steady(config):
+    for profile in stop.settled_profiles(config):
         try:
             profile.read(config.profile)
         except UnusableMessageError as error:
@@ -106,7 +108,8 @@ def features_of(profile: Profile, config: Config) -> tuple[Feature, ...]:
     return targets.target_for(config).extract(profile.points, config)
 
 
-def _beside(profile: Profile) -> Array:
+def _centroid(profile: Profile) -> Array:
+    """Return the mean (3,) of the points of a profile; see Sample."""
     return np.append(profile.out_of_plane, np.nanmean(profile.points, axis=0))
 
 
@@ -120,8 +123,8 @@ def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
         return ()
 
 
-def _showing(profiles: Sequence[Profile], config: Config
-             ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
+def _features_of_each(profiles: Sequence[Profile], config: Config
+                      ) -> tuple[list[tuple[Profile, tuple[Feature, ...]]], list[str]]:
     """Return the profiles that show the target, with their features, and why others do not."""
     shown, reasons = [], []
     for profile in profiles:
@@ -139,7 +142,7 @@ def combined_features(profiles: Sequence[Profile], config: Config
 
     Raises FeatureError when most do not show it, or do not agree.
     """
-    shown, reasons = _showing(profiles, config)
+    shown, reasons = _features_of_each(profiles, config)
     if not shown or 2 * len(shown) < len(profiles):
         raise FeatureError(Counter(reasons).most_common(1)[0][0])
     target = targets.target_for(config)
@@ -187,7 +190,7 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
     failed = None
     for first in range(0, usual, together):
         try:
-            combined += [_combined_line([min(others, key=partial(_apart, line))
+            combined += [_combined_line([min(others, key=partial(_line_distance, line))
                                          for others in seen if others])
                          for line in lines[first:first + together]]
         except FeatureError as error:
@@ -197,7 +200,7 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
     return combined
 
 
-def _apart(line: FaceLine, other: FaceLine) -> float:
+def _line_distance(line: FaceLine, other: FaceLine) -> float:
     """Return the distance between two lines (m): across, plus a small part along."""
     away = line.centre - other.centre
     across = away[1] * line.direction[0] - away[0] * line.direction[1]

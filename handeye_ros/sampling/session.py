@@ -71,20 +71,20 @@ class Session(Copyable):
         """
         targets.target_for(config)
         self.config = config
-        self._stops: dict[int, Stop] = {}  # the evaluated ones, by their beginnings
+        self._stops: dict[int, Stop] = {}  # the evaluated ones, by their stamps
         self.last_number = last_number
-        self._next_check: tuple[int, float] = -1, 0.0  # beginning of a stop, time in it
+        self._next_check: tuple[int, float] = -1, 0.0  # stamp of a stop, time in it
         self._finder = StopFinder(config.sampling)
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
-        self._handed_out: set[int] = set()  # beginnings of stops that are not returned (again)
+        self._done: set[int] = set()  # stamps of stops that are not returned (again)
         self._unasked_stops = 0  # stops in manual mode
         self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
         for stop in stops:
-            self.put(stop)
+            self.add_stop(stop)
 
     def configure(self, config: Config) -> None:
         """Apply another configuration to what comes from now on, the current stop too."""
@@ -124,7 +124,7 @@ class Session(Copyable):
         self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
         over = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in over]
-        stops = self._hand_out(over)
+        stops = self._returned(over)
         # only what stops that wait, the current one, and those to come, can use is kept
         first, last = self._finder.window()
         self._profiles.keep(min([first, *(s.start for s in self._waiting)]),
@@ -156,24 +156,24 @@ class Session(Copyable):
     def _current_and_waiting(self) -> list[Stop]:
         current = self._finder.current() if self.config.sampling.by_itself else None
         stops, self._waiting = [*self._waiting, *([current] if current else [])], []
-        return self._hand_out(stops)
+        return self._returned(stops)
 
-    def _hand_out(self, stops: Sequence[Stop]) -> list[Stop]:
+    def _returned(self, stops: Sequence[Stop]) -> list[Stop]:
         """Return stops with their profiles, without those that were returned before."""
-        new = [stop for stop in stops if stop.began not in self._handed_out]
-        self._handed_out |= {stop.began for stop in new}
+        new = [stop for stop in stops if stop.stamp not in self._done]
+        self._done |= {stop.stamp for stop in new}
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
         return stop.with_profiles(self._profiles.items, self.config)
 
-    def was_handed_out(self, stop: Stop) -> bool:
+    def is_done(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
-        return stop.began in self._handed_out
+        return stop.stamp in self._done
 
-    def mark_handed_out(self, stop: Stop) -> None:
+    def mark_done(self, stop: Stop) -> None:
         """Mark a stop, so that it is not returned again."""
-        self._handed_out.add(stop.began)
+        self._done.add(stop.stamp)
 
     def current_stop(self) -> Stop:
         """
@@ -244,7 +244,7 @@ class Session(Copyable):
         and InputError for messages of two frames, or of a light plane tilted in its frame.
         """
         self._require_one_frame()
-        poses, sampling, count = self._pose_stream, self.config.sampling, len(self._handed_out)
+        poses, sampling, count = self._pose_stream, self.config.sampling, len(self._done)
         if sampling.mode == 'still' and self._finder.short_rests > count and (
                 0 < count < targets.target_for(self.config).min_samples):
             raise DataError(f'the robot stood still for {sampling.still_time:g} s only {count} '
@@ -278,7 +278,7 @@ class Session(Copyable):
         if self._expired_stops:
             dropped.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
                            'profiles')
-        out_of_plane = max((abs(float(beside[0])) for beside in self._beside), default=0.0)
+        out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self.config))
 
@@ -290,7 +290,7 @@ class Session(Copyable):
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
                               f'is "{wanted}": set it to {self.base_frame}, or leave it out; it '
                               'is then that of the poses', reason='base_frame')
-        if between := _tilted(self._beside):
+        if between := _tilted(self._centroids):
             along, across = self.config.profile.axes
             return InputError(
                 f'the profiles lie between {between[0] * 1e3:.1f} and {between[1] * 1e3:.1f} mm '
@@ -301,12 +301,12 @@ class Session(Copyable):
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property
-    def _beside(self) -> list[Array]:
-        return [stop.sample.beside for stop in self._stops.values()
-                if stop.sample and stop.sample.beside is not None]
+    def _centroids(self) -> list[Array]:
+        return [stop.sample.centroid for stop in self._stops.values()
+                if stop.sample and stop.sample.centroid is not None]
 
     @property
-    def superseded(self) -> str:
+    def frame_change(self) -> str:
         """Return in words that another frame replaced the first, which gave no sample; or ''."""
         for kind, stream in (('pose', self._pose_stream), ('profile', self._profile_stream)):
             if stream.successor and not any(stop.sample for stop in self._stops.values()):
@@ -349,7 +349,7 @@ class Session(Copyable):
     @property
     def unasked(self) -> str:
         """Return in words that the robot stopped but no sample was requested, '' otherwise."""
-        if self._handed_out or not self._unasked_stops:
+        if self._done or not self._unasked_stops:
             return ''
         return (f'the robot stood still {self._unasked_stops} times, but no sample was requested: '
                 'sampling.mode is manual; call ~/take_sample at each stop, send ~/take, or set '
@@ -389,7 +389,7 @@ class Session(Copyable):
 
         Raises InputError when messages of two frames came on one topic.
         """
-        return [self.put(self.numbered(stop, result_of(stop, self.config))).result
+        return [self.add_stop(self.evaluated(stop, result_of(stop, self.config))).result
                 for stop in self.remaining()]
 
     def current_if_ready(self) -> Stop | None:
@@ -401,22 +401,22 @@ class Session(Copyable):
         """
         sampling, stood = self.config.sampling, self._finder.stood
         first = (sampling.still_time + 2 * sampling.settle_time) * NS
-        began, next_check = self._next_check
-        if began != self._finder.began:
-            began, next_check = self._next_check = self._finder.began, first
+        stamp, next_check = self._next_check
+        if stamp != self._finder.stamp:
+            stamp, next_check = self._next_check = self._finder.stamp, first
         if sampling.mode != 'still' or stood < next_check:
             return None
-        self._next_check = began, CHECK_LATER * next_check
-        stop, known = self._finder.current(), self._stops.get(began)
-        if stop is None or self.was_handed_out(stop) or (known and known.sample):
+        self._next_check = stamp, CHECK_LATER * next_check
+        stop, known = self._finder.current(), self._stops.get(stamp)
+        if stop is None or self.is_done(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
         enough = MOST_PROFILES if next_check == first else 1 if stood < NO_PROFILE_PATIENCE else 0
-        return stop if len(stop.steady(self.config)) >= enough else None
+        return stop if len(stop.settled_profiles(self.config)) >= enough else None
 
-    def numbered(self, stop: Stop, result: Sample | Reject) -> Stop:
+    def evaluated(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""
-        before = self._stops.get(stop.began)
+        before = self._stops.get(stop.stamp)
         others = [other for other in self.stops
                   if other is not before and not self.excludes(other)]
         why = '' if isinstance(result, Reject) or result.moving else duplicate_pose(
@@ -424,30 +424,30 @@ class Session(Copyable):
         return replace(stop, number=before.number if before else self.last_number + 1,
                        result=Reject(result.stamp, why, final=True) if why else result)
 
-    def put(self, stop: Stop, is_over: bool = True) -> Stop:
+    def add_stop(self, stop: Stop, is_over: bool = True) -> Stop:
         """Store and return an evaluated stop, in place of an earlier part of it."""
-        self._stops[stop.began] = stop
+        self._stops[stop.stamp] = stop
         self.last_number = max(self.last_number, stop.number)
         if is_over:
-            self.mark_handed_out(stop)
+            self.mark_done(stop)
         return stop
 
     def remove(self, stop: Stop) -> None:
-        """Forget the result of a stop, which is not handed out again."""
-        self.mark_handed_out(stop)
-        self._stops.pop(stop.began, None)
+        """Forget the result of a stop, which is not returned again."""
+        self.mark_done(stop)
+        self._stops.pop(stop.stamp, None)
 
 
-def _tilted(seen: Sequence[Array]) -> tuple[float, float] | None:
+def _tilted(centroids: Sequence[Array]) -> tuple[float, float] | None:
     """
     Return between which distances (m) profiles lie beside their plane, if this is a tilted one.
 
-    seen: distance beside the plane, and mean along the line and range, of a profile of each stop.
-    Of a tilted plane the first follows from the others; an encoder's position does not.
+    centroids: of the samples. Of a tilted plane the distance across it follows from the others; an
+    encoder's position does not.
     """
-    if len(seen) < FEWEST_TILTED or np.ptp([one[0] for one in seen]) < SAME_PLANE:
+    if len(centroids) < FEWEST_TILTED or np.ptp([one[0] for one in centroids]) < SAME_PLANE:
         return None
-    y, *rest = np.transpose(seen)
+    y, *rest = np.transpose(centroids)
     by = np.column_stack([*rest, np.ones(len(y))])
     off = y - by @ np.linalg.lstsq(by, y, rcond=None)[0]
     return (float(y.min()), float(y.max())) if np.std(off) < TILT_REST * np.std(y) else None

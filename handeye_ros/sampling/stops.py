@@ -45,14 +45,15 @@ class Stop:
     """
     A time during which the robot stood still, or a pass of a moving robot, and what came then.
 
-    began: stamp of the first pose (ns), which identifies the stop, though a long one forgets it
+    stamp: of the first pose (ns), though a long stop may keep later ones only; it identifies the
+        stop
     poses, profiles: in the order of their stamps
     reader: of a stop on the disk, which holds no messages itself: reads them for a configuration
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """
 
-    began: int
+    stamp: int
     poses: tuple[TimedPose, ...] = ()
     profiles: tuple[AnyProfile, ...] = ()
     reader: Callable[[Config], Stop] | None = None
@@ -79,7 +80,7 @@ class Stop:
 
     @property
     def start(self) -> int:
-        """Return the stamp of the first pose that is kept; see began."""
+        """Return the stamp of the first pose that is kept."""
         return self.poses[0].stamp
 
     @property
@@ -97,7 +98,7 @@ class Stop:
         begin = bisect_left(candidates, self.start, key=by_stamp)
         end = bisect_right(candidates, self.end, key=by_stamp)
         inside = [profile for profile in candidates[begin:end] if self._has(profile)]
-        first, last = self._steady_span(config)
+        first, last = self._settled_span(config)
         begin = bisect_left(inside, first, key=by_stamp)
         end = max(begin, bisect_right(inside, last, key=by_stamp))
         # few from times with vibration
@@ -105,9 +106,9 @@ class Stop:
                                        *_thinned(inside[begin:end], 64),
                                        *_thinned(inside[end:], 8)))
 
-    def steady(self, config: Config) -> list[AnyProfile]:
+    def settled_profiles(self, config: Config) -> list[AnyProfile]:
         """Return MOST_PROFILES of the time without vibration at most, not yet decoded."""
-        first, last = self._steady_span(config)
+        first, last = self._settled_span(config)
         return evenly([p for p in self.profiles if first <= p.stamp <= last], MOST_PROFILES)
 
     def trimmed(self, config: Config) -> Stop:
@@ -115,7 +116,7 @@ class Stop:
         alone = replace(self, result=NOT_EVALUATED)
         if self.reader or config.sampling.moving:
             return alone
-        profiles = self.steady(config)
+        profiles = self.settled_profiles(config)
         poses = around(self.poses, [profile.stamp for profile in profiles])
         return replace(alone, poses=tuple(poses), profiles=tuple(profiles))
 
@@ -124,7 +125,7 @@ class Stop:
         before, after = profile.reach if isinstance(profile, RawProfile) else (0, 0)
         return profile.stamp - before >= self.start and profile.stamp + after <= self.end
 
-    def _steady_span(self, config: Config) -> tuple[int, int]:
+    def _settled_span(self, config: Config) -> tuple[int, int]:
         """Return the first and last stamp of the time without vibration."""
         settle = round(config.sampling.settle_time * NS)
         return self.start + settle, self.end - settle
@@ -179,7 +180,7 @@ class StopFinder(Copyable):
     """
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
-    began: stamp of the first pose of the current stop
+    stamp: of the current stop
     longest_rest: time that the robot stood still so far (ns)
     short_rests: number of times that it did so for SHORT_REST, but not for sampling.still_time
     """
@@ -187,9 +188,9 @@ class StopFinder(Copyable):
     def __init__(self, sampling: SamplingConfig) -> None:
         """Start with no poses."""
         self.sampling = sampling
-        self._run: deque[TimedPose] = deque()  # poses since the robot stopped
+        self._poses: deque[TimedPose] = deque()  # of the current stop
         self._recent: deque[TimedPose] = deque()  # poses of the last MOTION_TIME
-        self.began = self._latest = -1
+        self.stamp = self._latest = -1
         self.longest_rest = self.short_rests = 0
 
     def add(self, pose: TimedPose) -> Stop | None:
@@ -198,29 +199,29 @@ class StopFinder(Copyable):
         while (pose.stamp - self._recent[0].stamp > MOTION_TIME
                or len(self._recent) > MOST_POSES):
             self._recent.popleft()
-        continues = bool(self._run) and self._continues(pose)
+        continues = bool(self._poses) and self._continues(pose)
         self._latest = pose.stamp
         if continues:
             self._extend(pose)
             return None
         ended = self.current()
-        if self._run:
-            stood = self._run[-1].stamp - self._run[0].stamp
+        if self._poses:
+            stood = self._poses[-1].stamp - self._poses[0].stamp
             self.longest_rest = max(self.longest_rest, stood)
             self.short_rests += ended is None and stood >= SHORT_REST
-        self._run, self.began = deque([pose]), pose.stamp
+        self._poses, self.stamp = deque([pose]), pose.stamp
         return ended
 
     def current(self) -> Stop | None:
         """Return the current stop without profiles, None before sampling.still_time."""
-        run = self._run
-        still = bool(run) and run[-1].stamp - run[0].stamp >= self.sampling.still_time * NS
-        return Stop(self.began, tuple(run)) if still else None
+        poses = self._poses
+        still = bool(poses) and poses[-1].stamp - poses[0].stamp >= self.sampling.still_time * NS
+        return Stop(self.stamp, tuple(poses)) if still else None
 
     @property
     def stood(self) -> int:
         """Return the duration of the current stop (ns)."""
-        return self._latest - self._run[0].stamp if self._run else 0
+        return self._latest - self._poses[0].stamp if self._poses else 0
 
     def motion(self) -> Motion | None:
         """Return the current motion of the robot, None with fewer than two poses."""
@@ -230,17 +231,17 @@ class StopFinder(Copyable):
         seconds = (last.stamp - first.stamp) / NS
         return Motion(float(np.linalg.norm(last.translation - first.translation)) / seconds,
                       _angle_between(first, last) / seconds,
-                      (last.stamp - self._run[0].stamp) / NS)
+                      (last.stamp - self._poses[0].stamp) / NS)
 
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
-        if not self._run:
+        if not self._poses:
             return 0, FOREVER
         limited = self.sampling.by_itself
-        return self._run[0].stamp, self._run[0].stamp + LONGEST_STOP if limited else FOREVER
+        return self._poses[0].stamp, self._poses[0].stamp + LONGEST_STOP if limited else FOREVER
 
     def _continues(self, pose: TimedPose) -> bool:
-        first, limits = self._run[0], self.sampling
+        first, limits = self._poses[0], self.sampling
         if pose.stamp - self._latest > limits.max_pose_gap * NS:
             return False
         if limits.moving and pose.stamp - first.stamp <= PASS_TIME:
@@ -253,12 +254,12 @@ class StopFinder(Copyable):
         """Add a pose to a stop; a long one keeps its first seconds, on request its last."""
         if self._is_full(pose) and self.sampling.by_itself:
             return
-        self._run.append(pose)
+        self._poses.append(pose)
         while self._is_full(pose):
-            self._run.popleft()
+            self._poses.popleft()
 
     def _is_full(self, pose: TimedPose) -> bool:
-        return pose.stamp - self._run[0].stamp > LONGEST_STOP or len(self._run) > MOST_POSES
+        return pose.stamp - self._poses[0].stamp > LONGEST_STOP or len(self._poses) > MOST_POSES
 
 
 def _angle_between(a: TimedPose, b: TimedPose) -> float:

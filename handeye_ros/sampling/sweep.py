@@ -53,10 +53,10 @@ MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep; where some do: a start, a w
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     """Return one sample per profile of passes, with their common trajectory; others unchanged."""
-    trajectories = [sample.trajectory for sample in samples if sample.of_pass]
+    trajectories = [sample.trajectory for sample in samples if sample.per_profile]
     trajectory = joined(trajectories) if trajectories else None
-    return tuple(replace(one, trajectory=trajectory) if sample.of_pass else one
-                 for sample in samples for one in sample.parts)
+    return tuple(replace(one, trajectory=trajectory) if sample.per_profile else one
+                 for sample in samples for one in sample.station_samples)
 
 
 @dataclass(frozen=True, eq=False)

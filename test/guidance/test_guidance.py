@@ -47,12 +47,12 @@ def answer(found: Cell, solution: Solution, refusal: DataError | None = None) ->
     return Answer(found.samples, solution, True, None, refusal)
 
 
-def advice(made: tuple[Cell, Solution], without_sample: tuple[Array, ...] = (),
+def advice(made: tuple[Cell, Solution], failed_poses: tuple[Array, ...] = (),
            refusal: DataError | None = None, **values: object) -> Advice:
     """Return the advice after the samples of a cell; values: settings, __ for the dot."""
     found, solution = made
     return advise(found.samples, set_to(found.config, **values),
-                  answer(found, solution, refusal), without_sample=without_sample)
+                  answer(found, solution, refusal), failed_poses=failed_poses)
 
 
 def test_the_feature_stays_in_view_where_it_is_said_to_be(made: tuple[Cell, Solution]) -> None:
@@ -107,7 +107,7 @@ def test_a_pose_at_which_nothing_was_taken_is_not_proposed_again(made: tuple[Cel
                                                                  ) -> None:
     first = advice(made).next
     assert first is not None
-    other = advice(made, without_sample=(first.T_base_flange,)).next
+    other = advice(made, failed_poses=(first.T_base_flange,)).next
     assert other is not None
     T = se3.inverse(first.T_base_flange) @ other.T_base_flange
     assert (np.linalg.norm(T[:3, 3]) > REFUSED_DISTANCE[0]

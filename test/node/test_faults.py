@@ -271,8 +271,8 @@ def test_a_node_goes_on_after_an_exception_and_the_log_shows_where(
         client.until_counted(profiles=20, poses=20)
         for name in ('take_sample', 'verify_start', 'take_sample'):
             answer = client.call(name)
-            assert (answer.success, answer.message) == (False, (
-                f"{name} failed: ZeroDivisionError('in a service'); the log shows where"))
+            assert not answer.success and answer.message.endswith(  # silence may come first
+                f"{name} failed: ZeroDivisionError('in a service'); the log shows where")
         answer = client.call('auto_sample', SetBool.Request(data=True))
         assert (answer.success, answer.message) == (
             False, "the change failed: ZeroDivisionError('in a service'); the log shows where")

@@ -98,7 +98,7 @@ def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> No
 
 
 def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
-    began = [stop.began for stop in fed().copied().stops]
+    began = [stop.stamp for stop in fed().copied().stops]
     poses = [replace(p, translation=p.translation + [0.0, 5e-3, 0.0])
              if began[3] <= p.stamp < began[4] else p for p in SPHERE.poses]
     live = fed(recording=replace(SPHERE, poses=tuple(poses)))

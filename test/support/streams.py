@@ -58,7 +58,7 @@ def played(poses: Sequence[TimedPose], profiles: Sequence[Profile], config: Conf
 
 def collect(session: Session, config: Config = CONFIG) -> list[Sample | Reject]:
     """Return what the stops give that were completed since the last call, as the node asks."""
-    return [session.put(session.numbered(stop, result_of(stop, config))).result
+    return [session.add_stop(session.evaluated(stop, result_of(stop, config))).result
             for stop in session.completed()]
 
 
@@ -72,10 +72,10 @@ def add(session: Session, item: TimedPose | Profile) -> None:
 def taken(session: Session, config: Config = CONFIG) -> Sample:
     """Return the sample of the current stop, put into the session as on request."""
     stop = session.current_stop()
-    stop = session.numbered(stop, result_of(stop, config))
+    stop = session.evaluated(stop, result_of(stop, config))
     if isinstance(stop.result, Reject):
         raise DataError(stop.result.reason)
-    session.put(stop)
+    session.add_stop(stop)
     return stop.result
 
 
