@@ -133,7 +133,7 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
 def answer_session(session: Session, config: Config) -> Answer:
     """Return the answer of a session; raises DataError when it holds no stops."""
     session.require_stops()
-    return answer_samples(session.samples, session.rejects, session.with_base(config),
+    return answer_samples(session.samples, session.rejects, session.config_with_base,
                           session.frame_id, session)
 
 

@@ -133,6 +133,7 @@ class Stored:
         for number, stored in sorted(self.stops.items()):
             stop = _evaluated(stored, config)
             session.add_stop(replace(session.evaluated(stop, stop.result), number=number))
+            session.mark_done(stop)
         return session
 
 

@@ -4,11 +4,11 @@
 A running session without ROS: from messages to stored samples.
 
 The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
-into the session. A stop that is over, or long enough, waits in `to_evaluate` or `ready_stop` for
-the worker, which has it evaluated in another process, stores it on the disk and puts it into the
-session. After each such piece of work the worker (pool.py) calls `changed`, which publishes
-~/samples (outputs.py). What is used is stored, and what is stored is used. What follows from the
-samples is in answer.py and verification.py.
+into the session. A stop that is over, or long enough, waits in `to_evaluate` for the worker, which
+has it evaluated in another process, stores it on the disk and puts it into the session; so does a
+stored one when settings change. After each such piece of work the worker (pool.py) calls
+`changed`, which publishes ~/samples (outputs.py). What is used is stored, and what is stored is
+used. What follows from the samples is in answer.py and verification.py.
 
 When ~/take_sample has taken a stop, that is on the disk as a file of its own, synced
 (SessionFiles in bags/session_files.py); metadata.yaml, which repeats what the files say, is synced
@@ -18,13 +18,12 @@ Threads: the drain thread, which calls add_*; the worker, which changes all else
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
 reviews, solves and verifications computed, in two processes (pool.py); the worker waits for the
 stops alone. Locks: `lock` for what messages change, held for one message or a copy; one in
-outputs.py, so that nothing is published after the end; one in node.py, so that settings change
-one by one.
+outputs.py, so that nothing is published after the end.
 """
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
@@ -75,8 +74,8 @@ class LiveSession:
     """
     All functions of the running node; those that are no add_* are for the worker: see ask.
 
-    What messages change (session, verification, to_evaluate, ready_stop, joints, the latest
-    messages and their counts) is used under lock. The stops of the session, and all else, are
+    What messages change (session, verification, to_evaluate, joints, the latest messages and their
+    counts) is used under lock. The stops of the session, and all else, are
     changed by the worker alone: it reads them without, others see them at any time.
 
     attempt: the last one
@@ -91,12 +90,11 @@ class LiveSession:
 
         pool: where long computations run; changed: called by the worker after every change.
         """
-        self.config, self.folders, self.pool = config, folders, pool
+        self.folders, self.pool = folders, pool
         self.files = SessionFiles(folders.folder)
         self.lock = Lock()
         self.session = Session(config)
-        self.to_evaluate: deque[Stop] = deque()  # complete stops, not yet evaluated
-        self.ready_stop: Stop | None = None  # the current stop, once it has enough profiles
+        self.to_evaluate: dict[int, Stop] = {}  # by their stamps
         self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
         self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
@@ -106,7 +104,6 @@ class LiveSession:
         self.worker = Worker(changed)
         self._woken = True  # nothing is due before start()
         self.running: list[str] = []
-        self._outdated: deque[int] = deque()  # numbers of stops to be evaluated again
         self._store_trouble = ''
         self.attempt: Attempt | None = None
         self.failed_poses: dict[int, Array] = {}
@@ -120,7 +117,7 @@ class LiveSession:
             self.messages['profile'].add(profile.stamp)
             self._profiles.append(profile)
             self.session.add_profile(profile)
-            self._queue_stops()
+            self._queue(self.session.completed())
             self.verification.add_profile(profile)
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
@@ -130,8 +127,8 @@ class LiveSession:
                 self.messages['pose'].add(pose.stamp)
                 self._poses.append(pose)
                 self.session.add_pose(pose)
-            self.ready_stop = self.session.current_if_ready() or self.ready_stop
-            self._queue_stops()
+            ready = self.session.current_if_ready()
+            self._queue([*self.session.completed(), *([ready] if ready else [])])
             self.verification.add_poses(poses)
 
     def add_joints(self, stamp: int, data: bytes) -> None:
@@ -139,14 +136,17 @@ class LiveSession:
         with self.lock:
             self.joints.append((stamp, data))
 
-    def _queue_stops(self) -> None:
-        """Queue stops for evaluation; drop the oldest if too many wait."""
+    def _queue(self, stops: Iterable[Stop]) -> None:
+        """Queue stops, each in place of an earlier part; drop the oldest if too many wait."""
         self.session.keep_waiting(MOST_STOPS)
-        self.to_evaluate.extend(self.session.completed())
-        while len(self.to_evaluate) > MOST_STOPS:
-            self.to_evaluate.popleft()
-            self._overflowed += 1
-        if self.to_evaluate or self.ready_stop or self._frame_change:
+        for stop in stops:
+            self.to_evaluate.pop(stop.stamp, None)
+            self.to_evaluate[stop.stamp] = stop
+            new = [stamp for stamp, one in self.to_evaluate.items() if not one.reader]
+            for stamp in new[:-MOST_STOPS]:
+                del self.to_evaluate[stamp]
+                self._overflowed += 1
+        if self.to_evaluate or self._frame_change:
             self.wake()
 
     @property
@@ -251,9 +251,9 @@ class LiveSession:
             return self.session.copied()
 
     @property
-    def config_with_base(self) -> Config:
-        """Return the current settings with the frame of the poses as the base frame."""
-        return self.session.with_base(self.config)
+    def config(self) -> Config:
+        """Return the current settings."""
+        return self.session.config
 
     @property
     def path(self) -> str:
@@ -263,8 +263,10 @@ class LiveSession:
     @property
     def working(self) -> str:
         """Return the running tasks in words; empty without any."""
-        again = 'the samples are extracted again from their profiles' if self._outdated else ''
-        return '; '.join(filter(None, (*self.running, again)))
+        with self.lock:
+            again = any(stop.reader for stop in self.to_evaluate.values())
+        text = 'the samples are extracted again from their profiles' if again else ''
+        return '; '.join(filter(None, (*self.running, text)))
 
     @property
     def troubles(self) -> tuple[str, ...]:
@@ -289,35 +291,31 @@ class LiveSession:
     def process_next(self) -> bool:
         """Evaluate the next stop that is due; return whether there was one."""
         with self.lock:
-            is_over = bool(self.to_evaluate)
-            stop = self.to_evaluate.popleft() if is_over else self.ready_stop
-            self.ready_stop = self.ready_stop if is_over else None
+            stop = self.to_evaluate.pop(next(iter(self.to_evaluate), 0), None)
         if stop:
-            self._process(stop, is_over)
-        elif self._outdated:
-            self._process_again(self._outdated.popleft())
-        else:
-            return False
-        return True
+            self._process(stop)
+        return stop is not None
 
     def process_all(self) -> None:
         """Evaluate all stops, of which the current one counts as complete; raises InputError."""
-        with self.lock:
-            self.ready_stop = None  # it is part of the current stop
         while self.process_next():
             pass
         with self.lock:
-            stops = self.session.copied().remaining()  # raises for mixed frames
-        for stop in stops:
-            self._process(stop, True)
+            rest = self.session.copied().remaining()  # raises for mixed frames
+        for stop in rest:
+            self._process(stop)
+            self._end(stop)
 
-    def _process(self, stop: Stop, is_over: bool) -> None:
+    def _process(self, stop: Stop) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if not is_over and self.session.is_done(stop):
+        if stop.reader:
+            if not stop.final_reason:
+                result = self.result_elsewhere(stop, self.config)
+                self._add_stop(self.session.evaluated(stop, result))
             return
-        if self.verification.routine:
+        if self.verification.routine and not stop.number:
             with suppress(DataError):
-                self.verification.add_stop(stop, is_over)
+                self.verification.add_stop(stop)
             return
         stop, remark = self._with_result(stop)  # the remark refuses nothing, as in a recording
         earlier = self._find(stop.number)
@@ -327,25 +325,13 @@ class LiveSession:
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
-        self._add_stop(stop, is_over)
+        self._add_stop(stop)
         if earlier is None or bool(earlier.sample) != bool(stop.sample):
             # the same result with more profiles is not reported again
             verdict = (f'sample {stop.number} taken' if stop.sample else
                        f'stop {stop.number} gave no sample')
             text = '; '.join(filter(None, (f'{verdict}: {sample_summary(stop.result)}', remark)))
             self.attempt = Attempt(text, stop)
-
-    def _process_again(self, number: int) -> None:
-        """Evaluate a stop by the current settings; one that cannot be stored stays refused."""
-        stop = self._find(number)
-        if stop and not stop.reader:  # it could not be stored before
-            with suppress(InputError):
-                self._add_stop(self._store(self._with_result(stop)[0]), is_over=False)
-        elif stop and not stop.final_reason:
-            result = self.result_elsewhere(stop, self.config)
-            with self.lock:
-                stop = self.session.evaluated(stop, result)
-            self._add_stop(stop, is_over=False)
 
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
@@ -390,7 +376,8 @@ class LiveSession:
             raise
         if self._store_trouble:
             self._store_trouble = ''
-            self._outdated.extend(stop.number for stop in self.session.stops if not stop.sample)
+            with self.lock:
+                self._queue(stop for stop in self.session.stops if not stop.sample)
         return result
 
     def store_rest(self) -> None:
@@ -404,10 +391,16 @@ class LiveSession:
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.add_event, CONFIGURED, self.config)
 
-    def _add_stop(self, stop: Stop, is_over: bool) -> None:
+    def _add_stop(self, stop: Stop) -> None:
         """Put an evaluated stop into the session, in place of an earlier part of it."""
         with self.lock:
-            self.session.add_stop(stop, is_over)
+            self.session.add_stop(stop)
+
+    def _end(self, stop: Stop) -> None:
+        """Take nothing more of a stop."""
+        with self.lock:
+            self.session.mark_done(stop)
+            self.to_evaluate.pop(stop.stamp, None)
 
     # services
 
@@ -421,7 +414,7 @@ class LiveSession:
             with self.lock:
                 stop = self.session.current_stop()
             if self.verification.routine:
-                return self.verification.add_stop(stop, is_over=True)
+                return self.verification.add_stop(stop)
             stop, objection = self._with_result(stop)
             if stop.final_reason:
                 raise DataError(f'{stop.final_reason}: move on, and turn the tool')
@@ -429,7 +422,8 @@ class LiveSession:
                 raise DataError(f'{objection}, and take the sample again' if objection else
                                 sample_summary(stop.result))
             note = ' again, as the robot has not moved since' if self._find(stop.number) else ''
-            self._add_stop(self._store(stop), is_over=True)
+            self._add_stop(self._store(stop))
+            self._end(stop)
         except HandeyeError as error:
             if error.reason == 'moving' and silence > POSES_SILENT:  # it did, long ago
                 error = silent_poses(silence)
@@ -448,6 +442,7 @@ class LiveSession:
         self._write(self.files.add_event, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:
             self.session.remove(last)
+        self._end(last)
         return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
                 f'{len(samples) - 1} left')
 
@@ -478,10 +473,9 @@ class LiveSession:
     def _begin(self, files: SessionFiles, session: Session, why: str) -> None:
         """Go on with another session; forget messages, and what followed from the one before."""
         with self.lock:
-            for messages in (self._profiles, self._poses, self.joints, self.to_evaluate,
-                             self._outdated):
+            for messages in (self._profiles, self._poses, self.joints, self.to_evaluate):
                 messages.clear()
-            self.session, self.config, self.ready_stop = session, session.config, None
+            self.session = session
             self.verification.end()
         if files is not self.files:
             self.files.close()
@@ -496,14 +490,14 @@ class LiveSession:
         """Apply another configuration, already checked by the node."""
         old = self.config
         with self.lock:
-            self.config = config
             self.session.configure(config)
             if config.verify.routine != old.verify.routine:
                 self.verification.end()
         if config.profile != old.profile:  # what could not be read may be readable now
             self.messages['profile'].excuse()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
-            self._outdated = deque(stop.number for stop in self.session.stops)
+            with self.lock:
+                self._queue(self.session.stops)
         if self.files.path:
             with suppress(InputError):  # kept as trouble
                 self._write(self.files.add_event, CONFIGURED, config)

@@ -129,7 +129,8 @@ class Outputs:
         with self._lock:
             if self._closed:
                 return
-            live, state, config = self._live, state_of(self._live), self._live.config_with_base
+            live, state = self._live, state_of(self._live)
+            config = live.session.config_with_base
             self._show_attempt(live.attempt)
             changed = self._samples.show(json.dumps(samples_message(state)))
             answer = live.answer.calibration
@@ -163,7 +164,7 @@ class Outputs:
         if self._current.get_subscription_count():
             live = self._live
             self._current.publish(current_markers(
-                live.current(), live.answer.calibration, live.config_with_base))
+                live.current(), live.answer.calibration, live.session.config_with_base))
 
     def diagnose(self, state: State) -> None:
         """

@@ -51,7 +51,7 @@ class ScanNode(Node):
     def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
         """Subscribe; raises InputError for poses from transforms without tf2_msgs."""
         super().__init__('handeye_scan')
-        self.config = replace(config, time_offset=0.0)  # the scanner adds it
+        self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it
         self.messages: dict[str, MessageCount] = {}
         self._sensor = calibration.child_frame
         self._scanner = Scanner(calibration, config, options)

@@ -56,12 +56,14 @@ class Receiver(Protocol):
     """
     Takes what is read, in the thread that reads it.
 
-    config: the current settings, of which those of topics and frames stay; messages: counts by
-    kind (profile, pose).
+    messages: counts by kind (profile, pose).
     """
 
-    config: Config
     messages: dict[str, MessageCount]
+
+    @property
+    def config(self) -> Config:
+        """Return the current settings, of which those of topics and frames stay."""
 
     def add_profile(self, profile: RawProfile) -> None:
         """Take a profile, its stamp with time_offset."""

@@ -157,17 +157,10 @@ class LiveVerification:
         return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'
                 f'{dropped}')
 
-    def add_stop(self, stop: Stop, is_over: bool) -> str:
-        """
-        Add a stop, in place of an earlier part of it; return the progress, or raise DataError.
-
-        is_over: whether it is complete, and is not looked at again.
-        """
+    def add_stop(self, stop: Stop) -> str:
+        """Add a stop, in place of an earlier part of it; return the progress, or DataError."""
         live, routine = self._live, self.routine
         assert routine
-        if is_over:
-            with live.lock:
-                live.session.mark_done(stop)
         if routine.in_passes:
             raise DataError(f'{self.text}: stops do not count, points are taken while the robot '
                             'moves')

@@ -85,6 +85,7 @@ class Session(Copyable):
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
         for stop in stops:
             self.add_stop(stop)
+            self.mark_done(stop)
 
     def configure(self, config: Config) -> None:
         """Apply another configuration to what comes from now on, the current stop too."""
@@ -378,10 +379,11 @@ class Session(Copyable):
         """Return whether samples.exclude contains the sample of a stop."""
         return stop.number in self.config.samples.exclude
 
-    def with_base(self, config: Config) -> Config:
+    @property
+    def config_with_base(self) -> Config:
         """Return the settings with the frame of the poses as the base, if they name none."""
-        return config if config.robot_base_frame else replace(
-            config, robot_base_frame=self.base_frame)
+        return self.config if self.config.robot_base_frame else replace(
+            self.config, robot_base_frame=self.base_frame)
 
     def evaluate_remaining(self) -> list[Sample | Reject]:
         """
@@ -424,17 +426,14 @@ class Session(Copyable):
         return replace(stop, number=before.number if before else self.last_number + 1,
                        result=Reject(result.stamp, why, final=True) if why else result)
 
-    def add_stop(self, stop: Stop, is_over: bool = True) -> Stop:
+    def add_stop(self, stop: Stop) -> Stop:
         """Store and return an evaluated stop, in place of an earlier part of it."""
         self._stops[stop.stamp] = stop
         self.last_number = max(self.last_number, stop.number)
-        if is_over:
-            self.mark_done(stop)
         return stop
 
     def remove(self, stop: Stop) -> None:
-        """Forget the result of a stop, which is not returned again."""
-        self.mark_done(stop)
+        """Forget the result of a stop."""
         self._stops.pop(stop.stamp, None)
 
 

@@ -107,7 +107,7 @@ def test_the_stop_of_now_is_given_while_the_robot_stands_and_again_when_it_is_ov
         stop = session.current_if_ready()
         if stop:
             early.append((item.stamp - START) / NS)
-            session.add_stop(session.evaluated(stop, result_of(stop, CONFIG)), is_over=False)
+            session.add_stop(session.evaluated(stop, result_of(stop, CONFIG)))
         collect(session)
     session.evaluate_remaining()
     assert len(session.samples) == session.last_number == 2

@@ -76,6 +76,7 @@ def taken(session: Session, config: Config = CONFIG) -> Sample:
     if isinstance(stop.result, Reject):
         raise DataError(stop.result.reason)
     session.add_stop(stop)
+    session.mark_done(stop)
     return stop.result
 
 
