@@ -24,6 +24,7 @@ from handeye_ros.guidance.view import extremes
 from handeye_ros.node.pool import result_or_ended
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
+from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.scene import Agreement
 from handeye_ros.results.table import transform_rows
 from handeye_ros.review import agreements, count_of, flat_crossing
@@ -92,6 +93,7 @@ class LiveAnswer:
 
     calibration: the last answer that was not refused
     why_missing: why there is none
+    saved: the file of the answer, '' before it is saved
     asked_settings: the settings of the last attempt to compute it, None before the first
     seen: visible points (k, 2) at the ends of the field of view
     """
@@ -106,18 +108,12 @@ class LiveAnswer:
         self.asked_settings: dict[str, Any] | None = None
         self._asked: tuple[object, Future[str]] | None = None  # last attempt: from what, message
         self._answer_numbers: set[int] = set()  # numbers of the samples of the last answer
-        self._saved: exports.Saved | None = None  # the files of this answer
-        self._saved_as: tuple[Any, ...] = ()  # their folder, formats, record and times
+        self.saved = ''
 
     @property
     def withdrawn(self) -> bool:
         """Return whether there was an answer that is not valid any more."""
         return self.calibration is None and bool(self._answer_numbers)
-
-    @property
-    def saved(self) -> str:
-        """Return the file of the current answer, empty before it is saved."""
-        return str(self._saved.files[0]) if self._saved else ''
 
     def difference(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
@@ -236,9 +232,9 @@ class LiveAnswer:
         calibration = answer.require_calibration()
         inputs = [{'topic': live.config.profile_topic}, {'topic': live.config.pose_origin[0]},
                   {'session': live.path}]
-        self.calibration = replace(calibration,
-                                   provenance={**calibration.provenance, 'inputs': inputs})
-        self._answer_numbers, self.why_missing, self._saved = _numbers(session), '', None
+        self.calibration = dated(replace(
+            calibration, provenance={**calibration.provenance, 'inputs': inputs}))
+        self._answer_numbers, self.why_missing, self.saved = _numbers(session), '', ''
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
@@ -252,16 +248,12 @@ class LiveAnswer:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.require_calibration()
         live.store_rest()
-        folder, formats = live.folders.own(live.config), live.config.save.formats
-        wanted = folder, formats, live.config.record
-        if self._saved and self._saved_as == (*wanted, _times(self._saved)):
-            text = f'saved already: {", ".join(map(str, self._saved.files))}'
-        else:
-            self._saved = exports.save_all(calibration, folder, formats)
-            self._saved_as, text = (*wanted, _times(self._saved)), str(self._saved)
+        written = exports.save_all(calibration, live.folders.own(live.config),
+                                   live.config.save.formats)
+        self.saved = str(written.files[0])
         note = (f'; {COMPUTED} again: save it again after that'
                 if COMPUTED in live.running else '')
-        return f'{text}{self.difference(live.copied())}{note}'
+        return f'{written}{self.difference(live.copied())}{note}'
 
 
 def summary(calibration: Calibration) -> str:
@@ -276,11 +268,6 @@ def summary(calibration: Calibration) -> str:
             f'residual {quality.residual_rms * 1e3:.3f} mm '
             f'RMS, left out {quality.holdout_rms * 1e3:.3f} mm; {used} used, '
             f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
-
-
-def _times(saved: exports.Saved) -> list[int]:
-    """Return when files were written (ns), 0 for one that is gone."""
-    return [file.stat().st_mtime_ns if file.is_file() else 0 for file in saved.files]
 
 
 def _numbers(session: Session) -> set[int]:

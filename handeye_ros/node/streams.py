@@ -86,7 +86,8 @@ class _Subscribed:
     A topic that is read.
 
     key: of the configuration, which names it: it should have one publisher; '' for those that may
-    have several. number: of the last message, as its publisher counts them.
+    have several. publishers: what is known of them; number: of the last message, as its publisher
+    counts them.
     """
 
     messages: MessageCount
@@ -96,7 +97,7 @@ class _Subscribed:
     qos: QoSProfile
     key: str = ''
     subscription: Any = None
-    publishers: int = 0
+    publishers: Sequence[Any] = ()
     number: int = 0
 
 
@@ -136,7 +137,6 @@ class Streams:
         add_joints: takes stamp (ns) and serialised JointState, of which no pose is made.
         """
         self._node, self._receiver, config = node, receiver, receiver.config
-        self._named = _topics_named(config)
         self._group = NoExecutor()
         self._reader = ProfileReader(config.profile)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
@@ -176,7 +176,7 @@ class Streams:
 
     def names_other_topics(self, config: Config) -> bool:
         """Return whether settings name other topics than these; raises InputError."""
-        if _topics_named(config) == self._named:
+        if _topics_named(config) == _topics_named(self._receiver.config):
             return False
         poses = (name for _, name, *_ in pose_topics(config, self._tracker))
         names = [config.profile_topic, *poses,
@@ -217,11 +217,10 @@ class Streams:
     def _match_reliability(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
         for topic in [topic for topic in self._topics if topic.key]:
-            publishers = self._publishers(topic.name)
-            topic.publishers = len(publishers)
+            topic.publishers = self._publishers(topic.name)
             if topic.qos is RELIABLE_QOS and any(
                     info.qos_profile.reliability == BEST_EFFORT_QOS.reliability
-                    for info in publishers):
+                    for info in topic.publishers):
                 old, topic.qos, topic.number = topic.subscription, BEST_EFFORT_QOS, 0
                 self._subscribe(topic)
                 self._node.destroy_subscription(old)
@@ -236,7 +235,7 @@ class Streams:
                     return count
                 data, info = received
                 number = info['publication_sequence_number'] or 0
-                if topic.publishers == 1 and 0 < topic.number < number:
+                if len(topic.publishers) == 1 and 0 < topic.number < number:
                     topic.messages.lost += number - topic.number - 1
                 topic.number = number
                 try:
@@ -284,7 +283,7 @@ class Streams:
     def _why_silent(self, topic: _Subscribed) -> str:
         """Return why no messages of a topic arrive, '' if there is a publisher."""
         name, message_type = self._full_name(topic.name), MESSAGE_TYPES[topic.message]
-        types = {info.topic_type for info in self._publishers(name)}
+        types = {info.topic_type for info in topic.publishers}
         if message_type in types:
             return ''
         reason = f'{name} has no publisher' if not types else (
@@ -303,13 +302,13 @@ class Streams:
         """Return a sentence for several publishers of a topic, a second node, a slow transform."""
         sentences, node = [], self._node
         for topic in (topic for topic in self._topics if topic.key):
-            name = self._full_name(topic.name)
-            names = [f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-                     for info in self._publishers(name)]
+            names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+                           for info in topic.publishers)
             if len(names) > 1:
                 sentences.append(
-                    f'{len(names)} publishers send {topic.messages.kind}s on {name} '
-                    f'({", ".join(sorted(names)[:MOST_LISTED])}): let only one publish')
+                    f'{len(names)} publishers send {topic.messages.kind}s on '
+                    f'{self._full_name(topic.name)} ({", ".join(names[:MOST_LISTED])}): let only '
+                    'one publish')
         own_name = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(own_name) > 1:
             sentences.append(

@@ -22,7 +22,7 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.moves import Move
 from handeye_ros.guidance.view import extremes
-from handeye_ros.results import calibration_file, exports, table
+from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded
 from handeye_ros.review import stop_snapshot
 from handeye_ros.verification.routines import ROUTINES
@@ -137,7 +137,7 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
     """Return name and text of a file of the answer; raises HandeyeError without one."""
-    calibration = calibration_file.dated(live.answer.require_calibration())
+    calibration = live.answer.require_calibration()
     if name == exports.REPORT_FILE:
         return name, live.pool.run(_report, calibration, live.path)
     form = exports.format_of(name)

@@ -257,15 +257,21 @@ FORMATS = {
 
 @dataclass(frozen=True)
 class Saved:
-    """The files written, and the folder with the previous ones; absolute paths."""
+    """
+    The files, and the folder with the previous ones; absolute paths.
+
+    unchanged: whether they were there already, and with this content.
+    """
 
     files: tuple[Path, ...]
-    previous: Path | None
+    previous: Path | None = None
+    unchanged: bool = False
 
     def __str__(self) -> str:
         """Return in words where the files are."""
         history = f'; the previous result is kept in {self.previous}' if self.previous else ''
-        return f'wrote {", ".join(map(str, self.files))}{history}'
+        done = 'saved already:' if self.unchanged else 'wrote'
+        return f'{done} {", ".join(map(str, self.files))}{history}'
 
 
 def format_of(name: str) -> Format:
@@ -296,16 +302,24 @@ def export(calibration: Calibration, name: str, file: Path) -> Saved:
     Raises UnknownNameError and UnwritableError.
     """
     file, text = file.expanduser().absolute(), format_of(name).text(calibration)
-    unchanged = file.is_file() and file.read_bytes() == text.encode()
-    return write({file.name: text}, file.parent, set() if unchanged else {file.name})
+    return write({file.name: text}, file.parent, {file.name})
 
 
 def write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
-    """Write files by name into a folder; aside: names of those that are kept in its history."""
+    """
+    Write files by name into a folder, unless it has just these already.
+
+    aside: names of files that are kept in its history; a report is one of the same answer.
+    """
+    files = tuple(folder / name for name in texts)
+    there = {name for name in aside - {REPORT_FILE} if (folder / name).is_file()}
+    if there == set(texts) and all(file.read_bytes() == text.encode()
+                                   for file, text in zip(files, texts.values(), strict=True)):
+        return Saved(files, unchanged=True)
     previous = _set_aside(folder, sorted(aside), set(texts))
-    for name, text in texts.items():
-        write_atomically(folder / name, text)
-    return Saved(tuple(folder / name for name in texts), previous)
+    for file, text in zip(files, texts.values(), strict=True):
+        write_atomically(file, text)
+    return Saved(files, previous)
 
 
 def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | None:
