@@ -181,11 +181,11 @@ class LiveAnswer:
             self._begin(asked=outdated)
 
     def _made_from(self) -> tuple[object, ...]:
-        """Return what identifies samples and settings; a session by its files."""
+        """Return what identifies samples and settings."""
         live = self._live
         # a stop that goes on gives another sample of the same number
         samples = [(stop.number, stop.sample) for stop in live.session.stops if stop.sample]
-        return (live.files, values_of(live.config, (*ANSWER_KEYS, 'guidance.')),
+        return (live.session, values_of(live.config, (*ANSWER_KEYS, 'guidance.')),
                 len(live.failed_poses), samples)
 
     def _begin(self, asked: bool) -> Future[str]:
@@ -216,7 +216,7 @@ class LiveAnswer:
         Raises DataError for a refusal, and what the job raises.
         """
         live = self._live
-        if made_from[0] is not live.files:
+        if made_from[0] is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
         try:

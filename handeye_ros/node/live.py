@@ -388,8 +388,11 @@ class LiveSession:
         """
         path = self.files.path
         if self._store_trouble or path and not path.is_dir():
-            with suppress(InputError):  # kept as trouble
-                self._write(self.files.add_event, CONFIGURED, self.config)
+            self._store_settings()
+
+    def _store_settings(self) -> None:
+        with suppress(InputError):  # kept as trouble
+            self._write(self.files.add_event, CONFIGURED, self.config)
 
     def _add_stop(self, stop: Stop) -> None:
         """Put an evaluated stop into the session, in place of an earlier part of it."""
@@ -499,5 +502,4 @@ class LiveSession:
             with self.lock:
                 self._queue(self.session.stops)
         if self.files.path:
-            with suppress(InputError):  # kept as trouble
-                self._write(self.files.add_event, CONFIGURED, config)
+            self._store_settings()

@@ -22,6 +22,7 @@ from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.verification_file import sentence
 from handeye_ros.review import sample_summary
 from handeye_ros.sampling.stops import decoded, Stop
+from handeye_ros.sampling.stream import Copyable
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.routines import Routine, routine_of, settings_for
 from handeye_ros.verification.stations import stations_of, stations_of_passes
@@ -36,7 +37,7 @@ KEPT_POSES = 200_000  # of a pass that are kept, the last ones
 
 
 @dataclass(eq=False)
-class Part:
+class Part(Copyable):
     """
     What was measured of one face, ball or pass.
 
@@ -186,8 +187,7 @@ class LiveVerification:
         live.process_all()
         calibration = self._calibration()
         with live.lock:
-            parts = [replace(part, stops=dict(part.stops), profiles=list(part.profiles),
-                             poses=part.poses.copy()) for part in self._parts]
+            parts = [part.copied() for part in self._parts]
         return live.run_job(VERIFIED, partial(self._accept, self._parts), result_of_parts,
                             self.routine, parts, calibration, live.config)
 
