@@ -149,6 +149,11 @@ class LiveSession:
         if self.to_evaluate or self._frame_change:
             self.wake()
 
+    def _queue_again(self, stops: Iterable[Stop]) -> None:
+        """Queue evaluated stops, but those of which a later part waits."""
+        with self.lock:
+            self._queue(stop for stop in stops if stop.stamp not in self.to_evaluate)
+
     @property
     def _frame_change(self) -> str:
         """Return in words that a topic has another frame now; '' if that would lose anything."""
@@ -376,8 +381,7 @@ class LiveSession:
             raise
         if self._store_trouble:
             self._store_trouble = ''
-            with self.lock:
-                self._queue(stop for stop in self.session.stops if not stop.sample)
+            self._queue_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
     def store_rest(self) -> None:
@@ -468,7 +472,7 @@ class LiveSession:
         config = replace(self.config, samples=session.config.samples)
         files = SessionFiles(self.folders.folder, stored, config)
         session.configure(config)
-        self._begin(files, session, 'another session was opened')
+        self._begin(files, session, 'a session was opened')
         if session.samples:
             self.answer.asked_settings = {}  # as with other settings: solve again
         return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
@@ -499,7 +503,6 @@ class LiveSession:
         if config.profile != old.profile:  # what could not be read may be readable now
             self.messages['profile'].excuse()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
-            with self.lock:
-                self._queue(self.session.stops)
+            self._queue_again(self.session.stops)
         if self.files.path:
             self._store_settings()

@@ -153,6 +153,7 @@ class LiveVerification:
         with live.lock:
             for stop in live.session.copied().remaining():  # they began before
                 live.session.mark_done(stop)
+            live.to_evaluate.clear()  # so did these
             self.routine, self._possible, self._parts = routine, possible, parts
         advice = 'scan the gauge' if routine.in_passes else 'move on, and stop with other tilts'
         return (f'{self.text}; {advice}: what begins from now on counts, until ~/verify_result'

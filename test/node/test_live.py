@@ -21,7 +21,6 @@ from command import PATIENCE, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
 from handeye_ros.config import Config
-from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
@@ -32,7 +31,19 @@ from handeye_ros.simulate import SCENARIOS, simulate
 from handeye_ros.simulate.measuring import rendered
 from handeye_ros.simulate.scenes import Placements, SCENES
 from handeye_ros.simulate.sensor import lift
-from live_sessions import changed, computed, fed, feed, Inline, later, new, SPHERE, update, verdict
+from live_sessions import (
+    changed,
+    computed,
+    fed,
+    feed,
+    feed_one,
+    Inline,
+    later,
+    new,
+    SPHERE,
+    update,
+    verdict,
+)
 import numpy as np
 import pytest
 from recordings import halves
@@ -117,10 +128,7 @@ def test_the_worst_sample_comes_first_and_leaves_and_comes_back() -> None:
 def test_the_review_follows_a_stop_that_goes_on() -> None:
     live, shared = new(SPHERE.config), []
     for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
-        if isinstance(item, TimedPose):
-            live.add_poses([item])
-        else:
-            live.add_profile(item)
+        feed_one(live, item)
         if live.to_evaluate:
             update(live)
             answer, last = live.answer.review.answer, live.session.stops[-1].sample
@@ -128,6 +136,23 @@ def test_the_review_follows_a_stop_that_goes_on() -> None:
                 shared.append((last.stamp, last.profiles) in {
                     (sample.stamp, sample.profiles) for sample in answer.samples})
     assert all(shared) and len(shared) > 10
+
+
+def test_settings_that_change_while_the_end_of_a_stop_waits_lose_none_of_its_profiles() -> None:
+    other = set_to(SPHERE.config, sampling__min_points=21)
+    live, waited = new(), False
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+        feed_one(live, item)
+        if live.to_evaluate:
+            if not waited and {stop.stamp for stop in live.session.stops} & {*live.to_evaluate}:
+                waited = True
+                live.configure(replace(other, output_dir=live.config.output_dir))
+            update(live)
+    live.ask(live.process_all)
+    whole = fed(other)
+    whole.ask(whole.process_all)
+    assert waited and [sample.profiles for sample in live.session.samples] == [
+        sample.profiles for sample in whole.session.samples]
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile', 'sample'])
@@ -367,7 +392,7 @@ def test_nobody_waits_for_a_solve_or_a_verdict() -> None:
     assert answer.result(PATIENCE).startswith('laser in flange')
     live.ask(live.verification.verify_start)
     for item in sorted(items_of(PARTS[1]), key=lambda item: item.stamp):
-        (live.add_poses([item]) if isinstance(item, TimedPose) else live.add_profile(item))
+        feed_one(live, item)
     gate.open.clear()
     result = live.ask(live.verification.verify_result)
     assert 'verified' in live.working

@@ -56,11 +56,15 @@ def fed(config: Config = SPHERE.config, recording=SPHERE) -> LiveSession:
 
 def feed(live: LiveSession, items) -> None:
     for item in sorted(items, key=lambda item: item.stamp):
-        if isinstance(item, TimedPose):
-            live.add_poses([item])
-        else:
-            live.add_profile(item)
+        feed_one(live, item)
     update(live)
+
+
+def feed_one(live: LiveSession, item) -> None:
+    if isinstance(item, TimedPose):
+        live.add_poses([item])
+    else:
+        live.add_profile(item)
 
 
 def update(live: LiveSession) -> None:
