@@ -19,10 +19,8 @@ from handeye_ros import se3
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
-from handeye_ros.scanning.curves import Curve, spline, through, unit
-from handeye_ros.scanning.seam_course import course
-from handeye_ros.scanning.seam_sections import edges
-from handeye_ros.scanning.seam_sheets import FLAT_RATIO, sheets_of
+from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of, unit
+from handeye_ros.scanning.seam_sections import Curve, edges, spline, through
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation

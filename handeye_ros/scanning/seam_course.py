@@ -1,7 +1,12 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The rough course of a seam, and its kind: where edges of two sheets face each other.
+The sheets of a cloud, and the rough course of a seam and its kind: where their edges face.
+
+Points whose neighbours lie in a plane are joined to neighbours in the same plane; points near a
+rim or a corner belong to the sheet in whose plane they lie. A point lies on the edge of its sheet
+where its neighbours on that sheet leave a wide angle free; the middle of this angle is its outward
+direction. A surface below a rim or on it is another sheet and hides no edge.
 
 Edges of parallel sheets that face each other across a gap are a butt seam; one above the other
 they are a lap. Edges of sheets at an angle in a hollow corner are a fillet, or a V where both
@@ -11,18 +16,28 @@ sheet; borders of the part have none.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
+import math
 
 from handeye_ros.data import Array
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import unit
-from handeye_ros.scanning.seam_sheets import Sheets
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
+
+NEIGHBOUR_COUNT = 32
+NEIGHBOUR_RADIUS = 3.5  # spacings: radius of the neighbourhood of a point
+LINKED_NEIGHBOURS = 10  # neighbours, near and far, that are compared with a point
+FLAT_RATIO = 1.35  # times the median thickness of a neighbourhood: a thicker one is no plane
+SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
+SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
+SMALLEST_SHEET = 60  # points of a sheet
+FREE_ANGLE = 2.2  # rad without neighbours: an edge
+CHUNK_POINTS = 20_000
 
 PARALLEL_COSINE = 0.8  # cosine between the normals of the sheets of a gap or a step
 # cosines between outward directions, and to the partner
@@ -32,16 +47,141 @@ INWARD_COSINE = 0.3
 NEXT_NEAREST = 1.15  # largest ratio of a partner's distance to that of the nearest partner
 LARGEST_LINK = 8.0  # largest distance of neighbouring pairs of one seam, in spacings
 SHORTEST_SEAM = 0.01  # m: smallest length of a seam
-HIGHEST_LAP = 8e-3  # m: a higher step is no lap
+HIGHEST_LAP = 8e-3  # m: of a higher step the root cannot be found without its wall
 NARROWEST_GAP = 4.0  # spacings: smallest gap
 CORNER_NOISE = 0.25  # spacings: noise up to which no corner looks round
-WIDE_GAP_RATIO = 1.2  # median over smallest distance of two edges of one gap
 TOUCHING_GAP = 6.0  # spacings: largest distance between the edges of sheets in a visible corner
 V_AXIS_COSINE = 0.9  # cosine between the axis of a V and the normals of its plates
-SEAM_KINDS = ('v', 'butt', 'lap', 'fillet', 'step')  # in the order of preference
+SEAM_KINDS = ('v', 'butt', 'lap', 'fillet')  # in the order of preference
 
 Pairs = NDArray[np.intp]
 """Pairs (k, 2) of points on rims that face each other: rows of the cloud."""
+
+
+def unit(vectors: Array) -> Array:
+    """Return vectors (..., 3) at length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Sheets:
+    """
+    The points (n, 3) of a cloud, and the sheets that they lie on.
+
+    spacing: median distance of neighbouring points (m)
+    label: (n,) of the sheet, -1 where there is none
+    normals: (n, 3), up
+    noise: 1 sigma of the points across their sheets (m)
+    rims: (k,) rows of points on borders, one per cube of two spacings
+    outward: (n, 3) directions there
+    """
+
+    points: Array
+    tree: cKDTree
+    spacing: float
+    label: NDArray[np.intp]
+    normals: Array
+    noise: float
+    rims: NDArray[np.intp]
+    outward: Array
+
+
+def sheets_of(points: Array, up: Array) -> Sheets:
+    """Return the sheets of points (n, 3); up: (3,) the side that is visible."""
+    tree = cKDTree(points)
+    # six nearest of n points on an area: n = 6 at pi r^2 / d^2
+    sixth = tree.query(points[::max(len(points) // 5000, 1)], 7)[0][:, 6]
+    spacing = float(np.median(sixth) * np.sqrt(np.pi / 6.0))
+    normals, thickness = np.zeros_like(points), np.full(len(points), np.inf)
+    linked = np.zeros((len(points), LINKED_NEIGHBOURS), dtype=np.int32)
+    for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
+        count = np.maximum(valid.sum(axis=1), 1)
+        centred = (offset - (offset.sum(axis=1) / count[:, None])[:, None]) * valid[..., None]
+        values, axes = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
+        normals[block] = axes[:, :, 0] * np.where(axes[:, :, 0] @ up < 0, -1.0, 1.0)[:, None]
+        thickness[block] = np.where(count >= 6, np.sqrt(
+            np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
+        linked[block] = neighbours[:, 1:3 * LINKED_NEIGHBOURS:3]
+    noise = max(float(np.median(thickness)), 1e-2 * spacing)
+    flat = thickness <= FLAT_RATIO * noise
+    label = _joined(points, normals, linked, flat, 1.5 * SAME_PLANE * noise)
+    _assign_unlabelled(points, label, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
+    # one displaced profile makes a band that is not flat, but does not divide a sheet
+    label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
+    rims, outward = _rims(points, tree, label, normals, spacing)
+    return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
+
+
+def _assign_unlabelled(points: Array, label: NDArray[np.intp], normals: Array, reach: float,
+                       tolerance: float) -> None:
+    """Write the label and normal of the nearest fitting sheet to points without a label."""
+    sheet, others = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+    distance, nearest = cKDTree(points[sheet]).query(points[others], 8, distance_upper_bound=reach)
+    nearest = np.append(sheet, 0)[nearest]  # beyond the reach any point, at an infinite distance
+    offset = points[others][:, None] - points[nearest]
+    to_plane = np.abs((offset * normals[nearest]).sum(axis=2))
+    row, place = np.nonzero(np.isfinite(distance) & (to_plane < tolerance))
+    row, first = np.unique(row, return_index=True)
+    owner = nearest[row, place[first]]
+    label[others[row]], normals[others[row]] = label[owner], normals[owner]
+
+
+def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDArray[np.bool_],
+            tolerance: float) -> NDArray[np.intp]:
+    """Return labels (n,) of connected flat points, -1 for others and for small sheets."""
+    i = np.repeat(np.arange(len(points), dtype=np.int32), LINKED_NEIGHBOURS)
+    j = linked.ravel()
+    both_flat = flat[i] & flat[j] & (i != j)
+    i, j = i[both_flat], j[both_flat]
+    offset = points[j] - points[i]
+    one_sheet = np.abs((normals[i] * normals[j]).sum(axis=1)) > SAME_NORMAL
+    one_sheet &= np.abs((offset * normals[i]).sum(axis=1)) < tolerance
+    one_sheet &= np.abs((offset * normals[j]).sum(axis=1)) < tolerance
+    graph = coo_matrix((np.ones(int(one_sheet.sum()), dtype=bool), (i[one_sheet], j[one_sheet])),
+                       shape=(len(points), len(points)))
+    label = connected_components(graph, directed=False)[1].astype(np.intp)
+    size = np.bincount(label[flat], minlength=len(points) + 1)
+    return np.where(flat & (size[label] >= SMALLEST_SHEET), label, -1)
+
+
+def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array, spacing: float
+          ) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows (k,) of points on the borders of sheets, and outward directions (n, 3)."""
+    free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
+    for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
+        n = normals[block]
+        first = unit(np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])))
+        second = np.cross(n, first)
+        along, across = np.moveaxis(offset @ np.stack([first, second], axis=-1), -1, 0)
+        free_angle[block], middle = _free_angle(
+            np.arctan2(across, along), valid & (label[neighbours] == label[block][:, None]))
+        outward[block] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
+    rows = np.flatnonzero((free_angle > FREE_ANGLE) & (label >= 0))
+    cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), label[rows]])
+    return rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])], outward
+
+
+def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the widest angle (n,) between the valid directions (n, k), and its middle."""
+    rows = np.arange(len(angle))
+    one = angle[rows, np.argmax(valid, axis=1)]
+    angle = np.sort(np.where(valid, angle, one[:, None]), axis=1)
+    gaps = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
+    widest = np.argmax(gaps, axis=1)
+    free = gaps[rows, widest]
+    return np.where(valid.sum(axis=1) >= 6, free, 0.0), angle[rows, widest] + free / 2
+
+
+def _neighbours(tree: cKDTree, points: Array, spacing: float
+                ) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.bool_], Array]]:
+    """Yield slices of points, rows (m, k) of their neighbours, which are valid, their offsets."""
+    for start in range(0, len(points), CHUNK_POINTS):
+        block = slice(start, start + CHUNK_POINTS)
+        distance, neighbours = tree.query(points[block], NEIGHBOUR_COUNT + 1,
+                                          distance_upper_bound=NEIGHBOUR_RADIUS * spacing)
+        valid = np.isfinite(distance[:, 1:])
+        neighbours = np.where(valid, neighbours[:, 1:], neighbours[:, :1])
+        yield block, neighbours, valid, points[neighbours] - points[block][:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,24 +215,17 @@ def course(sheets: Sheets, widest: float, up: Array) -> Course:
             f'points are {mm(spacing)} apart, so a gap or step must be larger than '
             f'{mm(NARROWEST_GAP * spacing)} to be seen, and their noise is {mm(sheets.noise)}, '
             f'which must be smaller than {mm(CORNER_NOISE * spacing)} for a corner: scan more '
-            'densely, with less noise, or check what was scanned')
-    middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
-    if kind == 'step':
-        raise DataError(
-            f'a step of {mm(_height(sheets, seams[kind][0][0]))} at '
-            f'{position_text(middles[0].mean(axis=0))} whose wall is not seen: too high for a '
-            'lap, and the root of a T cannot be found without it: scan with the sensor tilted by '
-            '30 to 45 degrees towards the wall')
-    if len(middles) > 1:
+            f'densely, with less noise, a step of more than {mm(HIGHEST_LAP)} with the sensor '
+            'tilted by 30 to 45 degrees towards its wall, or check what was scanned')
+    if len(seams[kind]) > 1:
+        middles = [sheets.points[part].mean(axis=1) for part, _ in seams[kind]]
         listed = '; '.join(f'{mm(float(np.linalg.norm(np.ptp(p, axis=0))))} long at '
                            f'{position_text(p.mean(axis=0))}' for p in middles)
-        distance = cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0]
-        apart = float(distance.min())
-        is_wide = widest < apart and np.median(distance) < WIDE_GAP_RATIO * apart
+        apart = float(cKDTree(middles[0]).query(np.concatenate(middles[1:]))[0].min())
         raise DataError(
-            f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if it '
-            'is a single one, ' + ('with a gap between these edges, give a larger --widest'
-                                   if is_wide else 'scan again what is not seen of it'))
+            f'{len(middles)} seams ({listed}), {mm(apart)} apart: cut one out with --box; if they '
+            'are the edges of a single one, give a larger --widest; if they are its parts, scan '
+            'again what is not seen of it')
     return Course(kind, *seams[kind][0], sum(map(len, seams.values())) - 1)
 
 
@@ -147,16 +280,17 @@ def _connected(sheets: Sheets, pairs: Pairs) -> list[tuple[Pairs, Array]]:
 
 
 def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
-    """Return the kind of a seam between two sheets; none: a convex corner, a ridge."""
+    """Return the kind of a seam between two sheets; none: a ridge, or a step without its wall."""
     i, j = pairs.T
     normals, outward = sheets.normals, sheets.outward
     alike = (normals[i] * normals[j]).sum(axis=1)
     if np.median(np.abs(alike)) > PARALLEL_COSINE:
-        height = _height(sheets, pairs)
-        distance = np.linalg.norm(sheets.points[j] - sheets.points[i], axis=1)
-        lateral = np.sqrt(max(float(np.median(distance)) ** 2 - height ** 2, 0.0))
+        offset = sheets.points[j] - sheets.points[i]
+        height = float(np.median(np.abs((offset * normals[i]).sum(axis=1))))
+        distance = float(np.median(np.linalg.norm(offset, axis=1)))
+        lateral = math.sqrt(max(distance ** 2 - height ** 2, 0.0))
         if height > 0.5 * lateral:
-            return 'lap' if height <= HIGHEST_LAP else 'step'
+            return 'lap' if height <= HIGHEST_LAP else 'none'
         is_gap = lateral > NARROWEST_GAP * sheets.spacing and not _covered(sheets, pairs)
         return 'butt' if is_gap else 'none'
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
@@ -164,12 +298,6 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
     if np.median(inward) > -INWARD_COSINE:
         return 'none'
     return 'v' if _is_v(sheets, pairs) else 'fillet'
-
-
-def _height(sheets: Sheets, pairs: Pairs) -> float:
-    """Return the median height of a step."""
-    offset = sheets.points[pairs[:, 1]] - sheets.points[pairs[:, 0]]
-    return float(np.median(np.abs((offset * sheets.normals[pairs[:, 0]]).sum(axis=1))))
 
 
 def _covered(sheets: Sheets, pairs: Pairs) -> bool:

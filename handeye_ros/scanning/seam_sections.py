@@ -1,31 +1,38 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The two edges of a seam, by sections across its rough course.
+The two edges of a seam, by sections across its rough course; curves through what these give.
 
-On each side a polynomial is fitted to the section of the sheet; the edge is its most likely end
-(_end_of). The foot of a lap lies on the lower sheet under the rim, even where the wall
-hides it. The root of a fillet is the intersection of the sheets; that of a V is midway between
-its lower edges.
+On each side a polynomial is fitted to the section of the sheet; the edge is where its points end.
+The foot of a lap lies on the lower sheet under the rim, even where the wall hides it. The root of
+a fillet is the intersection of the sheets; that of a V is midway between its lower edges.
+
+The cubic is that of Wu 2017 (eqs. 7 and 8), a spline without inner knots. Where it does not fit, a
+spline with a knot every few centimetres is used, or with more of them where cross validation finds
+that the points bend more.
 """
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
-from handeye_ros.data import Array, robust_std
+from handeye_ros.data import Array, rms, robust_std
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import Curve, PIECES_TRIED, spline, unit
-from handeye_ros.scanning.seam_course import Course, position_text
-from handeye_ros.scanning.seam_sheets import Sheets
+from handeye_ros.scanning.seam_course import Course, position_text, Sheets, unit
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.signal import find_peaks
-from scipy.special import log_ndtr
+
+KNOT_SPACING = 0.03  # m between the knots of a spline
+PIECES_TRIED = 1, 2, 4  # between these knots
+OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
+SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
+LENGTH_POINTS = 2000  # points of a curve for its length
+CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 
 FEWEST_OF_SIDE = 12  # points of a side of a section
-SHORT_BIAS = 0.365  # mean bias of the most likely end for few points, times the density
 INNER_WIDTH = 15.0  # spacings beside the seam within which the distance of columns is measured
 BIN_WIDTH = 0.05  # spacings: width of a bin of the points beside the seam
 FREQUENCIES = np.fft.rfftfreq(1024, BIN_WIDTH)  # of columns, per spacing
@@ -41,6 +48,108 @@ ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edg
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 MEETING_GAP = 4.0  # spacings: else they meet in a section if they are nearer
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """
+    A curve in space, over t from first to last, as a cubic B-spline.
+
+    freedom: number of its points less that of its coefficients
+    variance: of the points about it (m^2)
+    covariance: of its coefficients
+    """
+
+    bspline: BSpline
+    first: float
+    last: float
+    freedom: int
+    variance: float
+    covariance: Array
+
+    @property
+    def kind(self) -> str:
+        """Return cubic or spline."""
+        return 'cubic' if len(self.bspline.t) == 8 else 'spline'
+
+    def position(self, t: float | Array) -> Array:
+        """Return the points (..., 3) at t."""
+        return np.asarray(self.bspline(t))
+
+    def advance(self, t: float | Array) -> Array:
+        """Return the unit tangents (..., 3) at t."""
+        return unit(self.bspline(t, 1))
+
+    def beyond(self, t: float) -> tuple[Array, Array]:
+        """Return position and tangent (3,) at t, extrapolated a little beyond the ends."""
+        inside = float(np.clip(t, self.first, self.last))
+        tangent = self.advance(inside)
+        return self.position(inside) + (t - inside) * tangent, tangent
+
+    def std(self, t: Array) -> Array:
+        """Return 1 sigma of the points at t (k,), in 3 dimensions."""
+        b = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
+        return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, self.covariance, b)))
+
+    @property
+    def length(self) -> float:
+        """Return the length of the curve (m)."""
+        return float(self.arc[0][-1])
+
+    @cached_property
+    def arc(self) -> tuple[Array, Array]:
+        """Return arc lengths from the first point (m), and t there."""
+        t = np.linspace(self.first, self.last, LENGTH_POINTS)
+        points = self.position(t)
+        steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
+        return np.cumsum(steps), t
+
+
+def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> Curve:
+    """
+    Return the smoothing spline through points (n, 3) at increasing t (n,).
+
+    Least squares, with the number of pieces that generalised cross validation finds, each
+    coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many); outliers are left out.
+    """
+    inliers = np.ones(len(t), dtype=bool)
+    for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
+        curves = [_fitted(t[inliers], points[inliers], _knots(t[inliers], points[inliers], n))
+                  for n in pieces[:flexible]]
+        # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
+        curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
+        distance = np.linalg.norm(curve.position(t) - points, axis=1)
+        # a flexible one would follow some wrong points in a row, which widen the mean square
+        scatter = (robust_std if len(pieces) > 1 else rms)(distance[inliers])
+        inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
+    return curve
+
+
+def _fitted(t: Array, points: Array, knots: Array) -> Curve:
+    """Return the least squares through points (n, 3) at increasing t (n,)."""
+    bspline = make_lsq_spline(t, points, knots, k=3)
+    B = BSpline.design_matrix(t, knots, 3).toarray()
+    freedom = max(len(B) - B.shape[1], 1)
+    variance = float(((bspline(t) - points) ** 2).sum()) / freedom
+    return Curve(bspline, float(t[0]), float(t[-1]), freedom, variance,
+                 variance * np.linalg.pinv(B.T @ B))
+
+
+def _knots(t: Array, points: Array, pieces: int) -> Array:
+    """Return knots of a cubic spline with points between all of them."""
+    length = np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
+    count = int(np.clip(pieces * length / KNOT_SPACING, 1, max(len(t) // 8, 1)))
+    # longer pieces at the ends, where no points beyond determine the direction
+    inner = np.quantile(t, (np.arange(1, count - 1) + 0.5) / count)
+    return np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4])
+
+
+def through(points: Array) -> Curve:
+    """Return the cubic through points (k, 3) if it is close to the spline, else the spline."""
+    t = np.arange(1.0, len(points) + 1.0)
+    simple, flexible = _fitted(t, points, np.repeat([t[0], t[-1]], 4)), spline(t, points)
+    difference = simple.position(t) - flexible.position(t)
+    return simple if np.sqrt((difference ** 2).sum(axis=1).mean()) < CUBIC_ENOUGH else flexible
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +292,8 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     sheet, noise = fitted
     on_sheet = np.abs(height - np.polyval(sheet, b)) < SHEET_SIGMAS * noise
     inner = on_sheet & (b > margin)
-    end = -_end_of(-b[on_sheet], noise, inner.sum() / (b[inner].max() - margin))
+    # half the mean distance of points beyond the last one
+    end = b[on_sheet].min() - 0.5 * (b[inner].max() - margin) / inner.sum()
     if abs(end) > LARGEST_END_OFFSET:
         return None
     slope = np.polyval(np.polyder(sheet), end)
@@ -217,24 +327,6 @@ def _sheet_through(b: Array, height: Array, margin: float, degree: int
         sheet = np.polyfit(b[used], height[used], degree)
         noise = max(robust_std(height[used] - np.polyval(sheet, b[used])), 1e-6)
     return sheet, noise
-
-
-def _end_of(b: Array, noise: float, density: float) -> float:
-    """
-    Return the most likely end of points b (n,), uniform below it with a density (1/m).
-
-    noise: 1 sigma of the points along b (m).
-    """
-    def excess(end: float) -> float:
-        scaled = (end - b) / noise
-        ratio = np.exp(-0.5 * scaled ** 2 - log_ndtr(scaled)) / np.sqrt(2 * np.pi)
-        return float(ratio.sum() / noise - density)
-
-    last = float(b.max())
-    low, high = last - 5 * noise, last + 5 * noise + 10 / max(density, 1.0)
-    if excess(low) < 0 or excess(high) > 0:
-        return last
-    return float(brentq(excess, low, high, xtol=1e-8)) + SHORT_BIAS / density
 
 
 def _column_resolution(b: Array, spacing: float) -> float:
