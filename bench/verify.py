@@ -300,14 +300,14 @@ def runs(routine: Routine, made: Artefact, found: tuple[Calibration, ...], aim: 
         lengths=made.lengths, radius=radius, reference=made.reference, aim=aim))
     if routine.in_passes:
         stations = scanned(made, config)
-        return [verify(routine, stations, one, config) for one in found]
+        return [verify(routine, stations, one) for one in found]
     bags = stops_of(routine, made, config)
-    return [verify(routine, stations_of(routine, bags, one, config), one, config) for one in found]
+    return [verify(routine, stations_of(routine, bags, one, config), one) for one in found]
 
 
 def within(found: Verification) -> bool:
     if not found.freedom:
-        return found.scatter.rms <= found.scatter.expected
+        return found.scatter.p > 0.05
     return bool(found.region <= chi2.ppf(0.95, found.freedom))
 
 

@@ -76,10 +76,8 @@ def verify(
     else:
         samples, rejects = zip(*(_stops(bag, opened, settings) for bag in bags), strict=True)
         measured = stations_of(routine, samples, opened, settings)
-    result = verification.with_provenance(
-        verification.verify(routine, measured, opened, settings, list(chain(*rejects))), bags,
-        calibration)
-    content = verification.plain_values(result)
+    result = verification.verify(routine, measured, opened, list(chain(*rejects)))
+    content = verification.plain_values(result, bags, calibration)
     show(verification_file.table(content))
     if out:
         write_atomically(out, yaml_text(content))

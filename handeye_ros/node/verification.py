@@ -26,7 +26,7 @@ from handeye_ros.sampling.stream import Copyable
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.verification.routines import Routine, routine_of, settings_for
 from handeye_ros.verification.stations import stations_of, stations_of_passes
-from handeye_ros.verification.verify import plain_values, Verification, verify, with_provenance
+from handeye_ros.verification.verify import plain_values, Verification, verify
 
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
@@ -82,7 +82,7 @@ def result_of_parts(routine: Routine, parts: Sequence[Part], calibration: Calibr
         stations = stations_of_passes(passes, replace(config, time_offset=0.0))
     else:
         stations = stations_of(routine, [part.samples for part in parts], calibration, config)
-    return verify(routine, stations, calibration, config, [
+    return verify(routine, stations, calibration, [
         result for part in parts for result in part.stops.values() if isinstance(result, Reject)])
 
 
@@ -197,9 +197,9 @@ class LiveVerification:
         live, result = self._live, result_or_ended(job)
         verified = live.config.verify.calibration
         name = f'verification_{result.routine}.yaml'
-        content = plain_values(with_provenance(
+        content = plain_values(
             result, (live.config.profile_topic, live.config.pose_origin[0]),
-            Path(verified).expanduser() if verified else None))
+            Path(verified).expanduser() if verified else None)
         saved = exports.write({name: yaml_text(content)}, live.folders.own(live.config), {name})
         self.verdict = sentence(content)
         text = f'{self.verdict}; {saved}'

@@ -22,8 +22,7 @@ FORMAT_PREFIX = 'handeye_ros/verification/'
 FORMAT = f'{FORMAT_PREFIX}1'
 TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
 SCATTER_ROWS = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
-                ('its maximum', 'maximum'), ('its RMS', 'rms'),
-                ('95 % of such RMS lie below', 'expected'))
+                ('its maximum', 'maximum'), ('its RMS', 'rms'))
 LIMIT_ROWS = (('tolerance of lengths', 'tolerance', 'm'),
               ('tolerance of angles', 'angle_tolerance', 'rad'),
               ('smallest error of the calibration that would show', 'smallest_error', 'm'))

@@ -17,24 +17,24 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, rms
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.least_squares import (
-    chi2_isf,
     chi2_sf,
     drop_outliers,
     identity,
+    inverse_roots,
     Rows,
     System,
     Whitener,
 )
-from handeye_ros.estimation.problem import Observations
+from handeye_ros.estimation.noise import Noise, total_covariance, Whitening
+from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem, Target
 from handeye_ros.frames import mount_frame, name_direction
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +45,6 @@ COVERAGE_FACTOR = 2.0  # coverage factor of expanded uncertainties (GUM: about 9
 DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
 LARGEST_SHIFT = 0.1  # m: no calibration error is larger
-LEAST_NOISE = 1e-8  # m: 1 sigma added to every distance
-MOST_DISTANCES = 1500  # of which the expected RMS is computed
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
 OPEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
@@ -61,10 +59,9 @@ Numbers = NDArray[np.intp]
 @dataclass(frozen=True, eq=False)
 class StationSet:
     """
-    Points of the sensor plane, seen from the poses of some recordings.
+    What some recordings show of an artefact.
 
-    poses: (n, 4, 4) of the mount of the sensor in the frame of the artefact
-    observations: the m points with their noise and kind
+    problem: the n poses of the sensor's mount in the frame of the artefact, and the m points
     stamps (n,): ns
     counts: the number of poses of each recording, in order
     are_passes: whether the poses of a recording share the error of the robot; by default each has
@@ -72,12 +69,25 @@ class StationSet:
     surface: the choice between several surfaces in sight, in words
     """
 
-    poses: Array
-    observations: Observations
+    problem: Problem
     stamps: NDArray[np.int64]
     counts: tuple[int, ...]
     are_passes: bool = False
     surface: str = ''
+
+    @classmethod
+    def of(cls, target: Target, poses: Array, observations: Observations, config: Config,
+           **values: Any) -> StationSet:
+        """Return what is seen from poses; config.verify.aim is a further error of their place."""
+        noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
+            config.noise.robot_translation, config.verify.aim))
+        return cls(Problem(target, poses, observations, replace(config, noise=noise),
+                           long_errors=True), **values)
+
+    @property
+    def observations(self) -> Observations:
+        """Return the points."""
+        return self.problem.observations
 
     @property
     def recording_of_pose(self) -> Numbers:
@@ -87,7 +97,7 @@ class StationSet:
     @property
     def group_of_pose(self) -> Numbers:
         """Return for each pose (n,) the number of the group that shares its error."""
-        return self.recording_of_pose if self.are_passes else np.arange(len(self.poses))
+        return self.recording_of_pose if self.are_passes else np.arange(len(self.problem.poses))
 
     @property
     def group_of_point(self) -> Numbers:
@@ -99,52 +109,14 @@ class StationSet:
         """Return the recording (m,) of each point."""
         return self.recording_of_pose[self.observations.station]
 
-    def points(self, X: Array) -> Array:
-        """Return the points (m, 3) in the base; X: (4, 4) sensor plane in the mount."""
-        return self.observations.in_base(self.poses, X)
-
-    def rotated_to_mount(self, vectors: Array) -> Array:
-        """Return vectors (m, 3) of the base in the axes of the sensor's mount."""
-        R = self.poses[self.observations.station, :3, :3]
-        return np.asarray(np.einsum('mi,mij->mj', vectors, R))
-
-    def noise(self, X: Array, wrt_p: Array, config: Config) -> list[Array]:
-        """
-        Return the covariance of the distances of each group of poses, in their order.
-
-        wrt_p: (m, 3) derivatives of the distances by the points. config.verify.aim is a further
-        error of the position of each pose.
-        """
-        obs, noise = self.observations, config.noise
-        wrt_mount = self.rotated_to_mount(wrt_p)
-        wrt_feature = np.einsum('mi,ij,mjk->mk', wrt_mount, X[:3, [0, 2]], obs.error_factor)
-        wrt_pose = self.wrt_pose(X, wrt_p, config) * np.repeat(
-            [np.hypot(noise.robot_translation, config.verify.aim), noise.robot_rotation], 3)
-        covariances, first = [], np.flatnonzero(np.diff(self.group_of_point)) + 1
-        for rows in np.split(np.arange(len(obs)), first):
-            shared = obs.error_number[rows, None] == obs.error_number[rows]
-            covariances.append((wrt_feature[rows] @ wrt_feature[rows].T) * shared
-                               + wrt_pose[rows] @ wrt_pose[rows].T
-                               + LEAST_NOISE ** 2 * np.eye(len(rows)))
-        return covariances
-
-    def wrt_pose(self, X: Array, wrt_p: Array, config: Config) -> Array:
-        """Return derivatives (m, 6) by pose errors: in the base, rotation about the flange."""
-        station, p = self.observations.station, self.points(X)
-        wrt_shift, lever = ((wrt_p, p - self.poses[station, :3, 3]) if config.in_hand else
-                            (self.rotated_to_mount(wrt_p), self.rotated_to_mount(p)))
-        return np.hstack([wrt_shift, se3.cross(lever, wrt_shift)])
-
-    def wrt_smooth(self, X: Array, wrt_p: Array, config: Config) -> Array:
-        """Return derivatives (m, s) by the robot's smooth error of unit size (see basis.py)."""
-        robot_poses = self.poses if config.in_hand else se3.inverse(self.poses)
-        smooth = smooth_basis(robot_poses, long_errors=True)
-        return wrt_smooth(self.wrt_pose(X, wrt_p, config), smooth[self.observations.station])
+    def with_observations(self, observations: Observations) -> StationSet:
+        """Return the stations with other points."""
+        return replace(self, problem=replace(self.problem, observations=observations))
 
     def of_groups(self, groups: Numbers) -> StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
         kept = np.isin(self.group_of_point, groups)
-        rest = replace(self, observations=self.observations.select(kept))
+        rest = self.with_observations(self.observations.select(kept))
         rest.require_enough()
         return rest
 
@@ -215,6 +187,17 @@ class Shape:
         """Return the derivatives (m, 3) of the distances by the points p (m, 3)."""
         return derivatives(lambda shift: self.distance(p + shift, q), np.zeros(3))
 
+    def linear(self, X: Array, q: Array) -> Linear:
+        """Return the distances and their derivatives, with the sensor plane at X (4, 4)."""
+        problem = self.stations.problem
+        p, (R, _) = problem.points_in_base(X), problem.mounts
+        lever, wrt_base = problem.observations.points @ X[:3, [0, 2]].T, self.wrt_point(p, q)
+        wrt_mount = np.einsum('mji,mj->mi', R, wrt_base)
+        wrt_shape = derivatives(partial(self.distance, p), q)
+        return Linear(problem, Estimate(X, q), self.distance(p, q),
+                      np.hstack([wrt_mount, se3.cross(lever, wrt_mount), wrt_shape]), lever,
+                      wrt_base)
+
     def fitted(self, p: Array, white: Callable[[Array], Whitener] = lambda q: identity,
                iterations: int = 50) -> Array:
         """Return the unknowns (k,) that fit points p (m, 3) best; white(q) whitens distances."""
@@ -236,8 +219,7 @@ class Scatter:
     """
     Distances of the measured points from the fitted shape (m).
 
-    expected: 95 % quantile of the RMS if the uncertainties are as stated (nan for very many
-    points); p: probability that the points then disagree at least as much.
+    p: probability that they disagree at least as much, if the uncertainties are as stated.
     """
 
     points: int
@@ -245,7 +227,6 @@ class Scatter:
     std: float
     rms: float
     maximum: float
-    expected: float
     p: float
 
 
@@ -297,13 +278,11 @@ class _Whitened:
     """
     Distances at the best shape and their derivatives, white: r = J dq + E e + n.
 
-    factors: Cholesky factors of the covariances of the groups' distances
     r: (m,); J: (m, k) by the shape
     E: (m, 6 + s) by the errors e: of the calibration, and the robot's smooth one (unit variance)
     gain: (k, m) the pseudo-inverse of J
     """
 
-    factors: Sequence[Array]
     r: Array
     J: Array
     E: Array
@@ -314,55 +293,58 @@ class _Whitened:
         return np.asarray(values - self.J @ (self.gain @ values))
 
 
-def fit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
+def fit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
     """
     Return the fit of a shape; raises InputError for an impossible covariance.
 
-    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; config.verify: the artefact,
-    with the uncertainty of its nominal values and of the aim of the laser at it; smooth: 1 sigma
-    (m) of the smooth error of the robot.
+    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; smooth: 1 sigma (m) of the
+    smooth error of the robot. The settings of the stations hold the uncertainty of nominal values.
     """
-    stations = shape.stations
-    p = stations.points(X)
-    lever = stations.observations.points @ X[:3, [0, 2]].T
+    stations, problem = shape.stations, shape.stations.problem
+    groups = replace(problem.observations, station=stations.group_of_point).station_groups
 
-    def factors_at(q: Array) -> list[Array]:
-        covariances = stations.noise(X, shape.wrt_point(p, q), config)
-        return [np.asarray(np.linalg.cholesky(S)) for S in covariances]
+    def covariances_at(linear: Linear) -> list[Array]:
+        return [total_covariance(linear, group, Noise()) for group in groups]
 
-    q = shape.fitted(p, lambda q: partial(_white, factors_at(q)))
-    factors, distances, wrt_p = factors_at(q), shape.distance(p, q), shape.wrt_point(p, q)
-    wrt_mount = stations.rotated_to_mount(wrt_p)
-    wrt_errors = np.hstack([wrt_mount, se3.cross(lever, wrt_mount), *(
-        [stations.wrt_smooth(X, wrt_p, config) * smooth] if smooth else [])])
-    r, J, E = (_white(factors, values) for values in (
-        distances, derivatives(partial(shape.distance, p), q), wrt_errors))
-    at = _Whitened(factors, r, J, E, np.asarray(np.linalg.pinv(J), dtype=float))
+    def whitening(covariances: Sequence[Array]) -> Whitening:
+        return Whitening(tuple(group.rows for group in groups),
+                         tuple(map(inverse_roots, covariances)))
+
+    q = shape.fitted(problem.points_in_base(X),
+                     lambda q: whitening(covariances_at(shape.linear(X, q))))
+    linear = shape.linear(X, q)
+    covariances, distances, lever = covariances_at(linear), linear.residuals, linear.lever
+    robot = wrt_smooth(linear.wrt_pose, problem.smooth[problem.observations.station] * smooth)
+    r, E, J = np.split(whitening(covariances)(np.column_stack([
+        distances, linear.jacobian[:, :6], robot, linear.jacobian[:, 6:]])),
+        [1, 7 + robot.shape[1]], axis=1)
+    at = _Whitened(r[:, 0], J, E, np.asarray(np.linalg.pinv(J), dtype=float))
     root = np.eye(E.shape[1])  # of the covariance of the errors
     root[:6, :6] = root_of(C)
-    measured = _measured(shape, at, q, root, config.verify.certificate)
+    measured = _measured(shape, at, q, root)
 
     likeliest = _likeliest_errors(at, measured)
     error, known = likeliest.error, len(measured.deviation)
     scale = max(likeliest.left / likeliest.freedom, 1.0)
     smallest_error, weakest_direction, weakest_error, weakest_error_std = _weakest(
-        likeliest.information, lever, error, mount_frame(config))
+        likeliest.information, lever, error, mount_frame(problem.config))
     largest_error, largest_error_std = largest_displacement(
         lever, error, scale * likeliest.covariance)
+    variances = np.square(robot).sum(axis=1)
+    for group, covariance in zip(groups, covariances, strict=True):
+        variances[group.rows] += np.einsum('nii->ni', covariance)
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
         quantities=measured.quantities, scatter=_scatter(at, root, distances),
         smallest_error=smallest_error, weakest_direction=weakest_direction,
         weakest_error=weakest_error, weakest_error_std=weakest_error_std, distances=distances,
-        distance_std=np.hypot(np.concatenate([np.linalg.norm(factor, axis=1)
-                                              for factor in factors]),
-                              np.linalg.norm(wrt_errors[:, 6:], axis=1)),
+        distance_std=np.sqrt(variances),
         region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
         error=error, p_error=float(chi2_sf(likeliest.left, likeliest.freedom)),
         p_no_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
-        largest_error=largest_error, largest_error_std=largest_error_std, residuals=r,
+        largest_error=largest_error, largest_error_std=largest_error_std, residuals=at.r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
@@ -410,11 +392,9 @@ def _scatter(at: _Whitened, root: Array, distances: Array) -> Scatter:
     wrt_error = at.remainder(at.E) @ root
     square = _squares(wrt_error, at.remainder(at.r), np.ones(len(root)))
     m, k = at.J.shape
-    expected = _expected_rms(np.hstack([at.remainder(np.eye(m)), wrt_error]), at.factors) if (
-        m <= MOST_DISTANCES) else math.nan
     size = np.abs(distances)
     return Scatter(m, float(size.mean()), float(size.std()), rms(size), float(size.max()),
-                   expected, float(chi2_sf(square, max(m - k, 1))))
+                   float(chi2_sf(square, max(m - k, 1))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,8 +412,9 @@ class _Measured:
     wrt_error: Array
 
 
-def _measured(shape: Shape, at: _Whitened, q: Array, root: Array, certificate: float) -> _Measured:
-    """Return the values of a shape q (k,); certificate: U of nominal lengths."""
+def _measured(shape: Shape, at: _Whitened, q: Array, root: Array) -> _Measured:
+    """Return the values of a shape q (k,)."""
+    certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, F = shape.values(q), derivatives(shape.values, q)
     wrt_error = F @ at.gain @ at.E
     wrt_claim, wrt_smooth = np.split(wrt_error @ root, [6], axis=1)
@@ -484,10 +465,10 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
             abs(float(worst @ shift @ error)), std)
 
 
-def refit_shape(shape: Shape, X: Array, C: Array, config: Config, smooth: float = 0.0) -> Fit:
+def refit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
-        result = fit_shape(shape, X, C, config, smooth)
+        result = fit_shape(shape, X, C, smooth)
         if not result.largest_error < LARGEST_SHIFT:
             break
         X = se3.perturb(X, -result.error)
@@ -501,27 +482,6 @@ def root_of(C: Array) -> Array:
         raise InputError('the covariance of the calibration has a negative variance, so it is not '
                          'valid: use the calibration.yaml as it was written')
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
-
-
-def _white(factors: Sequence[Array], values: Array) -> Array:
-    """Return values (m, ...) whitened by the Cholesky factors of the groups."""
-    ends = np.cumsum([len(factor) for factor in factors])[:-1]
-    return np.concatenate([
-        scipy.linalg.solve_triangular(factor, part, lower=True)
-        for factor, part in zip(factors, np.split(values, ends), strict=True)])
-
-
-def _expected_rms(spread: Array, factors: Sequence[Array]) -> float:
-    """
-    Return the 95 % quantile of the RMS distance if the uncertainties are as stated.
-
-    spread: (m, s) whitened distances by errors of unit covariance. The sum of squares is taken as
-    a multiple of chi-squared with the same mean and variance (Satterthwaite 1946).
-    """
-    spread = scipy.linalg.block_diag(*factors) @ spread
-    S = spread @ spread.T
-    freedom = float(np.trace(S) ** 2 / (S ** 2).sum())
-    return float(np.sqrt(np.trace(S) / len(S) * chi2_isf(0.05, freedom) / freedom))
 
 
 def fit_without_outliers(groups: Numbers,

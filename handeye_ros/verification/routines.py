@@ -17,7 +17,7 @@ import numpy as np
 
 def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return a straight line; kinds 0 and 1 are its two distances."""
-    p, kind = stations.points(X), stations.observations.kind
+    p, kind = stations.problem.points_in_base(X), stations.observations.kind
     middle = p.mean(axis=0)
     frame = np.linalg.svd(p - middle)[2].T
 
@@ -31,7 +31,8 @@ def line(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
 def point(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return one point; kinds 0 to 2 are its distances along x, y and z."""
-    middle, kind = stations.points(X).mean(axis=0), stations.observations.kind[:, None]
+    kind = stations.observations.kind[:, None]
+    middle = stations.problem.points_in_base(X).mean(axis=0)
 
     def distance(p: Array, q: Array) -> Array:
         return np.asarray(np.take_along_axis(p - middle - q, kind, 1)[:, 0])
@@ -50,14 +51,15 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     angle of two blocks of one face. The unknowns are two tilts of each block, and one height of
     each plane over the middle of its points.
     """
-    p, recording, count = stations.points(X), stations.recording_of_point, len(stations.counts)
+    p, count = stations.problem.points_in_base(X), len(stations.counts)
+    recording = stations.recording_of_point
     blocks = count - len(nominal.lengths)
     block, face = np.divmod(np.arange(count), count // blocks)
     middles = np.array([p[recording == k].mean(axis=0) for k in range(count)])
     centred = p - middles[recording]
     frames = np.array([np.linalg.svd(centred[block[recording] == k], full_matrices=False)[2].T
                        for k in range(blocks)])
-    sensors = (stations.poses @ X)[:, :3, 3]
+    sensors = (stations.problem.poses @ X)[:, :3, 3]
     for k in range(blocks):  # upwards from the first of a block to the last; of one, to the sensor
         reach = (middles[block == k] - middles[block == k][0]) @ frames[k][:, 2]
         seen_from = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
@@ -91,7 +93,8 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
 
 def spheres(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """Return one sphere of each recording; measured: radii, and distances of the centres."""
-    p, recording, count = stations.points(X), stations.recording_of_point, len(stations.counts)
+    p, count = stations.problem.points_in_base(X), len(stations.counts)
+    recording = stations.recording_of_point
     start = np.concatenate([_sphere_through(p[recording == k]) for k in range(count)])
 
     def distance(p: Array, q: Array) -> Array:

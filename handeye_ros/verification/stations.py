@@ -74,9 +74,10 @@ def _stations(routine: Routine, recordings: Sequence[Sequence[Sample]], X: Array
     """Return the points of recordings on what a routine measures; surface: a remark."""
     samples = [sample for one in recordings for sample in one]
     poses = mount_poses_of(samples, config)
-    return StationSet(poses, _observed(routine, samples, poses @ X),
-                      np.array([sample.stamp for sample in samples], dtype=np.int64),
-                      tuple(map(len, recordings)), surface=surface)
+    return StationSet.of(
+        TARGETS[routine.target], poses, _observed(routine, samples, poses @ X), config,
+        stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
+        counts=tuple(map(len, recordings)), surface=surface)
 
 
 def _shown(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
@@ -115,8 +116,9 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         poses.append(flange.T_base_flange[seen])
         stamps += [profiles[index].stamp for index in seen.tolist()]
         counts.append(len(seen))
-    return StationSet(mount_poses(np.concatenate(poses), config), rows.observations(),
-                      np.array(stamps, dtype=np.int64), tuple(counts), are_passes=True)
+    return StationSet.of(
+        TARGETS['plane'], mount_poses(np.concatenate(poses), config), rows.observations(), config,
+        stamps=np.array(stamps, dtype=np.int64), counts=tuple(counts), are_passes=True)
 
 
 def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:

@@ -39,7 +39,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     """
     pitch, height = nominal.lengths
     flank = nominal.flank or pitch / 4
-    p = stations.points(X)
+    p = stations.problem.points_in_base(X)
     frame = _frame(p, pitch, height, flank)
     q = np.append(np.zeros(8), flank / height)
     for _ in range(ROUND_COUNT):
@@ -47,8 +47,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
         if on_gauge.mean() < LEAST_ON_GAUGE:
             break
         obs = replace(stations.observations, kind=face).select(on_gauge)
-        shape = _shape(replace(stations, observations=obs), frame, pitch, height, tooth[on_gauge],
-                       q)
+        shape = _shape(stations.with_observations(obs), frame, pitch, height, tooth[on_gauge], q)
         q = shape.fitted(p[on_gauge], iterations=1)
     top, valley, *flanks = np.bincount(face[on_gauge], minlength=4) / len(p)
     least = float(min(top + valley, sum(flanks)))
@@ -58,7 +57,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
     stations = shape.stations
-    rays = stations.poses[stations.observations.station, :3, :3] @ X[:3, 2]
+    rays = stations.problem.mounts[0] @ X[:3, 2]
     by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
     good, scatter = _without_outliers(
         shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
@@ -67,7 +66,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     obs = stations.observations.select(good)
     factor = np.zeros_like(obs.error_factor)
     factor[:, 1, 0] = np.maximum(obs.error_factor[:, 1, 0], scatter[good])
-    stations = replace(stations, observations=replace(obs, error_factor=factor))
+    stations = stations.with_observations(replace(obs, error_factor=factor))
     return _shape(stations, frame, pitch, height, tooth[on_gauge][good], q)
 
 

@@ -10,14 +10,14 @@ takes no part in U.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import datetime, UTC
 import math
 from pathlib import Path
 from typing import Any
 
 from handeye_ros import __version__
-from handeye_ros.config import Config, VerifyConfig
+from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import FALSE_ALARM
@@ -98,8 +98,6 @@ class Verification:
     recorded: when (ISO 8601; empty: unknown)
     certificate: U of the nominal values (m)
     record: record.* of the configuration
-    calibration_file: path and sha256 of the file that was verified
-    created: when it was evaluated (ISO 8601)
     """
 
     routine: str
@@ -118,25 +116,24 @@ class Verification:
     claim_p: float
     per_station: tuple[StationResult, ...] = ()
     surface: str = ''
-    inputs: tuple[str, ...] = ()
     says: str = ''
     recorded: str = ''
     certificate: float = 0.0
     record: dict[str, str] = field(default_factory=dict)
-    calibration_file: dict[str, str] = field(default_factory=dict)
-    created: str = ''
 
 
-def verify(routine: Routine, stations: StationSet, calibration: Calibration, config: Config,
+def verify(routine: Routine, stations: StationSet, calibration: Calibration,
            others: Sequence[Reject] = ()) -> Verification:
     """
-    Return the verification by a routine; config.verify describes the artefact.
+    Return the verification by a routine.
 
-    stations: of the recordings in the order that the routine expects; others: the stops that gave
-    no sample. Raises DataError, and InputError where two recordings are one.
+    stations: of the recordings in the order that the routine expects, with the settings verify.*
+    of the artefact; others: the stops that gave no sample. Raises DataError, and InputError where
+    two recordings are one.
     """
     stations.require_enough(others)
-    stops = np.column_stack([stations.stamps, stations.poses.reshape(-1, 16)])
+    config = stations.problem.config
+    stops = np.column_stack([stations.stamps, stations.problem.poses.reshape(-1, 16)])
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
@@ -145,12 +142,12 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration, con
 
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
-        fit = fit_shape(shape, X, calibration.covariance, config, smooth)
+        fit = fit_shape(shape, X, calibration.covariance, smooth)
         return (shape, fit), fit.residuals, fit.wrt_unknowns, shape.stations.group_of_point
 
     (shape, fit), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(fit.scatter.p, fit.p_error) < UNEXPLAINED_P and not routine.in_passes:
-        freed = refit_shape(shape, X, calibration.covariance, config, smooth)
+        freed = refit_shape(shape, X, calibration.covariance, smooth)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
@@ -317,14 +314,10 @@ def time_of(stamp: int) -> str:
     return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
-def with_provenance(verification: Verification, inputs: Iterable[object],
-                    calibration_file: Path | None) -> Verification:
-    """Return a verification with what it comes from, and the time of now, for its file."""
-    return replace(verification, inputs=tuple(map(str, inputs)),
-                   calibration_file=input_values(calibration_file) if calibration_file else {},
-                   created=datetime.now(UTC).isoformat(timespec='seconds'))
-
-
-def plain_values(verification: Verification) -> dict[str, Any]:
-    """Return a verification as plain values: the content of its YAML."""
-    return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **asdict(verification)}
+def plain_values(verification: Verification, inputs: Iterable[object] = (),
+                 calibration_file: Path | None = None) -> dict[str, Any]:
+    """Return a verification, of now and what it comes from, as the content of its YAML."""
+    return {'format': FORMAT, 'version': __version__, 'k': COVERAGE_FACTOR, **asdict(verification),
+            'inputs': list(map(str, inputs)),
+            'calibration_file': input_values(calibration_file) if calibration_file else {},
+            'created': datetime.now(UTC).isoformat(timespec='seconds')}

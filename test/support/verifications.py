@@ -33,4 +33,4 @@ def result(name, made, found, config=None, **stated):
     config = replace(config, verify=replace(config.verify, **{
         'lengths': made.lengths, 'radius': bench.RADIUS if 'ball' in name else 0.0,
         'reference': made.reference, 'aim': bench.AIM if name == 'point' else 0.0} | stated))
-    return verify(routine, stations_of(routine, made.bags, found, config), found, config)
+    return verify(routine, stations_of(routine, made.bags, found, config), found)

@@ -141,14 +141,12 @@ def test_a_ball_of_another_size_is_measured_and_the_calibration_is_not_blamed():
 def test_a_protocol_says_what_an_inspector_asks_for():
     config = with_values(Config(noise=bench.NOISE), {
         'record.operator': 'A. <Nother>', 'record.artefact_serial': 'KB-17'}, 'test')
-    report = replace(
-        result('ball_bar', *measured('ball_bar'), config, certificate=2e-6),
-        created='2026-11-24T13:00:00+00:00',
-        calibration_file={'path': '/cell/calibration.yaml', 'sha256': 'ab12'})
-    read = yaml.safe_load(yaml_text(plain_values(report)))
-    assert read == json.loads(json.dumps(plain_values(report)))
-    page, other = (protocol(yaml.safe_load(yaml_text(plain_values(one)))) for one in (
-        report, replace(report, verdict='insensitive')))
+    report = plain_values(result('ball_bar', *measured('ball_bar'), config, certificate=2e-6)) | {
+        'calibration_file': {'path': '/cell/calibration.yaml', 'sha256': 'ab12'}}
+    read = yaml.safe_load(yaml_text(report))
+    assert read == json.loads(json.dumps(report))
+    page, other = (protocol(yaml.safe_load(yaml_text(one))) for one in (
+        report, report | {'verdict': 'insensitive'}))
     diameters = [f'{2e3 * (q["value"] - 0.02):.4f} mm' for q in read['quantities']
                  if q['characteristic'] == 'PS']
     for words in ('A. &lt;Nother&gt;', 'KB-17', '0.0020 mm', 'ab12', *diameters):
@@ -290,7 +288,7 @@ def test_what_cannot_be_verified_is_refused():
 
 def teeth(made, found, lengths=()):
     config = of_lengths(*(lengths or made.lengths))
-    return verify(ROUTINES['tooth'], bench.scanned(made, config), found, config)
+    return verify(ROUTINES['tooth'], bench.scanned(made, config), found)
 
 
 @pytest.mark.parametrize('lengths', [(0.004, 0.02), (0.0155, 0.005), (0.015, 0.0055)])
@@ -306,9 +304,10 @@ def test_passes_that_contradict_the_others_are_told():
     config = of_lengths(*made.lengths)
     seen = bench.scanned(made, config)
     move = np.where(seen.recording_of_pose == 1, 6e-4, 0.0)[:, None] * [1, 1, 1, 0, 0, 0]
-    off = replace(seen, poses=se3.perturb(seen.poses, move))
+    off = replace(seen, problem=replace(
+        seen.problem, poses=se3.perturb(seen.problem.poses, move)))
     for given, told in (seen, False), (off, True):
-        judged = verify(ROUTINES['tooth'], given, found, config)
+        judged = verify(ROUTINES['tooth'], given, found)
         assert told == (judged.verdict != 'pass')
         assert told == any(reason.startswith('stop 1 of recording 2 contradict the others')
                            for reason in judged.reasons)
