@@ -38,6 +38,7 @@ from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.noise import covariance_parts
 from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
+from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import out_of_face
 from handeye_ros.verification.fit import (
@@ -47,12 +48,13 @@ from handeye_ros.verification.fit import (
     require_stations,
     root_of,
 )
-from handeye_ros.verification.stations import compared
 import numpy as np
 import scipy.linalg
 
 FORMAT = 'handeye_ros/check/2'
 LEAST_EVIDENCE = 100.0
+SURE_CHANGE = 4.0  # sigmas of a change of the time offset
+SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TURN_LEVER = 0.1  # m: a scale over it is that of a turn
 SMOOTH_ANGLE, SMOOTH_DISTANCE = 1.5, 0.9  # rad, m: over which an error of the robot is alike
@@ -130,7 +132,8 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     answer = pipeline.answer_session(session, config)
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used]
-    result = check(_some_of_sweep(used), calibration, config, session.rejects)
+    some = [replace(sample, trajectory=None) for sample in evenly(used, KEPT_SAMPLES)]
+    result = check(some, calibration, config, session.rejects)
     return _with_offset(result, offset, calibration) if offset else result
 
 
@@ -391,22 +394,18 @@ def _shown(axes: Array, shifts: Array, frame: str) -> str:
 
 def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration) -> Check:
     """Return a check with the time offset of a sweep."""
-    previous = calibration.time_offset
+    previous, verdict = calibration.time_offset, result.verdict
     if previous is None:
         return result
-    changed, sentence = compared(offset, previous)
-    verdict = result.verdict
-    if changed:
+    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
+    words = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
+    sentence = f'The time offset is as it was: {words}'
+    if abs(change) > max(SURE_CHANGE * std, SMALLEST_CHANGE):
         verdict = 'clock' if verdict == 'unchanged' else f'{verdict} and clock'
-    return replace(result, verdict=verdict, time_offset_changed=offset.value - previous.value,
-                   time_offset_changed_std=math.hypot(offset.std, previous.std),
-                   sentence=f'{result.sentence}. {sentence[0].upper()}{sentence[1:]}')
-
-
-def _some_of_sweep(samples: Sequence[Sample]) -> list[Sample]:
-    """Return some samples of a sweep, evenly spaced, as samples of stops."""
-    step = -(-len(samples) // KEPT_SAMPLES)
-    return [replace(sample, trajectory=None) for sample in samples[step // 2::step]]
+        sentence = (f'The time offset has changed by {words}: the clock or the delay of sensor or '
+                    f'robot is another; set time_offset to {offset.value:.5f}, or calibrate again')
+    return replace(result, verdict=verdict, time_offset_changed=change,
+                   time_offset_changed_std=std, sentence=f'{result.sentence}. {sentence}')
 
 
 def plain_values(checks: Sequence[tuple[str, Check]], against: str) -> dict[str, Any]:

@@ -4,27 +4,25 @@
 From a recording to the stations of a routine: what of it shows the artefact.
 
 Where several surfaces are in sight, those in a region of interest take part, or the nearest one.
-A sweep over the artefact takes its poses at the time offset that fits best; this offset is
-compared with the calibration's. Of a gauge of teeth single points are taken while the robot moves.
+A sweep over the artefact takes its poses at the time offset of the calibration. Of a gauge of
+teeth single points are taken while the robot moves.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
-import math
 
 from handeye_ros.config import Config
 from handeye_ros.data import (
     Arc,
     Array,
     Calibration,
-    ClockEstimate,
     EdgePoint,
     FaceLine,
     Feature,
     Profile,
-    robust_std,
+    ROTATION_LAG,
     Sample,
 )
 from handeye_ros.errors import DataError
@@ -35,18 +33,11 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import edge_error_factor, ObservationRows
-from handeye_ros.verification.fit import derivatives, Numbers, StationSet
+from handeye_ros.verification.fit import Numbers, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
-from numpy.typing import NDArray
 
-SURE_CHANGE = 4.0  # sigmas of a change
-SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 SWEEP_SAMPLES = 60  # samples of a sweep
-# robust sigmas of a point that is left out, of one that is of another surface
-OUTLIER_SIGMAS, OTHER_SURFACE_SIGMAS = 4.0, 20.0
-GAUSS_NEWTON_STEPS, STEPS_WITH_ALL = 16, 6  # of which the first are with all points
-CORRELATION_TIME = 1_000_000_000  # ns, over which residuals are not independent
 SAME_SURFACE = 1.5e-3  # m: pieces this near to a plane are one surface, or
 FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
 LEAST_SEEN = 0.5  # of the stops must see the nearest surface
@@ -65,33 +56,26 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
     X = calibration.T_flange_sensor @ sensor_axes(config)
     shown, choices = zip(*(_shown(routine, samples, X, calibration, config)
                            for samples in recordings), strict=True)
-    return _stations(routine, shown, X, config, '; '.join(
-        f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
-
-
-def _stations(routine: Routine, recordings: Sequence[Sequence[Sample]], X: Array, config: Config,
-              surface: str = '') -> StationSet:
-    """Return the points of recordings on what a routine measures; surface: a remark."""
-    samples = [sample for one in recordings for sample in one]
+    samples = [sample for one in shown for sample in one]
     poses = mount_poses_of(samples, config)
     return StationSet.of(
         TARGETS[routine.target], poses, _observed(routine, samples, poses @ X), config,
         stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
-        counts=tuple(map(len, recordings)), surface=surface)
+        counts=tuple(map(len, shown)), surface='; '.join(
+            f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
 
 
 def _shown(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
            config: Config) -> tuple[Sequence[Sample], str]:
     """Return what of a recording shows the artefact, and in words how it was chosen."""
-    offset_text = choice = ''
-    if config.sampling.moving and samples:
-        samples, offset_text = _at_offset(routine, samples, X, calibration, config)
+    if any(sample.moving for sample in samples):
+        samples = _at_calibrated_time(samples, calibration, config)
     T = mount_poses_of(samples, config) @ X
     if config.verify.near:
         samples = _in_region(samples, T, config.verify.near)
     if routine.target == 'plane':
-        samples, choice = _on_nearest_surface(samples, T, config.profile.range_sign)
-    return samples, '; '.join(filter(None, (choice, offset_text)))
+        return _on_nearest_surface(samples, T, config.profile.range_sign)
+    return samples, ''
 
 
 def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], config: Config
@@ -227,77 +211,11 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
             for s in samples], sentence
 
 
-def _at_offset(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
-               config: Config) -> tuple[list[Sample], str]:
-    """
-    Return samples of a moving robot with the poses at the best fitting time offset.
-
-    Also returns in words whether this offset is that of the calibration; where the robot hardly
-    moved, it stays near it. X: (4, 4) sensor plane in the mount. Samples that show another surface
-    or edge are left out.
-    """
-    samples = evenly(passes_expanded(samples), SWEEP_SAMPLES)
-    clocked = ClockedPoses.of(samples)
-    stations = _stations(routine, [samples], X, config)
-    single = replace(config.verify, lengths=())  # face or ball, of an artefact of several
-    obs, shape = stations.observations, routine.shape(stations, X, single)
-
-    def distances(x: Array) -> Array:
-        """Return the distances from the shape; x: its unknowns and the offset."""
-        return shape.distance(obs.in_base(mount_poses(clocked.at(x[-1]).T_base_flange, config), X),
-                              x[:-1])
-
-    x, inliers, scatter = _fitted_with_offset(distances, shape.start, config.time_offset_std)
-    r, change = distances(x), float(x[-1])
-    gain = np.linalg.pinv(derivatives(distances, x)[inliers])
-    offset = ClockEstimate(config.time_offset + change, _clustered_std(
-        gain[-1] * r[inliers], stations.stamps[obs.station[inliers]], len(x)))
-    previous = calibration.time_offset or ClockEstimate(config.time_offset, 0.0)
-    _, sentence = compared(offset, previous)
-    foreign = set(obs.station[np.abs(r) > OTHER_SURFACE_SIGMAS * scatter].tolist())
-    if foreign:
-        sentence += f'; {len(foreign)} of {len(samples)} profiles show another surface'
-    at = clocked.at(change).T_base_flange
-    return [replace(sample, T_base_flange=at[k], trajectory=None)
-            for k, sample in enumerate(samples) if k not in foreign], sentence
-
-
-def _fitted_with_offset(distances: Callable[[Array], Array], start: Array, offset_std: float
-                        ) -> tuple[Array, NDArray[np.bool_], float]:
-    """
-    Return the unknowns of a shape with the offset last, the inliers (m,), and the robust scatter.
-
-    distances(unknowns): (m,) from the shape; start: the shape's unknowns; offset_std: 1 sigma of
-    the prior of the offset, about 0. Gauss-Newton, first with all points.
-    """
-    x = np.append(start, 0.0)
-    for step in range(GAUSS_NEWTON_STEPS):
-        r = distances(x)
-        scatter = robust_std(r)
-        inliers = np.abs(r) <= (OUTLIER_SIGMAS * scatter if step >= STEPS_WITH_ALL else np.inf)
-        prior = np.append(np.zeros(len(x) - 1), scatter / offset_std)
-        x = x - np.linalg.lstsq(np.vstack([derivatives(distances, x)[inliers], prior]),
-                                np.append(r[inliers], prior @ x), rcond=None)[0]
-    return x, inliers, scatter
-
-
-def _clustered_std(changes: Array, stamps: NDArray[np.int64], unknowns: int) -> float:
-    """
-    Return 1 sigma of an unknown, by what the residual of each point changes of it (m,).
-
-    stamps: (m,) of the points; those within a CORRELATION_TIME err together.
-    """
-    clusters = np.unique(stamps // CORRELATION_TIME, return_inverse=True)[1]
-    sums = np.bincount(clusters, changes)
-    return float(np.sqrt((sums ** 2).sum() * len(sums) / max(len(sums) - unknowns, 1)))
-
-
-def compared(offset: ClockEstimate, previous: ClockEstimate) -> tuple[bool, str]:
-    """Return whether the time offset has changed, and by how much in words."""
-    change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
-    change_text = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
-    if abs(change) <= max(SURE_CHANGE * std, SMALLEST_CHANGE):
-        return False, f'the time offset is as it was: {change_text}'
-    return True, (f'the time offset has changed by {change_text}: the clock or the delay of '
-                  f'sensor or robot is another; set time_offset to {offset.value:.5f}, or '
-                  'calibrate again')
+def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, config: Config
+                        ) -> list[Sample]:
+    """Return some samples of a moving robot, with the poses at the calibration's time offset."""
+    samples, offset = evenly(passes_expanded(samples), SWEEP_SAMPLES), calibration.time_offset
+    at = ClockedPoses.of(samples).at(offset.value - config.time_offset if offset else 0.0,
+                                     float(calibration.target.get(ROTATION_LAG, 0.0)))
+    return [replace(sample, T_base_flange=T, trajectory=None)
+            for sample, T in zip(samples, at.T_base_flange, strict=True)]

@@ -152,8 +152,8 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
                 f'all points closer than {mm(freed.scatter.maximum)} to its shape. Check which '
-                'object was under the sensor, that it did not move, and that nothing else was in '
-                'view (verify.near)')
+                'object was under the sensor, that it did not move, that nothing else was in view '
+                '(verify.near), and, of a sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
     verdict, reasons = _decide(fit, quantities, per_station, config.verify, smooth)
