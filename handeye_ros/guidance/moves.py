@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.problem import Target
 from handeye_ros.guidance.view import View
+from handeye_ros.targets.target import Target
 import numpy as np
 
 # Turn about the viewing direction, in shares of the largest; tilts about the laser line and about

@@ -17,7 +17,6 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
-    Conditions,
     Estimate,
     Linear,
     Observations,
@@ -26,7 +25,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.starts import some_of
-from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
+from handeye_ros.targets.target import Conditions, ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
