@@ -35,9 +35,6 @@ RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
 NORMAL_POINTS = 12
 FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
-MOST_SCATTER = 2.5  # largest RMS distance of an arc's points from their circle, in sigmas
-EXPECTED_SCATTER = 1.5  # the same, in sigmas of the configured noise, that needs no test
-LARGEST_SLOW_SHARE = 0.5  # largest share of the normal points in the scatter
 SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
 SMALLEST_ARC_ANGLE = 0.5  # smallest angle of an arc that determines its circle (rad)
@@ -178,8 +175,6 @@ def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config)
     if len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
     arc = normal_points(points.take(columns, axis=0))
-    if _wanders(arc, noise, config):
-        raise FeatureError('no arc of the sphere in the profile, only something like it')
     if 0 < LARGEST_SHARE * radius < arc.radius or arc.radius < SMALLEST_SHARE * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            f'which does not fit the sphere of {mm(radius)}')
@@ -193,21 +188,6 @@ def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config)
     if _is_corner(arc):
         raise FeatureError('no arc of the sphere in the profile, only straight pieces')
     return arc
-
-
-def _wanders(arc: Arc, noise: float, config: Config) -> bool:
-    """
-    Return whether residuals from a circle are correlated along it, unlike noise.
-
-    The residuals of a corner, or of two surfaces that a circle touches, are correlated too.
-    """
-    off, of_bins = off_circle(arc.raw, arc.circle), off_circle(arc.points, arc.circle)
-    scatter, slow = float(off @ off) / len(off), float(of_bins @ of_bins) / len(of_bins)
-    white_std = min(EXPECTED_SCATTER * config.noise.sensor,
-                    MOST_SCATTER * noise_level(arc.raw[:, 1], config.noise.sensor))
-    expected = math.hypot(white_std, EXPECTED_SCATTER * config.noise.distortion)
-    return scatter > expected ** 2 and (scatter > (MOST_SCATTER * noise) ** 2
-                                        or slow > LARGEST_SLOW_SHARE * scatter)
 
 
 def _is_corner(arc: Arc) -> bool:

@@ -31,16 +31,12 @@ from itertools import pairwise
 import math
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, ENDINGS
+from handeye_ros.data import Array, EdgePoint
+from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.edge_rounding import rounding_of
 from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
-
-# why an end of a face is no edge
-AT_BORDER = 'at the border of the field of view'
-AT_NEARER = 'at something nearer'
-AT_BEND = 'where its surface goes on at nearly the same height'
 
 GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
 LEAST_TO_VIEW_END = 1e-3  # smallest distance of an edge from the end of the view (m)
@@ -169,9 +165,13 @@ def ends_of_segments(segments: Sequence[Segment], points: Array, config: Config
                FaceEnd(segments[k], segments, points, returns, near))
 
 
-def edge_at(end: FaceEnd) -> EdgePoint | str:
+class NoEdgeError(FeatureError):
+    """Why a face ends without an edge: it ends only..."""
+
+
+def edge_at(end: FaceEnd) -> EdgePoint:
     """
-    Return the edge at the end of a face, or in words why it is none.
+    Return the edge at the end of a face; raises NoEdgeError where it is none.
 
     The face ends in an edge where a wall is seen (roof), where the next surface is lower (step, or
     shadow if its foot is hidden), or where nothing is seen behind it (gap, or open if the driver
@@ -187,14 +187,15 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
         ending = _ending_before(end, other, further)
     elif not marks_lost:
         ending = 'open'
+    elif end.lost(end.column + 1, size) >= GAP_COLUMNS:
+        ending = 'gap'
     else:
-        ending = 'gap' if end.lost(end.column + 1, size) >= GAP_COLUMNS else AT_BORDER
-    if ending not in ENDINGS:
-        return ending
+        raise NoEdgeError('at the border of the field of view')
     room = min(end.column, size - 1 - end.column) * end.pitch
     if marks_lost and room < LEAST_TO_VIEW_END:
-        return (f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off '
-                f'(move it {LEAST_TO_VIEW_END * 1e3:.0f} mm or more into the view)')
+        raise NoEdgeError(
+            f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
+            f'it {LEAST_TO_VIEW_END * 1e3:.0f} mm or more into the view)')
     if other and ending == 'roof':
         return _corner(end, other)
     wall = _wall(end, further)
@@ -204,19 +205,22 @@ def edge_at(end: FaceEnd) -> EdgePoint | str:
 
 
 def _ending_before(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> str:
-    """Return how a face ends before another surface, or in words why it has no edge there."""
+    """Return how a face ends before another surface; raises NoEdgeError where it does not."""
     start, least = other.first, smallest_step(end, other)
     if _meet_in_a_corner(end, other, further):
         # a surface that turns away from the sensor leaves the line over its whole length
-        return 'roof' if end.rise_of(other.last) <= 0 else AT_NEARER
+        if end.rise_of(other.last) <= 0:
+            return 'roof'
+        raise NoEdgeError('at something nearer')
     rise = end.rise_of(start)
-    if rise > least:
-        hidden = abs(end.points[start, 0] - end.points[end.column, 0]) > SHADOW_SLOPE * rise
-        return 'gap' if hidden else AT_NEARER
     if rise < -least:
         last = int(further[-1]) if len(further) else end.column
         return 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
-    return AT_BEND
+    if rise <= least:
+        raise NoEdgeError('where its surface goes on at nearly the same height')
+    if abs(end.points[start, 0] - end.points[end.column, 0]) > SHADOW_SLOPE * rise:
+        return 'gap'  # beside what hides it
+    raise NoEdgeError('at something nearer')
 
 
 def smallest_step(end: FaceEnd, other: Segment) -> float:

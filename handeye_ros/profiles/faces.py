@@ -15,7 +15,13 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edges import edge_at, ends_of_segments, FaceEnd, smallest_step
+from handeye_ros.profiles.edges import (
+    edge_at,
+    ends_of_segments,
+    FaceEnd,
+    NoEdgeError,
+    smallest_step,
+)
 from handeye_ros.profiles.lines import face_line, on_line
 from handeye_ros.profiles.segment import Segment, straight_segments
 import numpy as np
@@ -54,9 +60,12 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
         segment = ends[1].segment
         if len(segment.columns) * SURE_EDGE < best:
             break
-        ends_found = [edge_at(end) for end in ends]
-        reasons += [reason for reason in ends_found if isinstance(reason, str)]
-        of_segment = [edge for edge in ends_found if isinstance(edge, EdgePoint)]
+        of_segment = list[EdgePoint]()
+        for end in ends:
+            try:
+                of_segment.append(edge_at(end))
+            except NoEdgeError as reason:
+                reasons.append(str(reason))
         sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in of_segment)
         behind = any(_is_above(end, other) for end in ends for other in end.behind)
         likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
