@@ -86,7 +86,7 @@ def without_outliers(solution: Solution) -> Solution:
     """Return the solution after dropping stations that do not fit, one by one."""
     # least squares could move to a fit between the target and another surface
     limit = LARGEST_SQUARE if solution.full_problem.ambiguous else GROSS_SQUARE
-    squares = station_squares(solution)
+    squares = station_squares(solution.linear, solution.full_problem)
     good = squares <= limit * max(1.0, typical_square(squares))
     good[np.argsort(squares, kind='stable')[:solution.full_problem.target.min_samples]] = True
     near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
@@ -154,10 +154,10 @@ def graduated_fit(problem: Problem, start: Estimate,
     return graduated(linearise(reassigned(problem, start), start), mean_squares, refit)
 
 
-def station_squares(solution: Solution) -> Array:
-    """Return the mean squared whitened residuals (n,); large without essential observations."""
-    squares, problem = mean_squares(solution.linear), solution.problem
-    unused = solution.full_problem.shows_essential & ~problem.shows_essential
+def station_squares(fit: Linear, whole: Problem) -> Array:
+    """Return the mean squares (n,) of a fit; large where it uses no essential observation."""
+    squares = mean_squares(fit)
+    unused = whole.shows_essential & ~fit.problem.shows_essential
     return np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
 
 
@@ -170,7 +170,7 @@ def _is_undetermined(solution: Solution) -> bool:
 
 def typical_station_square(solution: Solution) -> float:
     """Return the square that most stations are below; large if a direction is undetermined."""
-    spread = typical_square(station_squares(solution))
+    spread = typical_square(station_squares(solution.linear, solution.full_problem))
     return max(spread, 2 * LARGEST_SQUARE) if _is_undetermined(solution) else spread
 
 
@@ -180,7 +180,8 @@ def loss(solution: Solution) -> float:
 
     Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
     """
-    level = float(np.log(SMALL_SQUARE + station_squares(solution)).mean())
+    squares = station_squares(solution.linear, solution.full_problem)
+    level = float(np.log(SMALL_SQUARE + squares).mean())
     return max(level, float(np.log(2 * LARGEST_SQUARE))) if _is_undetermined(solution) else level
 
 
@@ -191,7 +192,7 @@ def is_convincing(solution: Solution) -> bool:
     If stations show several surfaces, a better fit is required: a plane partly on one and partly
     on another near surface also fits within such errors.
     """
-    squares = station_squares(solution)
+    squares = station_squares(solution.linear, solution.full_problem)
     far = squares > LARGEST_SQUARE * max(1.0, typical_square(squares))
     unused = solution.full_problem.shows_essential & ~solution.problem.shows_essential
     enough = UNRIVALLED_SQUARE if solution.full_problem.ambiguous else CONVINCING_SQUARE

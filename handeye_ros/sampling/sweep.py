@@ -37,7 +37,7 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, PoseMode
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
     graduated_fit,
-    mean_squares,
+    station_squares,
     whitening_at,
 )
 from handeye_ros.frames import mount_poses_of
@@ -219,9 +219,9 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
         shifted = problem.with_pose_values(values)
         for start in islice(shifted.target.starts(shifted, rng), 3):
             fit = _refined(shifted, start)
-            loss = float(np.log1p(mean_squares(fit)).mean())
+            loss = float(np.log1p(station_squares(fit, problem)).mean())
             best = (loss, fit) if best is None or loss < best[0] else best
-        if best and typical_square(mean_squares(best[1])) < CONVINCING_SQUARE:
+        if best and typical_square(station_squares(best[1], problem)) < CONVINCING_SQUARE:
             break
     assert best is not None
     return best[1]

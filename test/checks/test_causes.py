@@ -274,13 +274,13 @@ def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyP
         pipeline.calibrate(made.profiles, made.poses, config)
 
 
-def clamped(scenario: Scenario, height: float) -> tuple[Solid, ...]:
-    """Return a plate with three clamps on each of two edges, 15 mm wide."""
+def clamped(scenario: Scenario, height: float, share: float = 1 / 3) -> tuple[Solid, ...]:
+    """Return a plate with three clamps on each of two edges, on a share of its length."""
     clamps = []
     for along, length in enumerate(scenario.target.size):
         for middle in (length / 6, length / 2, length * 5 / 6):
             low, high = [-0.01] * 3, [0.015] * 3
-            low[along], high[along] = middle - length / 18, middle + length / 18
+            low[along], high[along] = middle - length * share / 6, middle + length * share / 6
             clamps.append(box((*low[:2], 0.0), (*high[:2], height)))
     return (*scenes.SCENES['plate'].solids(scenario), *clamps)
 
@@ -323,3 +323,20 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
     named = re.search(r'the stops ([\d, ]+) show', told)
     assert [int(number) for number in named[1].split(', ')] == [
         stop.number for stop in elsewhere]
+
+
+@pytest.mark.thorough
+def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most stops show a clamp, and one the table: no part of them agrees on one edge."""
+    monkeypatch.setitem(scenes.SCENES, 'clamped', replace(
+        scenes.SCENES['plate'], solids=partial(clamped, height=0.015, share=0.41)))
+    scenario = replace(SCENARIOS['line'], scene='clamped')
+    made = simulate(scenario, np.random.default_rng(2))
+    config = with_values(Config(), settings(scenario) | {'target.type': 'line'}, 'the test')
+    with pytest.raises(DataError, match='so that poses and clocks are right') as caught:
+        pipeline.calibrate(made.profiles, made.poses, config)
+    told = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
+    assert caught.value.reason == 'surface'
+    assert [height for height, _ in told] == ['40.0', '25.0', '0.0']  # clamps, target, table
+    assert [len(numbers.split(', ')) for _, numbers in told] == [7, 6, 1]

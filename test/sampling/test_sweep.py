@@ -18,6 +18,7 @@ from handeye_ros.sampling.sweep import synchronised
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate
 from handeye_ros.simulate.scenario import Sweep
+from handeye_ros.targets import plate
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -156,6 +157,21 @@ def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> N
     found = pipeline.calibrate(made.profiles, poses, config_of(scenario))
     assert squared_error(found, made.truth) < 15
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+
+
+def test_a_start_with_the_edges_of_another_plate_is_not_the_last(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start is searched with few edges, among which ends of other objects may agree by chance."""
+    found, wrong = plate._two_lines, iter([np.array([0.04, 0.0])])
+
+    def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
+        corner, turn = found(points, rng)
+        return corner + plate._rotation(turn) @ next(wrong, np.zeros(2)), turn
+    monkeypatch.setattr(plate, '_two_lines', two_lines)
+    made = simulate(sweep('plate', 0.02), np.random.default_rng(0))
+    answer = pipeline.calibrate(made.profiles, made.poses, config_of(sweep('plate', 0.02)))
+    assert squared_error(answer, made.truth) < 15
+    assert next(wrong, None) is None
 
 
 def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> None:
