@@ -11,8 +11,8 @@ from handeye_ros.profiles.edge_rounding import TRIED_RADII, visible_extent
 import numpy as np
 
 SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
-# depth of a rounding, over its radius, from which light may be lost (26 degrees); an end that
-# bends less is no rounding: the sensor's field or the face is bent
+# depth of a rounding, over its radius, from which light may be lost (26 degrees); where ends bend
+# less, the sensor's field or the face is bent, or a driver that smooths bends a few by much more
 LEAST_SEEN = 0.1
 LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
@@ -57,13 +57,13 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
     log_odds = np.sum([_blurred(odds) for odds in bent] or NO_INFORMATION, axis=0)
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
-        radius, std = _radius(log_odds[:-1])
-        return EdgeShape(radius, std) if np.median(depth) > LEAST_SEEN * radius else EdgeShape()
-    # deeper ends say more about the shape
-    order = np.argsort(depth)
-    share = np.cumsum(depth[order] ** 2)
-    most = depth[order][np.searchsorted(share, share[-1] / 2)]
-    return EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_STD, is_round=False)
+        shape = EdgeShape(*_radius(log_odds[:-1]))
+    else:  # deeper ends say more about the shape
+        order = np.argsort(depth)
+        share = np.cumsum(depth[order] ** 2)
+        most = depth[order][np.searchsorted(share, share[-1] / 2)]
+        shape = EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_STD, is_round=False)
+    return shape if np.median(depth) > LEAST_SEEN * shape.size else EdgeShape()
 
 
 def _blurred(shapes: Array) -> Array:
