@@ -302,6 +302,16 @@ def test_a_bend_longer_than_any_rounding_does_not_move_the_edge(length: float) -
     assert max(abs(edge.point[0]) for edge in edges) < 1.5 * PITCH
 
 
+def test_a_few_deep_ends_are_no_bevel_of_all() -> None:
+    """A driver that smooths bends the ends of some steps, each down to another depth."""
+    sharp = edge_of(drawn(lambda x: np.where(x > 0, 0.17, np.nan), 0))
+    depths = [*[0.0] * 6, *[3e-5] * 4, 2.4e-4, 2.5e-4, 3.3e-4, 7e-4]
+    samples = [Sample(k, np.eye(4), (LINE, replace(sharp, drop=np.array([0.0, depth]))))
+               for k, depth in enumerate(depths)]
+    assert common_shape(samples).size == 0
+    assert common_shape(samples[-4:]).size > 2e-4
+
+
 @pytest.mark.parametrize('drop', [0.003, 0.012])
 def test_a_smoothed_step_is_cut_at_half_its_height(drop: float) -> None:
     for seed, at in enumerate(np.linspace(-0.003, 0.003, 7)):

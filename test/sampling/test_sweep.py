@@ -161,7 +161,7 @@ def test_an_error_of_the_robot_that_is_smooth_in_time_is_no_move(seed: int) -> N
 
 def test_a_start_with_the_edges_of_another_plate_is_not_the_last(
         monkeypatch: pytest.MonkeyPatch) -> None:
-    """A start is searched with few edges, among which ends of other objects may agree by chance."""
+    """A start is found with few edges, among which ends of other objects may agree."""
     found, wrong = plate._two_lines, iter([np.array([0.04, 0.0])])
 
     def two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
