@@ -103,7 +103,7 @@ def with_known_cause(refusal: DataError, session: Session, config: Config) -> Da
     try:
         if unexplained or refusal.reason == 'moved':
             require_settings(session, config)
-            require_one_surface(session, config, refusal.reason in ('misfit', 'edges'))
+            require_one_surface(session, config, refusal)
         if unexplained or refusal.reason == 'uncertain':
             require_same_clock(session, config)
     except DataError as named:

@@ -10,7 +10,7 @@ on it as it is set. The others are named, and left out where these carry an answ
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import explanation_of_results
 from handeye_ros.checks.settings import thinned, with_settings
@@ -28,7 +28,8 @@ import numpy as np
 SMALLEST_DISTANCE = 1e-3  # m: faces that are farther apart are several surfaces
 LARGEST_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
 FEWEST_STOPS = 2  # that show both surfaces: of a target that moved, each stop shows one
-ALONE = 'take samples where the laser crosses the target alone'
+ALONE = ('take samples where the laser crosses the target alone; if it does, check '
+         'profile.range_sign and profile.axes')
 
 
 class OtherSurfaceError(DataError):
@@ -38,78 +39,69 @@ class OtherSurfaceError(DataError):
     stamps: of their samples; why: what they show, in words.
     """
 
-    def __init__(self, stops: Sequence[Stop], height: float) -> None:
+    def __init__(self, stops: Iterable[Stop], height: float) -> None:
         """Build the sentence; height (m) over the target."""
         self.stamps = {stop.result.stamp for stop in stops}
         self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above or below that of '
                     'the others, such as a clamp, a second plate or the table')
-        self.warning = f'the stops {_numbers(stops)} show {self.why}: they are left out'
-        super().__init__(f'the stops {_numbers(stops)} show {self.why}: {ALONE}; if it does, '
-                         'check profile.range_sign and profile.axes', reason='surface')
+        shown = f'the {_numbers(stops)} show {self.why}'
+        self.warning = f'{shown}: they are left out'
+        super().__init__(f'{shown}: {ALONE}', reason='surface')
 
 
-def require_one_surface(session: Session, config: Config, contradicted: bool) -> None:
+def require_one_surface(session: Session, config: Config, refusal: DataError) -> None:
     """
-    Raise DataError where stops agree on a plane, but show edges of other surfaces.
+    Raise DataError (surface) where stops agree on a plane, but show edges of other surfaces.
 
-    contradicted: whether the samples contradict each other for no known cause, so that some show
-    something else even where no part of them agrees on the target.
+    refusal: of the answer; where it says that samples contradict each other, some show something
+    else even if no part of them agrees on the target.
     """
     if not target_for(config).essential:
         return
-    taken = [stop for stop in session.stops if stop.sample and not session.excludes(stop)]
-    samples = [stop.sample for stop in taken if stop.sample]
+    stops = np.array([s for s in session.stops if s.sample and not session.excludes(s)])
     as_plane = with_settings(config, {'target.type': 'plane'})
-    planes = [result_of(thinned(stop, config), as_plane) for stop in taken]
+    planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
     fit = explanation_of_results(planes, as_plane, all_starts=True)
     if not fit.believable:
         return
     estimate = fit.parts[0].estimate
-    T_plane_mount = inverse(estimate.state.reshape(4, 4))
-    T = [T_plane_mount @ mount_poses(sample.T_base_flange, config) @ estimate.X
-         for sample in samples]
+    T = [inverse(estimate.state.reshape(4, 4)) @ mount_poses(stop.sample.T_base_flange, config)
+         @ estimate.X for stop in stops]
     seen = [_heights(plane, T_k) for plane, T_k in zip(planes, T, strict=True)]
-    height = np.array([_heights(sample, T_k)[0] for sample, T_k in zip(samples, T, strict=True)])
-    groups = np.unique(_near(height[:, None], height)[np.isfinite(height)], axis=0)
+    height = np.array([_heights(stop.sample, T_k)[0] for stop, T_k in zip(stops, T, strict=True)])
+    near = np.abs(height[:, None] - height) < SMALLEST_DISTANCE
+    groups = np.unique(near[np.isfinite(height)], axis=0)
     groups = groups[np.argsort(-groups.sum(axis=1), kind='stable')]
-    for alike in groups:
-        middle, others = np.median(height[alike]), np.flatnonzero(~alike)
-        both = sum(_near(seen[k], middle).any() for k in others)
-        if both >= FEWEST_STOPS and explanation_of_results(
-                [samples[k] for k in np.flatnonzero(alike)], config, all_starts=True).agrees:
-            # as few as they may be: it is the plane that tells the surfaces apart
-            raise OtherSurfaceError([taken[k] for k in others],
-                                    float(np.nanmedian(np.abs(height[others] - middle))))
-    if contradicted:
+    at = np.array([np.median(height[alike]) for alike in groups])
+    for alike, middle in zip(groups, at, strict=True):
+        both = ~alike & [np.any(np.abs(h - middle) < SMALLEST_DISTANCE) for h in seen]
+        # as few as they may be: it is the plane that tells the surfaces apart
+        if both.sum() >= FEWEST_STOPS and explanation_of_results(
+                [stop.sample for stop in stops[alike]], config, all_starts=True).agrees:
+            away = np.nanmedian(np.abs(height[~alike] - middle))
+            raise OtherSurfaceError(stops[~alike], float(away))
+    why = ''
+    if refusal.reason in ('misfit', 'edges') and (groups.sum(axis=1) >= FEWEST_STOPS).sum() > 1:
+        told = '; '.join(f'{h * 1e3:.1f} mm: {_numbers(stops[alike])}'
+                         for h, alike in zip(at - at.min(), groups, strict=True))
+        why = f'they show edges at several heights ({told}), as of a clamp or a second plate'
+    elif refusal.reason == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
                'or the target moved in its plane, or is not as target.type and target.size state')
-        if (groups.sum(axis=1) >= FEWEST_STOPS).sum() > 1:
-            lowest = np.nanmin(height)
-            at = '; '.join(f'{(np.median(height[alike]) - lowest) * 1e3:.1f} mm: stops '
-                           + _numbers(taken, alike) for alike in groups)
-            why = (f'they show edges at several heights ({at}), as of a clamp, a second plate or '
-                   'the table')
-        raise DataError(f'{fit.fitting} of {len(taken)} stops agree on one plane, so that poses '
-                        f'and clocks are right, but they contradict each other where the edges '
-                        f'are: {why}; {ALONE}', reason='surface')
+    if why:
+        raise DataError(
+            f'{fit.fitting} of {len(stops)} stops agree on one plane, so that poses and clocks '
+            f'are right, but not on the edges of the target: {why}: {ALONE}', reason='surface')
 
 
-def _near(heights: Array, middle: Array | float) -> Array:
-    """Return which heights are those of one surface with another."""
-    return np.abs(heights - middle) < SMALLEST_DISTANCE
-
-
-def _numbers(stops: Sequence[Stop], chosen: Array | None = None) -> str:
-    return ', '.join(str(stops[k].number) for k in (
-        range(len(stops)) if chosen is None else np.flatnonzero(chosen)))
+def _numbers(stops: Iterable[Stop]) -> str:
+    return 'stops ' + ', '.join(str(stop.number) for stop in stops)
 
 
 def _heights(result: Sample | Reject, T_plane_sensor: Array) -> Array:
     """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
-    faces = [] if isinstance(result, Reject) else [
-        feature for feature in result.features if isinstance(feature, FaceLine)]
     by_x, _, by_z, offset = T_plane_sensor[2] * np.sign(T_plane_sensor[2, 3])
     return np.array([
         by_x * face.centre[0] + by_z * face.centre[1] + offset
         if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
-        else np.nan for face in faces])
+        else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
