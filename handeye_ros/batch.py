@@ -18,12 +18,13 @@ import shutil
 import time
 from typing import Any, TypeAlias
 
-from handeye_ros import __version__, trend
+from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, page, write_atomically
 from handeye_ros.results.calibration_file import content_of
 from handeye_ros.tables import Table
+from handeye_ros.trend import AXES
 
 Row: TypeAlias = dict[str, Any]
 Verb: TypeAlias = Callable[[list[str]], int]
@@ -32,10 +33,9 @@ LIST_COLUMNS = {'bag', 'label', 'config', 'settings', 'args'}  # of a list
 JOB_FILE = 'job.json'  # in the folder of a job: what it was computed from, and its row
 OUTPUTS = {'solve': '', 'verify': 'verification.yaml', 'check': 'check.yaml',
            'compare': 'comparison.yaml'}  # below --out, by verb
-# Rows that agree in these are of one cell, and their answers are compared.
-CELL_KEYS = ('child_frame', 'target', 'routine', 'calibration', 'against')
 # of a result, beside its numbers
-WORD_KEYS = (*CELL_KEYS, 'method', 'verdict', 'weakest_direction')
+WORD_KEYS = ('child_frame', 'target', 'routine', 'against', 'method', 'verdict',
+             'weakest_direction')
 CRASH_EXIT_CODE = 70  # exit code of a job that ended in an error of the program (sysexits.h)
 # Of the page: a figure, its heading, its factor.
 RESULT_FIGURES = (
@@ -109,11 +109,6 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
     if not jobs:
         raise DataError(f'no recording in {" ".join(sources)}: give bags, folders of bags, or a '
                         'CSV list of them')
-    counts = Counter[str]()
-    for k, job in enumerate(jobs):
-        counts[job.label] += 1
-        if counts[job.label] > 1:
-            jobs[k] = replace(job, label=f'{job.label}-{counts[job.label]}')
     labels = [Path(job.label) for job in jobs]
     taken = Counter(folder for label in labels for folder in (label, *label.parents))
     for label in labels:  # results replace the folder of their label
@@ -203,9 +198,6 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         if folder.exists() and not (folder / JOB_FILE).is_file():
             raise InputError(f'{folder} is there and holds no result of batch, so it is not '
                              'replaced: name another folder with --out')
-        if above := [one for one in folder.parents if (one / JOB_FILE).is_file()]:
-            raise InputError(f'{folder} would be inside the result {above[0]}, and be lost with '
-                             'it: name another folder with --out')
     for job in jobs:
         if row := unchanged(job, out):
             yield row
@@ -269,9 +261,7 @@ def _figures_in(folder: Path) -> Row:
         content = content_of(file)
         transform = content.get('transform', {})
         config = content.get('provenance', {}).get('config', {})
-        groups = [('', content), ('', {
-            'target': config.get('target.type'),  # two calibrations may have one name
-            'calibration': content.get('calibration_file', {}).get('path')}),
+        groups = [('', {**content, 'target': config.get('target.type')}),
                   ('', content.get('quality', {})), ('', transform.get('translation', {})),
                   ('q', transform.get('rotation', {})),
                   *(('', check) for check in content.get('checks', ())),
@@ -282,10 +272,7 @@ def _figures_in(folder: Path) -> Row:
                    if isinstance(value, (int, float)) or name in WORD_KEYS and value}
         if 'covariance' in content:
             values |= {f'std_{axis}': content['covariance'][7 * k] ** 0.5
-                       for k, axis in enumerate(trend.AXES)}
-        if stamps := [one['stamp'] for one in content.get('samples', content.get(
-                'per_station', ()))]:
-            values['stamp'] = min(stamps)
+                       for k, axis in enumerate(AXES)}
     return values
 
 
@@ -309,41 +296,10 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
         if row.get('cause'):  # the same sentence with other numbers is the same cause
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
     write_atomically(out / 'report.html', page(
-        'batch.html', rows=worst_first, cells=cells_of(rows, out), result=outcome_of,
+        'batch.html', rows=worst_first, result=outcome_of,
         figures=[figure for figure in RESULT_FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],
         causes=sorted(causes.values(), key=len, reverse=True),
         counts=Counter(map(outcome_of, rows)).most_common(),
         target=lambda row: next((f'{row["label"]}/{name}' for name in ('report.html', 'output.txt')
                                  if (out / row['label'] / name).exists()), '')))
-
-
-def cells_of(rows: Sequence[Row], out: Path) -> list[tuple[str, int, str]]:
-    """
-    Return name, number of answers and trend in words of each cell.
-
-    A cell is one sensor frame and one target (of a check or a verification: one calibration and
-    one routine) in one folder of labels: other answers are of another thing, not changed.
-    """
-    cells: dict[tuple[str, ...], list[Row]] = {}
-    for row in sorted(rows, key=lambda row: (row.get('stamp', 0), row['label'])):
-        if row['exit_code'] in (0, 1):
-            key = (row['label'].rpartition('/')[0],
-                   *(str(row.get(name, '')) for name in CELL_KEYS))
-            cells.setdefault(key, []).append(row)
-    groups = []
-    for key, cell in sorted(cells.items()):
-        if len(cell) < 2 or cell[0]['verb'] == 'compare':
-            continue
-        first = cell[0].get('verdict', '')
-        other = next((row for row in cell if row.get('verdict', '') != first), None)
-        since = f'; {other["verdict"]} since {other["label"]}' if other else ' in all'
-        said = f'{first}{since}'
-        if cell[0]['verb'] == 'solve':
-            files = [out / row['label'] / 'calibration.yaml' for row in cell]
-            try:
-                said = trend.since_when(trend.trend(out / key[0], files=files)[0])
-            except DataError as error:
-                said = str(error)
-        groups.append((', '.join(filter(None, key)), len(cell), said))
-    return groups

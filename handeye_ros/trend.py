@@ -3,15 +3,15 @@
 """The calibrations of a folder over time: each compared with the first and the last one."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import output, se3
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import DataError, InputError, UnwritableError
-from handeye_ros.estimation.least_squares import chi2_isf, chi2_sf
-from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.errors import DataError, InputError
+from handeye_ros.estimation.least_squares import chi2_sf
+from handeye_ros.results.calibration_file import NAME, read_calibration
 from handeye_ros.verification.verify import time_of
 import numpy as np
 from rich.markup import escape
@@ -42,19 +42,18 @@ class Entry:
     residual: float
 
 
-def trend(folder: Path, first: Calibration | None = None, files: Iterable[Path] | None = None
-          ) -> tuple[list[Entry], list[str]]:
+def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], list[str]]:
     """
     Return the calibrations below a folder by time, and a warning for each file left out.
 
     first: the reference, the oldest if not given; only those between its frames are compared.
-    files: of the folder, all calibration.yaml if not given. Raises DataError for too few, or for
-    several sensors without a reference, InputError for a folder that is not there.
+    Raises DataError for too few, or for several sensors without a reference, InputError for a
+    folder that is not there.
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
     calibrations, warnings, sensors = [], [], set()
-    for path in sorted(folder.rglob('calibration.yaml') if files is None else files):
+    for path in sorted(folder.rglob(NAME)):
         try:
             calibration = read_calibration(path)
         except InputError as error:
@@ -113,32 +112,6 @@ def since_when(entries: Sequence[Entry]) -> str:
         if e.p_before < CHANGED_P:
             return f'the calibration changed between {e.recorded or e.path} and the previous one'
     return 'no calibration differs from the previous one by more than their uncertainties explain'
-
-
-def draw(entries: Sequence[Entry], path: Path) -> None:
-    """
-    Write a picture of the trend: differences from the first.
-
-    The bars are the joint 95 % region of all six differences. Raises UnwritableError.
-    """
-    drawing, plots = output.figure(2, 1)
-    index, reach = np.arange(len(entries)), float(np.sqrt(chi2_isf(WATCH_P, 6)))
-    for k, axis in enumerate(AXES):
-        scale, unit = (1e3, 'mm') if k < 3 else (180 / np.pi, 'degrees')
-        plots[k // 3].errorbar(
-            index + 0.05 * (k % 3 - 1), [scale * e.difference[k] for e in entries],
-            [scale * reach * e.std[k] for e in entries], fmt='o-', capsize=3, label=axis)
-        plots[k // 3].set_ylabel(f'difference [{unit}], joint 95 %')
-    for plot in plots:
-        plot.legend()
-        for change in np.flatnonzero([e.p_before < CHANGED_P for e in entries]) - 0.5:
-            plot.axvline(change, color='tab:red', linestyle='--')
-        plot.set_xticks(index, [e.recorded[:16] or e.path.parent.name for e in entries],
-                        rotation=20, ha='right', fontsize=8)
-    try:
-        drawing.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UnwritableError(path, str(error)) from error
 
 
 def csv_text(entries: Sequence[Entry]) -> str:

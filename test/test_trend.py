@@ -57,9 +57,8 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_the_verb(tmp_path):
     write(tmp_path / 'steady', range(5))
-    run = handeye('trend', 'steady', '--picture', 't.png', '--csv', 't.csv', cwd=tmp_path)
+    run = handeye('trend', 'steady', '--csv', 't.csv', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert 'no calibration differs' in run.stdout and 'x [mm]' in run.stdout
-    assert (tmp_path / 't.png').stat().st_size > 1000
     assert (tmp_path / 't.csv').read_text().startswith('recorded,path,x,')
     assert_refused(handeye('trend', 'steady/day_0', cwd=tmp_path), 3, 'steady')

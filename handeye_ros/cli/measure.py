@@ -161,7 +161,6 @@ def trend(
         metavar='DIR', help='The folder below which all calibration.yaml are taken.')],
     against: Annotated[NoPath, File(
         help='The calibration that the others are compared with; default: the oldest.')] = None,
-    picture: Annotated[NoPath, File(help='Draw it.')] = None,
     csv: Annotated[NoPath, File(help='Write the calibrations as CSV.')] = None,
 ) -> None:
     """Show the trend of the calibrations below a folder."""
@@ -175,6 +174,3 @@ def trend(
     if csv:
         write_atomically(csv, trends.csv_text(entries))
         typer.echo(f'wrote {csv.absolute()}')
-    if picture:
-        trends.draw(entries, picture)
-        typer.echo(f'wrote {picture.absolute()}')
