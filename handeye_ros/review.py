@@ -16,14 +16,13 @@ from pathlib import Path
 from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
-from handeye_ros.calibration import measured_points, rms_by, tested_points
+from handeye_ros.calibration import edges_used, measured_points, rms_by, tested_points
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.estimation.problem import Problem, UNUSED
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_poses, mount_poses_of
+from handeye_ros.frames import mount_poses
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of, input_values
 from handeye_ros.results.report import SolvedRecording
@@ -34,8 +33,6 @@ from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_at_poses
 import numpy as np
 from rich.table import Table
-
-TOO_FAR = 5e-3  # m from every edge of the target: it is another one, or the fit is still wrong
 
 
 def session_of(path: Path, config: Config) -> Session:
@@ -110,20 +107,7 @@ def solved_session(session: Session, answer: Answer, config: Config) -> SolvedRe
         else:
             reason = reasons.get(stop.stamp, stop.reason)
             stops[i] = replace(stop, reason=reason or 'the answer uses few of its profiles')
-    used = [answer.samples[i] for i in solution.used]
-    return SolvedRecording(tuple(stops), calibration, sweep=_sweep(used, calibration))
-
-
-def _sweep(used: Sequence[Sample], calibration: Calibration) -> Array:
-    """Return time, RMS residual and speed (n, 3) of the samples of a moving robot."""
-    moving = [sample for sample in used if sample.moving]
-    if not moving:
-        return np.empty((0, 3))
-    residual = {report.stamp: report.residual for report in calibration.samples}
-    stamps = np.array([s.stamp + round(s.clock_values[0] * 1e9) for s in moving])
-    twists = moving[0].trajectory.at(stamps).twists
-    return np.column_stack([(stamps - stamps[0]) * 1e-9, [residual[s.stamp] for s in moving],
-                            np.linalg.norm(twists[:, :3], axis=1)])
+    return SolvedRecording(tuple(stops), calibration)
 
 
 def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
@@ -192,43 +176,19 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
 
 
 def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
-    """Return a sentence if the laser crosses an edge at too small an angle, else ''."""
-    points = np.array([f.point for f in sample.features if isinstance(f, EdgePoint)])
-    kinds, smallest = solution.problem.target.essential, config.sampling.min_crossing_angle
-    if not len(points) or not kinds:
+    """Return a sentence if the laser is on an edge at too small a crossing angle, else ''."""
+    def edges(smallest: float) -> str:
+        sampling = replace(config.sampling, min_crossing_angle=smallest)
+        problem = problem_at_poses([sample], replace(config, sampling=sampling))
+        return edges_used(reassigned(problem, solution.estimate))[0]
+
+    smallest = config.sampling.min_crossing_angle
+    crossed = edges(0.0)
+    if crossed == edges(smallest):
         return ''
-    angles = [(*_crossing(sample, points, solution, kind, config), kind) for kind in kinds]
-    distance, angle, kind = min(angles)
-    if distance > TOO_FAR or angle >= smallest:
-        return ''
-    return (f'the laser crosses {kind} at {np.degrees(angle):.0f} degrees, less than '
-            f'sampling.min_crossing_angle ({np.degrees(smallest):.0f} degrees), so its edge point '
-            'cannot count: turn the tool about the range axis')
-
-
-def _crossing(sample: Sample, points: Array, solution: Solution, name: str, config: Config
-              ) -> tuple[float, float]:
-    """Return distance to an edge (m) and crossing angle (rad) of the nearest of points (n, 2)."""
-    target, estimate = solution.problem.target, solution.estimate
-    pose = mount_poses_of([sample], config)[0] @ estimate.X
-    in_base = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]]
-                              ) @ pose[:3, :3].T + pose[:3, 3]
-    conditions = [target.conditions(in_base, np.full(len(points), kind), estimate.state, config)
-                  for kind in _kinds_at(solution.problem, target.kinds.index(name))]
-    distance = np.linalg.norm([condition.g for condition in conditions], axis=0)
-    nearest = int(np.argmin(distance))
-    across = np.array([condition.dg_dp[nearest] for condition in conditions])
-    along_laser = across @ pose[:3, 0] / np.linalg.norm(across, axis=1)
-    steepness = min(1.0, float(np.linalg.norm(along_laser)))
-    return float(distance[nearest]), float(np.arcsin(steepness))
-
-
-def _kinds_at(problem: Problem, kind: int) -> list[int]:
-    """Return the kinds of conditions that edge points of a kind have, this kind first."""
-    obs = problem.observations
-    points = obs.error_source
-    seen = np.unique(obs.kind[np.isin(points, points[obs.kind == kind])])
-    return [kind, *(int(k) for k in seen if k not in (kind, UNUSED))]
+    return (f'the laser crosses {crossed} at less than sampling.min_crossing_angle '
+            f'({np.degrees(smallest):.0f} degrees), so its edge point cannot count: turn the tool '
+            'about the range axis')
 
 
 FEATURE_NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}

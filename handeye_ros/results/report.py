@@ -8,7 +8,7 @@ The file is complete: it opens without a network.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -43,15 +43,12 @@ class SolvedRecording:
     calibration: None where the recording is refused
     refusal: the reason for it
     missing: why there is no recording to show
-    sweep: (n, 3) of the samples of a robot that moved: time since the first (s), RMS residual (m),
-        speed of the flange (m/s)
     """
 
     stops: tuple[StopSnapshot, ...] = ()
     calibration: Calibration | None = None
     refusal: str = ''
     missing: str = ''
-    sweep: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def html(calibration: Calibration, recording: SolvedRecording,
@@ -62,7 +59,7 @@ def html(calibration: Calibration, recording: SolvedRecording,
     points = in_sensor(in_plane(f for stop in used for f in stop.features), config)
     drawn = scene(calibration, recording.stops, config)
     with style():
-        plots = dict(_plots(used, recording.sweep))
+        plots = dict(_plots(used))
     return page(
         'report.html', c=calibration, verdict=verdict(calibration, recording, points),
         transform=list(table.transform_rows(calibration)),
@@ -138,15 +135,13 @@ def mapped_std(calibration: Calibration, points: Array) -> float:
     return math.sqrt(np.trace(se3.mapped_covariance(arms, calibration.covariance)))
 
 
-def _plots(used: Sequence[StopSnapshot], sweep: Array) -> Iterator[tuple[str, str]]:
-    """Yield the plots with data, by name; used: stops; sweep: as in SolvedRecording."""
+def _plots(used: Sequence[StopSnapshot]) -> Iterator[tuple[str, str]]:
+    """Yield the plots with data, by name, of used stops."""
     if used:
         yield 'coverage', _coverage_plot(used)
     agreements = {stop.number: stop.agreement for stop in used if stop.agreement}
     if agreements:
         yield 'residuals', _residuals_plot(agreements)
-        if len(sweep):
-            yield 'sweep', _sweep_plot(sweep)
 
 
 def _residuals_plot(agreements: Mapping[int, Agreement]) -> str:
@@ -160,16 +155,6 @@ def _residuals_plot(agreements: Mapping[int, Agreement]) -> str:
     ax.set_xticks(positions, [*map(str, agreements)], fontsize=7)
     ax.set(xlabel='stop', ylabel='RMS residual (mm)')
     ax.legend(loc='upper right', ncols=2)
-    return image(drawing)
-
-
-def _sweep_plot(samples: Array) -> str:
-    """Return the plot of a sweep's residuals over time and speed (see SolvedRecording)."""
-    time, rms, speed = samples.T
-    drawing, (by_time, by_speed) = figure(1, 2, 3.5, 2.6)
-    for ax, x, label in ((by_time, time, 'time (s)'), (by_speed, 1e3 * speed, 'speed (mm/s)')):
-        ax.plot(x, 1e3 * rms, '.', color=BLUE, ms=4)
-        ax.set(xlabel=label, ylabel='RMS residual (mm)', ylim=(0, None))
     return image(drawing)
 
 

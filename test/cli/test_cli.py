@@ -176,7 +176,7 @@ def test_a_sweep_is_solved_reported_and_checked(tmp_path):
     assert 'time offset' in run.stdout
     run = handeye('report', 'a/calibration.yaml', '--out', 'a.html', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    assert 'over the speed of the flange' in (tmp_path / 'a.html').read_text()
+    assert 'RMS residual of each stop' in (tmp_path / 'a.html').read_text()
     solved = calibration_file.read_calibration(tmp_path / 'a' / 'calibration.yaml')
     assert solved.time_offset is not None
     run = handeye('check', bag, '--against', 'a/calibration.yaml', cwd=tmp_path)
