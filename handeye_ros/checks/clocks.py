@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3, targets
+from handeye_ros.calibration import clock_estimate
 from handeye_ros.checks.hypotheses import (
     Explanation,
     explanation_of_results,
@@ -24,7 +25,6 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, CLOCK_DRIFT, NS, Profile, Sample
 from handeye_ros.errors import DataError, FeatureError, UnusableMessageError
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.notes import clock_estimate
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop

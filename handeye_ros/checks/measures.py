@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
 from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
@@ -14,7 +15,6 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_all_blocks
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
-from handeye_ros.notes import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
 import numpy as np
 
 VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)

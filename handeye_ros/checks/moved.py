@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
+from handeye_ros.calibration import parted_by_outliers
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
     Explanation,
@@ -35,7 +36,6 @@ from handeye_ros.estimation.solve import (
     solution_at,
 )
 from handeye_ros.frames import mount_frame, target_frame
-from handeye_ros.notes import parted_by_outliers
 import numpy as np
 from numpy.typing import NDArray
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
+from handeye_ros.calibration import lost_edges
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, other_axes
-from handeye_ros.notes import lost_edges
 from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
 from handeye_ros.targets.target import Target
 import numpy as np

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3, targets
+from handeye_ros.calibration import offset_notes, parted_by_outliers
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
@@ -16,7 +17,6 @@ from handeye_ros.frames import mount_frame, mount_poses_of, name_direction
 from handeye_ros.guidance.candidates import anchor_of, Proposal, propose
 from handeye_ros.guidance.moves import Move, next_move, noun
 from handeye_ros.guidance.view import learn_view, mapped_points, MappedPoints, View
-from handeye_ros.notes import offset_notes, parted_by_outliers
 from handeye_ros.pipeline import Answer
 from handeye_ros.se3 import worst_rotation, worst_translation
 import numpy as np
