@@ -53,8 +53,7 @@ from handeye_ros.estimation.search import (
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise, turn_and_tilt
-from handeye_ros.guidance.moves import Move
-from handeye_ros.guidance.view import extremes, learn_view, mapped_points, View
+from handeye_ros.guidance.view import extremes, learn_view, Move, View, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.review import flat_crossing
@@ -280,9 +279,7 @@ def session(cell: World, operator: str, stations: int) -> np.ndarray:
         count = len(cell.samples)
         solution = solved(cell)
         if solution is not None:
-            mapped = mapped_points(solution.estimate.X, cell.view)
-            sigma = mapped.std(solution.transform_covariance)
-            found[count - 1] = error_of(solution, cell), sigma
+            found[count - 1] = error_of(solution, cell), sigma_of(solution, cell)
         if count == stations:
             return found
         insist(cell, advised(cell, solution) if operator == 'advice' else lambda: anywhere(cell))
@@ -329,9 +326,14 @@ def followed(cell: World, away: float, stations: int) -> Followed:
             cell.refused.append(T)
     known = solved(cell)
     std, off = (math.inf, math.inf) if known is None else (
-        mapped_points(known.estimate.X, cell.view).std(known.transform_covariance),
-        error_of(known, cell))
+        sigma_of(known, cell), error_of(known, cell))
     return Followed(len(cell.samples) - 1 + len(why), tuple(why), enough, std, off)
+
+
+def sigma_of(solution: Solution, cell: World) -> float:
+    """Return the stated 1 sigma (m) of points mapped over the field of view."""
+    return float(se3.mapped_std(view_levers(solution.estimate.X, cell.view),
+                                solution.transform_covariance))
 
 
 def error_of(solution: Solution, cell: World) -> float:
@@ -385,8 +387,7 @@ def solved(cell: World) -> Solution | None:
         found = with_all_blocks(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
-    std = mapped_points(found.estimate.X, cell.view).std(found.transform_covariance)
-    cell.last = found if std < KNOWN_WELL else None
+    cell.last = found if sigma_of(found, cell) < KNOWN_WELL else None
     return found
 
 

@@ -131,6 +131,12 @@ def mapped_covariance(levers: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum('kij,jl,kml->im', J, covariance, J) / len(J))
 
 
+def mapped_std(levers: Array, covariance: Array) -> Array:
+    """Return the RMS errors (...) of points at levers (k, 3), for covariances (..., 6, 6)."""
+    J = wrt_perturbation(levers).reshape(-1, 6)
+    return np.asarray(np.sqrt(np.einsum('...ij,ij->...', covariance, J.T @ J / len(levers))))
+
+
 def difference(T: Array, T_reference: Array) -> Array:
     """Return the deltas (..., 6) with perturb(T_reference, delta) equal to T (..., 4, 4)."""
     turn = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)

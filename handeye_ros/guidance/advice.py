@@ -15,10 +15,9 @@ from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of, name_direction
 from handeye_ros.guidance.candidates import anchor_of, Proposal, propose
-from handeye_ros.guidance.moves import Move, next_move, noun
-from handeye_ros.guidance.view import learn_view, mapped_points, MappedPoints, View
+from handeye_ros.guidance.view import learn_view, Move, next_move, noun, View, view_levers
 from handeye_ros.pipeline import Answer
-from handeye_ros.se3 import worst_rotation, worst_translation
+from handeye_ros.se3 import mapped_std, worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -110,9 +109,8 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
                                  f'with the {what} in the middle of the view')
     view = learn_view(samples, seen)
     solution = found.solution if found.samples_agree else None
-    mapped = mapped_points(solution.estimate.X, view) if solution else None
-    if solution is None or mapped is None or (
-            mapped.std(solution.transform_covariance) > ROUGHLY_KNOWN):
+    levers = view_levers(solution.estimate.X if solution else np.eye(4), view)
+    if solution is None or mapped_std(levers, solution.transform_covariance) > ROUGHLY_KNOWN:
         enough = solution is None and len(samples) >= target.min_samples
         refusal = found.refusal if enough else None
         if sweeping:
@@ -122,11 +120,11 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
         move = next_move(len(samples), target, config, view)
         return _before_an_answer(move.text, move, refusal)
 
-    sigmas = sigma_table(solution.transform_covariance, mapped, config)
+    sigmas = sigma_table(solution.transform_covariance, levers, config)
     proposal = None
     if not sweeping:
         surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
-        proposal = propose(solution, samples, config, surely, mapped, failed_poses)
+        proposal = propose(solution, samples, config, surely, levers, failed_poses)
     enough, why = enough_and_why(sigmas, proposal.std if proposal else None,
                                  largest_cause(solution), len(samples))
     if parted := parted_by_outliers(solution):
@@ -150,17 +148,16 @@ def _before_an_answer(text: str, move: Move | None = None, refusal: Exception | 
     return Advice((text, why) if refusal else (text,), None, move, (), False, why)
 
 
-def sigma_table(covariance: Array, mapped: MappedPoints, config: Config) -> tuple[Sigma, ...]:
+def sigma_table(covariance: Array, levers: Array, config: Config) -> tuple[Sigma, ...]:
     """
     Return the uncertainty along each axis, in the worst directions, and of mapped points.
 
-    covariance: (6, 6) of the transform.
+    covariance: (6, 6) of the transform; levers: (k, 3) of the points.
     """
     limits, frame, accuracy = config.limits, mount_frame(config), config.guidance.accuracy
     std = np.sqrt(np.diag(covariance))
     shift, along = worst_translation(covariance)
     turn, about = worst_rotation(covariance)
-    far, way = mapped.worst(covariance)
     return (*(Sigma(f'position {axis}', float(s), limits.translation)
               for axis, s in zip('xyz', std[:3], strict=True)),
             *(Sigma(f'rotation about {axis}', float(s), limits.rotation, 'rad')
@@ -169,8 +166,7 @@ def sigma_table(covariance: Array, mapped: MappedPoints, config: Config) -> tupl
                   limits.translation),
             Sigma(f'rotation about {name_direction(about, frame)} (worst)', turn,
                   limits.rotation, 'rad'),
-            Sigma(f'points in view, along {name_direction(way, frame)} (worst)', far, accuracy),
-            Sigma('points in view', mapped.std(covariance), accuracy))
+            Sigma('points in view', float(mapped_std(levers, covariance)), accuracy))
 
 
 def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
@@ -193,7 +189,7 @@ def enough_and_why(sigmas: Sequence[Sigma], expected: float | None,
 
     sigmas: of sigma_table; expected: 1 sigma of mapped points after one more sample (m).
     """
-    for sigma in reversed(sigmas[:-2]):
+    for sigma in reversed(sigmas[:-1]):
         if sigma.std > sigma.limit:
             factor, unit, digits = ((1e3, 'mm', 2) if sigma.unit == 'm' else
                                     (np.degrees(1.0), 'degrees', 3))

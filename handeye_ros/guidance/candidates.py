@@ -21,7 +21,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Linear, linearise, Observations, Problem
 from handeye_ros.estimation.solve import Solution, solution_at
 from handeye_ros.frames import mount_poses
-from handeye_ros.guidance.view import BORDER_NORMALS, MappedPoints, View
+from handeye_ros.guidance.view import BORDER_NORMALS, View
 from handeye_ros.sampling.stops import evenly
 import numpy as np
 from numpy.typing import NDArray
@@ -54,16 +54,17 @@ class Proposal:
 
 
 def propose(solution: Solution, samples: Sequence[Sample], config: Config, view: View,
-            mapped: MappedPoints, failed_poses: Sequence[Array] = ()) -> Proposal | None:
+            levers: Array, failed_poses: Sequence[Array] = ()) -> Proposal | None:
     """
     Return the pose that helps most, None if none keeps the target in view.
 
-    The limits of guidance.* are relative to the first of samples; failed_poses: poses of the
-    flange (4, 4) at which stops gave no sample.
+    The limits of guidance.* are relative to the first of samples; levers: (k, 3) of the points
+    that it is to help, see view_levers; failed_poses: poses of the flange (4, 4) at which stops
+    gave no sample.
     """
     rng, problem, X = np.random.default_rng(SEED), solution.problem, solution.estimate.X
     taken = np.array([sample.T_base_flange for sample in samples])
-    most, best = 0.0, None
+    least, best = float(se3.mapped_std(levers, solution.transform_covariance)), None
     for station in templates(problem):
         template = problem.subset(np.array([station]))
         sensors, places = _random_poses(template.poses[0] @ X, mount_poses(taken[0], config) @ X,
@@ -73,15 +74,14 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
         seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
-        gain = mapped.variance(solution.transform_covariance) - mapped.variance(
-            with_one_more(solution, seen))
-        i = int(np.argmax(gain))
-        if gain[i] > most:
-            most, best = gain[i], (seen.subset(np.array([i])), places[i])
+        std = se3.mapped_std(levers, with_one_more(solution, seen))
+        i = int(np.argmin(std))
+        if std[i] < least:
+            least, best = std[i], (seen.subset(np.array([i])), places[i])
     if best is None:
         return None
     one, place = best
-    return Proposal(mount_poses(one.poses[0], config), place, expected(solution, mapped, one))
+    return Proposal(mount_poses(one.poses[0], config), place, expected(solution, levers, one))
 
 
 def templates(problem: Problem) -> list[int]:
@@ -300,9 +300,9 @@ def with_one_more(solution: Solution, seen: Problem) -> Array:
     return np.asarray(C[:6, :6] - np.swapaxes(X, 1, 2) @ np.linalg.solve(inner, X))
 
 
-def expected(solution: Solution, mapped: MappedPoints, one: Problem) -> float:
+def expected(solution: Solution, levers: Array, one: Problem) -> float:
     """
-    Return the reported 1 sigma of mapped points (m) expected with one more station.
+    Return the reported 1 sigma of points at levers (k, 3) (m) expected with one more station.
 
     one: the problem of that station alone. Here all blocks are shared with the others.
     """
@@ -314,6 +314,7 @@ def expected(solution: Solution, mapped: MappedPoints, one: Problem) -> float:
                        np.concatenate([getattr(problem.observations, f.name),
                                        getattr(more, f.name)]) for f in fields(more))))
     before, after = (
-        mapped.variance(solution_at(p, solution.estimate, conservative.noise).covariance[:6, :6])
-        for p in (problem, both))
-    return mapped.std(solution.transform_covariance) * math.sqrt(min(float(after / before), 1.0))
+        se3.mapped_std(levers, solution_at(p, solution.estimate, conservative.noise
+                                           ).covariance[:6, :6]) for p in (problem, both))
+    now = se3.mapped_std(levers, solution.transform_covariance)
+    return float(now * min(after / before, 1.0))

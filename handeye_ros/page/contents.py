@@ -20,8 +20,7 @@ from handeye_ros.errors import InputError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
-from handeye_ros.guidance.moves import Move
-from handeye_ros.guidance.view import extremes
+from handeye_ros.guidance.view import extremes, Move
 from handeye_ros.results import exports, table
 from handeye_ros.results.scene import outline_of, profile_picture, rounded
 from handeye_ros.review import stop_snapshot

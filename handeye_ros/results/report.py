@@ -132,7 +132,7 @@ def _remarks(calibration: Calibration, recording: SolvedRecording) -> Iterator[s
 def mapped_std(calibration: Calibration, points: Array) -> float:
     """Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame."""
     arms = points @ calibration.T_flange_sensor[:3, :3].T
-    return math.sqrt(np.trace(se3.mapped_covariance(arms, calibration.covariance)))
+    return float(se3.mapped_std(arms, calibration.covariance))
 
 
 def _plots(used: Sequence[StopSnapshot]) -> Iterator[tuple[str, str]]:

@@ -23,8 +23,7 @@ from handeye_ros.guidance.advice import (
     turn_and_tilt,
 )
 from handeye_ros.guidance.candidates import anchor_of, REFUSED_DISTANCE, with_one_more
-from handeye_ros.guidance.moves import next_move
-from handeye_ros.guidance.view import learn_view, mapped_points
+from handeye_ros.guidance.view import learn_view, next_move
 from handeye_ros.pipeline import Answer
 from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import SCENARIOS
@@ -229,7 +228,7 @@ def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() 
     (15, 0.01, True), (15, 0.03, False), (14, 0.01, False)])
 def test_more_samples_that_bring_little_are_not_asked_for(count: int, gain: float, enough: bool
                                                           ) -> None:
-    sigmas = (Sigma('any', 0.0, 1.0), Sigma('worst', 0.0, 1.0), Sigma('points', 4e-4, 3e-4))
+    sigmas = (Sigma('any', 0.0, 1.0), Sigma('points', 4e-4, 3e-4))
     cause = (CAUSES_BY_BLOCK['robot_smooth'], 0.875)
     found, why = enough_and_why(sigmas, 4e-4 * (1 - gain), cause, count)
     assert found == enough
@@ -251,7 +250,7 @@ def test_moves_tell_more_than_poses_at_random(target):
             BENCH.insist(cell, BENCH.advised(cell, None) if operator == 'advice'
                          else lambda: BENCH.anywhere(cell))
         solution = BENCH.solved(cell)
-        return mapped_points(solution.estimate.X, cell.view).std(solution.transform_covariance)
+        return BENCH.sigma_of(solution, cell)
 
     found = np.array([[sigma(seed, operator) for operator in BENCH.OPERATORS]
                       for seed in range(3)])
