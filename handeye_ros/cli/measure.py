@@ -1,19 +1,24 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibrated robot measures, and whether its calibration still holds."""
+"""What a calibrated robot measures, also points and seams, and whether it still can."""
 from itertools import chain
+import math
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
 
 from handeye_ros.cli.common import (
     app,
     Assignments,
+    Bag,
     CalibrationFile,
     collect_samples,
     File,
+    Folder,
     KinematicsFile,
+    Length,
     MeasureConfig,
     NoPath,
+    one_of,
     open_calibration,
     OutFile,
     progress_bar,
@@ -29,11 +34,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from handeye_ros.config import Config
-    from handeye_ros.data import Calibration, Profile, Reject, Sample
+    from handeye_ros.data import Array, Calibration, Profile, Reject, Sample
     from handeye_ros.sampling.trajectory import Trajectory
+    from handeye_ros.scanning.cloud import Points
     from handeye_ros.verification.check import Check
 
 NOT_AS_WANTED = 1  # exit code: measured, and not passed, or changed
+LARGEST_PLAIN = 10.0  # m: a larger plain number is taken for mm, and refused
+THINNING_SIZE = 2e-4  # m: edge of the cubes, each with one point
+PATH_LINES = ('auto', 'centre', 'root', 'first', 'second')  # that the path of a tool may follow
 Bags = Annotated[list[Path], typer.Argument(
     metavar='BAG...', help='Recordings with stops, one of each face or ball, in their order.')]
 
@@ -174,3 +183,118 @@ def trend(
     if csv:
         write_atomically(csv, trends.csv_text(entries))
         typer.echo(f'wrote {csv.absolute()}')
+
+
+@app.command()
+def scan(
+    bag: Bag,
+    calibration: CalibrationFile,
+    out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
+    config: MeasureConfig = None,
+    assignments: Assignments = [],
+    kinematics: KinematicsFile = None,
+    voxel: Annotated[str, Length(
+        help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
+    limits: Annotated[tuple[str, str], typer.Option(
+        '--range', metavar='NEAR FAR', help='Keep points in this range of the sensor.')
+    ] = ('-inf', 'inf'),
+    incidence: Annotated[float, typer.Option(
+        min=0.0, max=90.0, help='Keep points that the laser meets at no larger angle to the '
+        'surface normal, as far as a profile shows it (degrees).')] = 90.0,
+    std: Annotated[bool, typer.Option(
+        '--std', help='Add the 1 sigma of each point (m): calibration, sensor, robot.')] = False,
+) -> None:
+    """Put profiles into the base: a cloud of points."""
+    from handeye_ros.scanning.cloud import require_format, write_cloud
+    from handeye_ros.scanning.scan import Scanner, ScanOptions
+    require_format(out)
+    sensor, settings = open_calibration(calibration, config, assignments, kinematics)
+    scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
+    count = scanner.count
+    with stream_recording(bag, settings, 'reading the poses', sensor) as (source, track, update):
+        def pieces() -> 'Iterator[Points]':
+            for points in scanner.scan(source.returns(), track):
+                yield points
+                update(f'{count.profiles} profiles, {count.points} points')
+        write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
+    dropped = [f'{number} {reason}' for number, reason in (
+        (count.without_pose, 'profiles without a pose'),
+        (count.out_of_limits, 'points outside the limits'),
+        (count.thinned, 'points thinned out')) if number]
+    typer.echo(f'{count.profiles} profiles, {count.returns} returns' + (
+        f'; left out: {", ".join(dropped)}' if dropped else ''))
+    typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
+
+
+@app.command()
+def seam(
+    path: Annotated[Path, typer.Argument(
+        metavar='CLOUD_OR_BAG', help='A .ply or .pcd file, or a bag with --calibration.')],
+    out: Annotated[Path, Folder(
+        help='Where seam.csv and seam.yaml are written.')] = Path('out/seam'),
+    calibration: Annotated[NoPath, File(
+        help='The calibration.yaml that puts a bag into the base.')] = None,
+    config: MeasureConfig = None,
+    assignments: Assignments = [],
+    pitch: Annotated[str, Length(
+        help='Distance between tool frames along the seam (5mm, or metres).')] = '5mm',
+    box: Annotated[tuple[str, str, str, str, str, str], typer.Option(
+        metavar='X X Y Y Z Z', help='Use the points between these values; -inf, inf: no limit.')
+    ] = ('-inf', 'inf', '-inf', 'inf', '-inf', 'inf'),
+    widest: Annotated[str, Length(
+        help='Largest distance between the edges of the seam.')] = '12mm',
+    towards: Annotated[tuple[float, float, float], typer.Option(
+        metavar='X Y Z', help='The tool approaches the part this way rather than the other.')
+    ] = (0.0, 0.0, -1.0),
+    travel: Annotated[float, typer.Option(help='The tool leans along the seam (degrees).')] = 0.0,
+    work: Annotated[float, typer.Option(help='The tool leans across the seam (degrees).')] = 0.0,
+    line: Annotated[str, typer.Option(callback=one_of(*PATH_LINES), help=(
+        'What the path follows: auto (the root of V and fillet, the centre of butt and lap), '
+        'centre, root, first or second edge.'))] = 'auto',
+    start: Annotated[tuple[str, str, str], typer.Option(
+        metavar='X Y Z', help='A place near the end where the path starts.')] = ('', '', ''),
+    bag: Annotated[bool, typer.Option(
+        '--bag', help='Write nav_msgs/Path and geometry_msgs/PoseArray to DIR/path too.')] = False,
+) -> None:
+    """Find the seam in a cloud, and tool frames along it."""
+    from handeye_ros import units
+    from handeye_ros.scanning.seam import find_seam, sentences, tool_frames, write
+    import numpy as np
+    low, high = np.reshape(units.parse_limits(box, '--box', LARGEST_PLAIN), (3, 2)).T
+    gap = units.parse_length(widest, '--widest', 0.1, 1e-4)
+    spacing = units.parse_length(pitch, '--pitch', 0.1, 1e-5)
+    begin = ([units.parse_length(text, '--start', LARGEST_PLAIN) for text in start] if start[0]
+             else None)
+    points, frame = _cloud(path, calibration, config, assignments)
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    with progress_bar('looking for the seam'):
+        result = find_seam(points, gap, towards, line, begin)
+        frames = tool_frames(result, spacing, towards, math.radians(travel), math.radians(work))
+    write(out, result, frames, frame)
+    if bag:
+        import time
+
+        from handeye_ros.bags.bag_write import write_path
+        write_path(out / 'path', frames.T_base_tool, frame, time.time_ns())
+    for sentence in sentences(result, frames):
+        typer.echo(sentence)
+    typer.echo(f'wrote {out.absolute()}')
+
+
+def _cloud(path: Path, calibration: Path | None, config: Path | None, assignments: list[str]
+           ) -> tuple['Array', str]:
+    """Return the points (n, 3) of a cloud or a bag, and their frame."""
+    from handeye_ros.errors import InputError
+    from handeye_ros.scanning.cloud import CLOUD_SUFFIXES, read_cloud
+    from handeye_ros.scanning.scan import Scanner, ScanOptions
+    import numpy as np
+    if path.suffix.lower() in CLOUD_SUFFIXES:
+        return read_cloud(path), 'base'
+    if calibration is None:
+        raise InputError(f'{path} is no .ply or .pcd file; to use it as a bag, give the '
+                         'calibration of its sensor: --calibration FILE')
+    sensor, settings = open_calibration(calibration, config, assignments)
+    scanner = Scanner(sensor, settings, ScanOptions(voxel=THINNING_SIZE))
+    with stream_recording(path, settings, 'scanning', sensor) as (source, track, _):
+        rows = np.concatenate(list(scanner.scan(source.returns(), track)))
+    return np.column_stack([rows[axis] for axis in 'xyz']).astype(float), scanner.frame

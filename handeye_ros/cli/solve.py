@@ -137,28 +137,24 @@ def report(
         metavar='BAG', help='The recording or session; if not given, the one that the calibration '
         'names.')] = None,
     out: Annotated[NoPath, File(help='If not given, report.html beside the calibration.')] = None,
-    verification: Annotated[list[Path], File(
-        help='A result of "handeye verify --out" to show too; may be repeated.')] = [],
 ) -> None:
     """Show a calibration or verification in one HTML file."""
     from handeye_ros.output import html_file, write_atomically
-    from handeye_ros.results import exports, verification_file
+    from handeye_ros.results import exports
     from handeye_ros.results.calibration_file import file_of, read_calibration
     from handeye_ros.results.report import html
+    from handeye_ros.results.verification_file import protocol_of
     from handeye_ros.review import solved_recording
     if out:
         html_file(out)
-    if path.is_file() and verification_file.is_verification(path):
-        page = path.with_suffix('.html')
-        text = verification_file.protocol(verification_file.read(path))
-    else:
+    page, text = path.with_suffix('.html'), protocol_of(path) if path.is_file() else None
+    if text is None:
         file = file_of(path)
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
-        verified = [*map(verification_file.read, verification)]
         with progress_bar('finding the stops'):
             shown = solved_recording(calibration, bag, file.parent)
         with progress_bar('writing the report'):
-            text = html(calibration, shown, verified)
+            text = html(calibration, shown)
     page = (out or page).expanduser().absolute()
     write_atomically(page, text)
     typer.echo(f'wrote {page}')

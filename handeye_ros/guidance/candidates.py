@@ -317,4 +317,4 @@ def expected(solution: Solution, levers: Array, one: Problem) -> float:
         se3.mapped_std(levers, solution_at(p, solution.estimate, conservative.noise
                                            ).covariance[:6, :6]) for p in (problem, both))
     now = se3.mapped_std(levers, solution.transform_covariance)
-    return float(now * min(after / before, 1.0))
+    return float(now) * min(float(after / before), 1.0)

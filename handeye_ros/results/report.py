@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math
-from typing import Any
 
 from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
 from handeye_ros.output import figure, image, page, style
-from handeye_ros.results import exports, table, verification_file
+from handeye_ros.results import exports, table
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import (
     Agreement,
@@ -51,9 +50,8 @@ class SolvedRecording:
     missing: str = ''
 
 
-def html(calibration: Calibration, recording: SolvedRecording,
-         verified: Sequence[Mapping[str, Any]] = ()) -> str:
-    """Return the text of the report; verified: contents of verifications to include."""
+def html(calibration: Calibration, recording: SolvedRecording) -> str:
+    """Return the text of the report."""
     config = config_of(calibration)
     used = [stop for stop in recording.stops if stop.used and stop.features]
     points = in_sensor(in_plane(f for stop in used for f in stop.features), config)
@@ -71,9 +69,7 @@ def html(calibration: Calibration, recording: SolvedRecording,
             for stop in recording.stops],
         profiles=[profile_picture(stop.points, stop.features) for stop in recording.stops],
         refused=[report for report in calibration.samples if not report.used],
-        settings=configuration.flatten(config).items(), verified=verified,
-        columns=verification_file.TABLE_COLUMNS, title_of=verification_file.title_of,
-        verdict_style=verification_file.verdict_style, table_rows=verification_file.table_rows,
+        settings=configuration.flatten(config).items(),
         inputs=[', '.join(f'{key} {value}' for key, value in item.items())
                 for item in calibration.provenance.get('inputs', ())],
         uses=[('URDF or xacro', exports.joint(calibration)),

@@ -19,9 +19,8 @@ import numpy as np
 
 FLANGE_COLOUR, SENSOR_COLOUR = '#555555', '#6a1b9a'
 LASER_COLOUR, UNUSED_COLOUR = '#e53935', '#bdbdbd'
-TARGET_COLOUR, EDGE_COLOUR, BALL_COLOUR, SEEN_COLOUR = '#2e7d32', '#00695c', '#f9a825', '#e07b00'
+TARGET_COLOUR, EDGE_COLOUR, SEEN_COLOUR = '#2e7d32', '#00695c', '#e07b00'
 AXIS_LENGTH = 0.03  # m, of a frame at a stop
-LARGEST_ELLIPSOID = 0.02  # m, the largest drawn half axis
 MOST_POINTS = 60  # of a laser line in the scene
 MOST_OF_PROFILE = 400  # points: about the pixels of a tablet
 DRAWN_EDGE_LENGTH = 0.1  # m of an edge that is drawn when its length is unknown
@@ -73,7 +72,7 @@ class StopSnapshot:
 
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
           ) -> dict[str, Any]:
-    """Return the parts with name, colour and points; and the enlargement of the ellipsoid."""
+    """Return the parts with name, colour and points, and the name of their frame."""
     parts: list[dict[str, Any]] = []
 
     def line(name: str, color: str, points: Array, width: float = 1.2) -> None:
@@ -104,12 +103,7 @@ def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Confi
     for edge in target.edges:
         line('edges of the target', EDGE_COLOUR, edge, 2.5)
     dots('what the answer comes from', SEEN_COLOUR, seen, 4.0)
-    axes = half_axes(calibration.covariance[:3, :3])
-    factor = enlargement(float(np.linalg.norm(axes, axis=0).max()), LARGEST_ELLIPSOID)
-    for ring in rings(mounts[0][:3, :3] @ axes * factor):
-        line(f'1 sigma of the sensor position, enlarged {factor:g} times', BALL_COLOUR,
-             (mounts[0] @ X)[:3, 3] + ring)
-    return {'parts': parts, 'factor': factor, 'frame': target_frame(config)}
+    return {'parts': parts, 'frame': target_frame(config)}
 
 
 def in_sensor(plane: Array, config: Config) -> Array:
@@ -178,8 +172,8 @@ def outline_of(target: Mapping[str, Any], size: tuple[float, ...], near: Array) 
     """
     if 'centre' in target:
         centre, radius = _xyz(target['centre']), target['radius']
-        circles = tuple(centre + ring for ring in rings(np.eye(3) * radius))
-        return Outline(outline=circles, ball=(centre, radius))
+        return Outline(outline=tuple(centre + ring for ring in circles(radius)),
+                       ball=(centre, radius))
     if 'pose' in target:
         return _plate(target, size, near)
     if 'direction' in target and 'point' in target:
@@ -223,22 +217,7 @@ def _square(normal: Array, distance: float, near: Array) -> Array:
     return np.asarray(corners @ axes + normal * distance)
 
 
-def rings(axes: Array) -> tuple[Array, ...]:
-    """Return the three ellipses (49, 3) of an ellipsoid with half axes in columns (3, 3)."""
-    return tuple(np.outer(np.cos(FULL_TURN), axes[:, i]) + np.outer(np.sin(FULL_TURN), axes[:, j])
-                 for i, j in ((0, 1), (1, 2), (2, 0)))
-
-
-def half_axes(covariance: Array) -> Array:
-    """Return the half axes of the 1 sigma ellipsoid of a covariance (3, 3), in columns."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def enlargement(largest: float, size: float) -> float:
-    """Return the largest factor 1, 2, 5, 10, ... that keeps a length below a size."""
-    if largest <= 0:
-        return 1.0
-    ratio = size / largest
-    power = 10.0 ** np.floor(np.log10(ratio))
-    return float(max(1.0, power * max(step for step in (1, 2, 5) if step * power <= ratio)))
+def circles(radius: float) -> tuple[Array, ...]:
+    """Return three circles (49, 3) about the origin, in the planes of the axes."""
+    circle = radius * np.column_stack([np.cos(FULL_TURN), np.sin(FULL_TURN), 0 * FULL_TURN])
+    return tuple(np.roll(circle, k, axis=1) for k in range(3))

@@ -102,25 +102,18 @@ def stations_csv(content: Mapping[str, Any]) -> str:
     return csv_text(stations[0], (station.values() for station in stations))
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Return the content of a file of "handeye verify --out"; raises InputError."""
+def protocol_of(path: Path) -> str | None:
+    """Return the protocol of a verification in a file, None of another file; raises InputError."""
     content = content_of(path)
-    if not isinstance(content, dict):
-        raise unusable(path, 'it is no result of "handeye verify --out"')
-    require_format(path, str(content.get('format')), FORMAT_PREFIX)
+    if not isinstance(content, dict) or not str(content.get('format')).startswith(FORMAT_PREFIX):
+        return None
+    require_format(path, str(content['format']), FORMAT_PREFIX)
     from jinja2 import TemplateError
     try:
-        protocol(content)  # which uses all of it
+        return protocol(content)  # which uses all of it
     except (TemplateError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise unusable(path, 'it is not the whole result of a verification: verify again'
                        ) from error
-    return content
-
-
-def is_verification(path: Path) -> bool:
-    """Return whether a file calls itself the result of a verification; raises InputError."""
-    content = content_of(path)
-    return isinstance(content, dict) and str(content.get('format')).startswith(FORMAT_PREFIX)
 
 
 def protocol(content: Mapping[str, Any]) -> str:
