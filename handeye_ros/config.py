@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from itertools import accumulate
 import math
 from numbers import Integral, Real
 from operator import attrgetter
@@ -43,7 +42,6 @@ RECORD_PREFIX = 'record.'
 BASE_FRAME = 'base'
 UNNAMED_FRAME = 'sensor'  # name for the frame of profiles without a frame_id
 LONGEST_TEXT = 1000  # characters of a record.*
-DEEPEST_NESTING = 100  # nesting of brackets in a YAML file
 NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter files
 # Parameters of every ROS node, also in a dump of ours.
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
@@ -555,10 +553,6 @@ def _with_value(section: Any, names: list[str], value: Any) -> Any:
 
 def yaml_content(text: str) -> Any:
     """Return the content of a YAML text with plain values only; raises yaml.YAMLError."""
-    # deep nesting would take the parser seconds
-    depths = accumulate(1 if c in '[{' else -1 for c in re.findall(r'[\[{}\]]', text))
-    if max(depths, default=0) > DEEPEST_NESTING:
-        raise yaml.YAMLError('it is nested too deeply')
     try:
         return yaml.safe_load(text)
     except ValueError as error:  # an invalid date or number
@@ -587,22 +581,19 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
     Return the dotted values of our node in a parameter file; raises InputError without any.
 
-    The sections are the patterns for every node, and our node's name in any namespace. A node may
-    have been renamed: the dump of one has nearly all keys, unlike the section of another node.
+    The sections are the patterns for every node, and our node's name in any namespace; in a file
+    without either, the only one, as in the dump of a renamed node.
     """
-    sections, known = dict(_sections(content, '')), {p.key for p in parameters()}
+    sections = dict(_sections(content, ''))
     general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
-    named = [name for name in sections if name.split('/')[-1] == NODE_NAME] or [
-        name for name, keys in sections.items() if 2 * len(known & keys.keys()) > len(known)]
+    named = [name for name in sections if name.split('/')[-1] == NODE_NAME] or (
+        [] if general else list(sections))
     if not sections:
         raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
                          'parameter file: "/**:", below it "ros__parameters:", below it the keys')
-    if len(named) > 1 or not named and not general:
-        names = ', '.join(named or sections)
-        raise InputError(f'{path} holds the parameters of {names}' + (
-            f': keep those of one "{NODE_NAME}"' if named else
-            f', and none of them is "{NODE_NAME}": give the calibration a section of that name, '
-            'or "/**"'))
+    if len(named) > 1:
+        raise InputError(f'{path} holds the parameters of {", ".join(named)}: keep those of one '
+                         f'"{NODE_NAME}", or give the calibration the section "/**"')
     values: dict[str, Any] = {}
     for name in dict.fromkeys([*general, *named]):
         values |= sections[name]

@@ -37,14 +37,7 @@ class HandeyeError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Support copy and pickle: the constructors of subclasses do not take the sentence."""
-        return _restored, (type(self), str(self), self.reason)
-
-
-def _restored(kind: type[HandeyeError], sentence: str, reason: str) -> HandeyeError:
-    error = kind.__new__(kind)
-    error.args = (sentence,)
-    error.reason = reason
-    return error
+        return Exception.__new__, (type(self), str(self)), self.__dict__
 
 
 class InputError(HandeyeError):

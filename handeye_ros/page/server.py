@@ -87,7 +87,7 @@ class PageServer:
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
         self._pool = ThreadPoolExecutor(WORKER_COUNT, 'page')
-        self._clients, self._event = 0, ''
+        self._event, self._collected = '', 0.0  # the last event, and when it was collected (s)
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, name='page', daemon=True).start()
         try:
@@ -107,7 +107,6 @@ class PageServer:
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     async def _start(self) -> None:
-        self._changed = asyncio.Condition()
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
@@ -117,17 +116,14 @@ class PageServer:
         runner = web.AppRunner(app, access_log=None)
         await runner.setup()
         await web.TCPSite(runner, self._address, self.port).start()
-        self._gathering = self._loop.create_task(self._gather())  # kept: a loop holds it weakly
 
-    async def _gather(self) -> None:
-        """Gather the state while a browser is connected."""
-        while True:
-            if self._clients:
-                # in the loop's own pool: not behind requests that take long
-                self._event = await self._loop.run_in_executor(None, self._text)
-                async with self._changed:
-                    self._changed.notify_all()
-            await asyncio.sleep(1 / EVENT_RATE)
+    async def _current(self) -> str:
+        """Return the state as an event, which all browsers share."""
+        if self._loop.time() - self._collected >= 1 / EVENT_RATE:
+            self._collected = self._loop.time()
+            # in the loop's own pool: not behind requests that take long
+            self._event = await self._loop.run_in_executor(None, self._text)
+        return self._event
 
     def _text(self) -> str:
         try:
@@ -178,17 +174,13 @@ class PageServer:
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         response = web.StreamResponse(headers=HEADERS | {'Content-Type': 'text/event-stream'})
-        self._clients += 1
         with suppress(TimeoutError, ConnectionError):
-            try:
-                await response.prepare(request)
-                while True:
-                    async with self._changed:
-                        await self._changed.wait()
-                    await asyncio.wait_for(response.write(f'data: {self._event}\n\n'.encode()),
+            await response.prepare(request)
+            while True:
+                if event := await self._current():
+                    await asyncio.wait_for(response.write(f'data: {event}\n\n'.encode()),
                                            CLIENT_TIMEOUT)
-            finally:
-                self._clients -= 1
+                await asyncio.sleep(1 / EVENT_RATE)
         return response
 
     async def _index(self, request: web.Request) -> web.StreamResponse:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
-from itertools import chain, count
+from itertools import chain
 import json
 import math
 from pathlib import Path
@@ -334,9 +334,7 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
         return None
     with write_errors_for(folder / HISTORY_FOLDER):
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
-        first = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%SZ')
-        others = (first.with_name(f'{first.name}-{k}') for k in count(2))  # of the same second
-        history = next(place for place in chain([first], others) if not place.exists())
+        history = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%S.%fZ')
         history.mkdir(parents=True)
         for file in files:
             shutil.copy2(file, history / file.name)
