@@ -8,7 +8,6 @@ R = Exp(dr) R_hat, t = t_hat + dt, as in geometry_msgs.
 """
 from __future__ import annotations
 
-import math
 from typing import cast
 
 from handeye_ros.data import Array
@@ -40,28 +39,11 @@ def apply(T: Array, points: Array) -> Array:
 
 
 def exp_rotation(vector: Array) -> Array:
-    """
-    Return the (..., 3, 3) rotation of (..., 3) rotation vectors (radians).
-
-    Rodrigues' formula; it is in the innermost loop, where a general library is slow.
-    """
-    if vector.ndim == 1:
-        return _exp_rotation_of(*vector.tolist())
+    """Return the (..., 3, 3) rotation of (..., 3) rotation vectors (radians)."""
     angle = np.sqrt((vector * vector).sum(axis=-1))[..., None, None] + TINY_ANGLE
     S = skew(vector)
     half = 2 * np.sin(angle / 2) / angle
     return cast(Array, np.eye(3) + np.sin(angle) / angle * S + 0.5 * half * half * (S @ S))
-
-
-def _exp_rotation_of(x: float, y: float, z: float) -> Array:
-    """Return the (3, 3) rotation of one vector: plain numbers are quicker than small arrays."""
-    angle = math.sqrt(x * x + y * y + z * z) + TINY_ANGLE
-    a, half = math.sin(angle) / angle, math.sin(angle / 2) / angle
-    b = 2 * half * half
-    xx, yy, zz, xy, xz, yz = b * x * x, b * y * y, b * z * z, b * x * y, b * x * z, b * y * z
-    return np.array([[1 - yy - zz, xy - a * z, xz + a * y],
-                     [xy + a * z, 1 - xx - zz, yz - a * x],
-                     [xz - a * y, yz + a * x, 1 - xx - yy]])
 
 
 def log_rotation(R: Array) -> Array:
@@ -160,17 +142,6 @@ def nearest_rotation(M: Array) -> Array:
     U, _, V_transposed = np.linalg.svd(M)
     flip = np.array([1.0, 1.0, np.linalg.det(U @ V_transposed)])
     return cast(Array, (U * flip) @ V_transposed)
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Return the cross products (..., 3) of (..., 3) vectors."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    product[..., 0] = ay * bz - az * by
-    product[..., 1] = az * bx - ax * bz
-    product[..., 2] = ax * by - ay * bx
-    return product
 
 
 def mean_pose(T: Array) -> Array:

@@ -211,7 +211,7 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
 def _wrt_moves(solution: Solution) -> Array:
     """Return the derivatives (m, 12) by moves of sensor and target, in prior sigmas."""
     linear = solution.linear
-    about = se3.cross(_levers(solution)[TARGET], linear.wrt_base)
+    about = np.cross(_levers(solution)[TARGET], linear.wrt_base)
     steps = np.hstack([linear.jacobian[:, :6], linear.wrt_base, about])
     return np.asarray(steps * np.tile(MOVE_STD, 2))
 

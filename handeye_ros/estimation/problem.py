@@ -309,11 +309,11 @@ class Linear:
         R, a = self.problem.mounts
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
         if self.problem.config.in_hand:
-            return np.concatenate([self.wrt_base, se3.cross(to_point, self.wrt_base)], axis=-1)
+            return np.concatenate([self.wrt_base, np.cross(to_point, self.wrt_base)], axis=-1)
         # the poses are T_flange_base; the robot's error is in its base frame
         wrt_mount = self.jacobian[..., :3]
         p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
-        return -np.concatenate([wrt_mount, se3.cross(p_base, wrt_mount)], axis=-1)
+        return -np.concatenate([wrt_mount, np.cross(p_base, wrt_mount)], axis=-1)
 
     @cached_property
     def wrt_jitter(self) -> Array | None:
@@ -354,6 +354,6 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
     conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
     wrt_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
-    jacobian = np.concatenate([wrt_mount, se3.cross(lever, wrt_mount), conditions.dg_dstate],
+    jacobian = np.concatenate([wrt_mount, np.cross(lever, wrt_mount), conditions.dg_dstate],
                               axis=-1)
     return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

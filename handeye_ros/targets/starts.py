@@ -74,9 +74,9 @@ def hemisphere(count: int) -> Array:
 def frames_along(x: Array) -> Array:
     """Return rotations (k, 3, 3) with given unit vectors (k, 3) as x axes."""
     helper = np.where(np.abs(x[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    z = se3.cross(x, helper)
+    z = np.cross(x, helper)
     z /= np.linalg.norm(z, axis=1, keepdims=True)
-    return np.stack([x, se3.cross(z, x), z], axis=2)
+    return np.stack([x, np.cross(z, x), z], axis=2)
 
 
 def linear_candidates(problem: Problem, frames: Array, across: slice, count: int
@@ -119,4 +119,4 @@ def nearest_transform(x: Array) -> Array:
     """Return the transforms (..., 4, 4) nearest to r1, r3, t of linear solutions (..., 9+)."""
     U, _, Vt = np.linalg.svd(x[..., :6].reshape(*x.shape[:-1], 2, 3), full_matrices=False)
     r1, r3 = np.moveaxis(U @ Vt, -2, 0)
-    return se3.transform(np.stack([r1, se3.cross(r3, r1), r3], axis=-1), x[..., 6:9])
+    return se3.transform(np.stack([r1, np.cross(r3, r1), r3], axis=-1), x[..., 6:9])

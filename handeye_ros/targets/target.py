@@ -291,7 +291,7 @@ class FaceTarget(ProfileTarget):
         R, offset = T[..., :3, :3], p - T[..., None, :3, 3]
         g, by_local, by_measures = self.local_conditions(offset @ R, kind, state[..., 16:])
         dg_dp, axes = by_local @ np.swapaxes(R, -1, -2), self.axes(R)
-        wrt_pose = np.concatenate([-dg_dp @ axes, -se3.cross(offset, dg_dp) @ axes], axis=-1)
+        wrt_pose = np.concatenate([-dg_dp @ axes, -np.cross(offset, dg_dp) @ axes], axis=-1)
         return Conditions(g, dg_dp, np.concatenate(
             [wrt_pose[..., list(self.moves)], by_measures], axis=-1))
 

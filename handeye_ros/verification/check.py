@@ -263,7 +263,7 @@ class _Comparison:
             linear.residuals,
             np.column_stack([linear.jacobian @ self.root, wrt_smooth(linear.wrt_pose, smooth),
                              *setbacks]), noise,
-            {'target': np.hstack([linear.wrt_base, se3.cross(lever, linear.wrt_base)]),
+            {'target': np.hstack([linear.wrt_base, np.cross(lever, linear.wrt_base)]),
              'sensor': -linear.jacobian[:, :6], 'robot': linear.wrt_pose},
             {'target': lever, 'sensor': linear.lever})
 
