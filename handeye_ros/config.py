@@ -49,7 +49,7 @@ EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.
 
 def key(default: Any, description: str, minimum: float | None = None,
         maximum: float | None = None, **limits: Any) -> Any:
-    """Declare a key, with the range of a number; limits: choices, length and whole."""
+    """Declare a key, with the range of a number; limits: choices, length and integers."""
     return field(default=default, metadata={
         'description': description, 'minimum': minimum, 'maximum': maximum, **limits})
 
@@ -65,7 +65,7 @@ class Parameter:
     maximum: float | None = None
     choices: tuple[Any, ...] = ()
     length: tuple[int, ...] = ()  # of a list; empty: any
-    whole: bool = False  # a list of whole numbers
+    integers: bool = False  # a list of them
 
     @property
     def unit(self) -> str:
@@ -81,7 +81,7 @@ class Parameter:
         if not isinstance(items, list | tuple) or self.length and len(items) not in self.length:
             lengths = ' or '.join(map(str, self.length)) or 'any number of'
             raise BadValueError(self.key, value, f'a list of {lengths} values')
-        kind = int if self.whole else str if self.choices else float
+        kind = int if self.integers else str if self.choices else float
         return tuple(self._one(item, kind) for item in items)
 
     def _one(self, value: Any, kind: type[Any]) -> Any:
@@ -251,7 +251,7 @@ class SamplesConfig(Section, prefix='samples.'):
 
     exclude: tuple[int, ...] = key(
         (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6,
-        whole=True)
+        integers=True)
 
 
 @dataclass(frozen=True)

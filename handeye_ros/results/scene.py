@@ -7,7 +7,7 @@ The scene is polylines and points, which a small script turns; every target is l
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,37 +73,36 @@ class StopSnapshot:
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
           ) -> dict[str, Any]:
     """Return the parts with name, colour and points, and the name of their frame."""
-    parts: list[dict[str, Any]] = []
+    parts = [{'name': name, 'color': color, 'width': width, kind: rounded(points)}
+             for kind, name, color, width, points in _parts(calibration, stops, config)
+             if len(points)]
+    return {'parts': parts, 'frame': target_frame(config)}
 
-    def line(name: str, color: str, points: Array, width: float = 1.2) -> None:
-        parts.append({'name': name, 'color': color, 'line': rounded(points), 'width': width})
 
-    def dots(name: str, color: str, points: Array, width: float) -> None:
-        if len(points):
-            parts.append({'name': name, 'color': color, 'points': rounded(points), 'width': width})
-
+def _parts(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
+           ) -> Iterator[tuple[str, str, str, float, Array]]:
+    """Yield what is drawn: 'line' or 'points', name, colour, width and points (n, 3)."""
     X, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
-    mounts = [stop.T_mount for stop in used] or [np.eye(4)]
-    for T in mounts:
+    for T in [stop.T_mount for stop in used] or [np.eye(4)]:
         for axis in T[:3, :3].T:
-            line('flange at each stop', FLANGE_COLOUR,
-                 np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
-        line('sensor at each stop', SENSOR_COLOUR, np.array([T[:3, 3], (T @ X)[:3, 3]]))
+            yield ('line', 'flange at each stop', FLANGE_COLOUR, 1.2,
+                   np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
+        yield ('line', 'sensor at each stop', SENSOR_COLOUR, 1.2,
+               np.array([T[:3, 3], (T @ X)[:3, 3]]))
     for stop in stops:
         plane = stop.points[np.isfinite(stop.points).all(axis=1)]
         plane = plane[::max(1, len(plane) // MOST_POINTS)]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
-        dots(name, color, se3.apply(stop.T_mount @ X, in_sensor(plane, config)), 2.0)
+        yield ('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))
     seen = np.concatenate([np.empty((0, 3)), *(
         se3.apply(stop.T_mount @ X, in_sensor(in_plane(stop.features), config)) for stop in used)])
     target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
-        line('target', TARGET_COLOUR, outline)
+        yield 'line', 'target', TARGET_COLOUR, 1.2, outline
     for edge in target.edges:
-        line('edges of the target', EDGE_COLOUR, edge, 2.5)
-    dots('what the answer comes from', SEEN_COLOUR, seen, 4.0)
-    return {'parts': parts, 'frame': target_frame(config)}
+        yield 'line', 'edges of the target', EDGE_COLOUR, 2.5, edge
+    yield 'points', 'what the answer comes from', SEEN_COLOUR, 4.0, seen
 
 
 def in_sensor(plane: Array, config: Config) -> Array:
@@ -163,23 +162,23 @@ class Outline:
     ball: tuple[Array, float] | None = None
 
 
-def outline_of(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Outline:
+def outline_of(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> Outline:
     """
     Return the shape of a target as stored in calibration.yaml.
 
-    size: of a plate (metres), empty if unknown; near: visible points (k, 3) of it, which limit
-    the drawn part of an infinite line or plane.
+    size: of a plate (metres), empty if unknown; seen: points (k, 3) of it, which limit the
+    drawn part of an infinite line or plane.
     """
     if 'centre' in target:
         centre, radius = _xyz(target['centre']), target['radius']
         return Outline(outline=tuple(centre + ring for ring in circles(radius)),
                        ball=(centre, radius))
     if 'pose' in target:
-        return _plate(target, size, near)
+        return _plate(target, size, seen)
     if 'direction' in target and 'point' in target:
-        return Outline(edges=(_along(_xyz(target['point']), np.array(target['direction']), near),))
+        return Outline(edges=(_along(_xyz(target['point']), np.array(target['direction']), seen),))
     if 'normal' in target:
-        return Outline(outline=(_square(np.array(target['normal']), target['distance'], near),))
+        return Outline(outline=(_square(np.array(target['normal']), target['distance'], seen),))
     return Outline()
 
 
@@ -187,31 +186,31 @@ def _xyz(values: Mapping[str, float]) -> Array:
     return np.array([values[axis] for axis in 'xyz'], dtype=float)
 
 
-def _plate(target: Mapping[str, Any], size: tuple[float, ...], near: Array) -> Outline:
+def _plate(target: Mapping[str, Any], size: tuple[float, ...], seen: Array) -> Outline:
     pose = target['pose']
     T = se3.from_quaternion(_xyz(pose['translation']),
                             np.array([pose['rotation'][axis] for axis in 'xyzw'], dtype=float))
     angle = target.get('edge_angle', np.pi / 2)
-    seen = se3.apply(se3.inverse(T), near)
-    length, width = size or seen[:, :2].max(axis=0, initial=DRAWN_EDGE_LENGTH / 2)
+    flat = se3.apply(se3.inverse(T), seen)
+    length, width = size or flat[:, :2].max(axis=0, initial=DRAWN_EDGE_LENGTH / 2)
     p = np.array([length, 0.0, 0.0])
     q = width * np.array([np.cos(angle), np.sin(angle), 0.0])
     ends = se3.apply(T, np.array([np.zeros(3), p, q, p + q]))
     return Outline(edges=(ends[[0, 1]], ends[[0, 2]]), outline=(ends[[1, 3, 2]],))
 
 
-def _along(point: Array, direction: Array, near: Array) -> Array:
+def _along(point: Array, direction: Array, seen: Array) -> Array:
     """Return the ends (2, 3) of the visible part of a line."""
-    along = ((near - point) @ direction if len(near) else
+    along = ((seen - point) @ direction if len(seen) else
              DRAWN_EDGE_LENGTH / 2 * np.array([-1.0, 1]))
     return point + np.outer([along.min(), along.max()], direction)
 
 
-def _square(normal: Array, distance: float, near: Array) -> Array:
+def _square(normal: Array, distance: float, seen: Array) -> Array:
     """Return the outline (5, 3) of the visible part of a plane."""
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     axes = np.array([first, np.cross(normal, first)]) / np.linalg.norm(first)
-    flat = near @ axes.T if len(near) else DRAWN_EDGE_LENGTH / 2 * np.array([[-1.0, -1], [1, 1]])
+    flat = seen @ axes.T if len(seen) else DRAWN_EDGE_LENGTH / 2 * np.array([[-1.0, -1], [1, 1]])
     (x0, y0), (x1, y1) = flat.min(axis=0), flat.max(axis=0)
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
     return np.asarray(corners @ axes + normal * distance)
