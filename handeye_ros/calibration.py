@@ -22,12 +22,11 @@ from handeye_ros.data import (
     Quality,
     Reject,
     rms,
-    ROTATION_LAG,
     Sample,
     SampleReport,
     TIME_OFFSET,
 )
-from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
+from handeye_ros.estimation.blocks import ParameterBlock, slices
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
@@ -40,7 +39,6 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
              'crosses the edge at too small an angle')
 CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
 PLATE_LENGTHS = 'size_p', 'size_q'  # of a plate
-SMALLEST_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 
@@ -228,15 +226,13 @@ class BlockEstimate:
     """
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
-    contradiction: of the value from the data alone with the stated one, in sigmas of both;
-    significance: of the value from the data alone, in its sigmas.
+    contradiction: of the value from the data alone with the stated one, in sigmas of both.
     """
 
     block: ParameterBlock
     value: float
     std: float
     contradiction: float
-    significance: float
 
 
 def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
@@ -246,11 +242,10 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     for block, columns in slices(solution.blocks):
         n = float(solution.nuisance[columns][0])
         p = min(float(variances[columns][0]), 1 - 1e-9)  # of a prior variance of 1
-        alone, variance = n / (1 - p), p / (1 - p)
         stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
-        estimates[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
-                                              alone / math.sqrt(stated + variance),
-                                              alone / math.sqrt(max(variance, 1e-300)))
+        estimates[block.name] = BlockEstimate(
+            block, n * block.std, p ** 0.5 * block.std,
+            n / (1 - p) / math.sqrt(stated + p / (1 - p)))
     return estimates
 
 
@@ -284,14 +279,14 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 
 
 def notes_of(solution: Solution, config: Config) -> list[str]:
-    """Return the remarks on an answer in words: clocks, laser line, target, edges, surfaces."""
-    return [*offset_notes(solution), *_bend_notes(solution), *_measure_notes(solution, config),
-            *_edge_notes(solution), *_surface_notes(solution)]
+    """Return the remarks on an answer in words: clocks, target, edges, surfaces."""
+    return [*offset_notes(solution), *_measure_notes(solution, config), *_edge_notes(solution),
+            *_surface_notes(solution)]
 
 
 def offset_notes(solution: Solution) -> list[str]:
-    """Return notes on the time offset and the lag of the rotation."""
-    offset, lag = (clock_estimate(solution, name) for name in (TIME_OFFSET, ROTATION_LAG))
+    """Return notes on the time offset and the drift of the clocks."""
+    offset, drift = (clock_estimate(solution, name) for name in (TIME_OFFSET, CLOCK_DRIFT))
     if offset is None:
         return []
     notes = []
@@ -301,24 +296,11 @@ def offset_notes(solution: Solution) -> list[str]:
     elif offset.std > 5e-4:  # s
         notes.append(f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
                      f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
-    if lag and abs(lag.value) > max(CONTRADICTION_SIGMAS * lag.std, 3e-4):
-        notes.append(f'the robot reports its rotation {lag.value * 1e3:.2f} ms later than its '
-                     'position: a scan with this calibration allows for it')
-    drift = clock_estimate(solution, CLOCK_DRIFT)
     if drift and abs(drift.value) > max(CONTRADICTION_SIGMAS * drift.std, LARGE_DRIFT):
         notes.append('the clocks of profiles and poses drift apart by '
                      f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '
                      'offset is that of the middle of this recording: synchronise the clocks')
     return notes
-
-
-def _bend_notes(solution: Solution) -> Iterator[str]:
-    """Yield the note on a laser line that is bent out of its plane, if the data show that."""
-    bend = block_estimates(solution.conservative).get(LINE_BEND)
-    if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
-        yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
-               f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
-               'the transform is that of the plane which fits it best')
 
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:

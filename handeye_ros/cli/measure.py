@@ -57,7 +57,6 @@ def verify(
     assignments: Assignments = [],
     kinematics: KinematicsFile = None,
     out: OutFile = None,
-    stations: Annotated[NoPath, File(help='Write a table of the stops (CSV).')] = None,
     protocol: Annotated[NoPath, File(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
 ) -> None:
@@ -90,8 +89,6 @@ def verify(
     show(verification_file.table(content))
     if out:
         write_atomically(out, yaml_text(content))
-    if stations:
-        write_atomically(stations, verification_file.stations_csv(content))
     if protocol:
         write_atomically(protocol, verification_file.protocol(content))
     for sentence in (*filter(None, [result.surface]), result.verdict, *result.reasons):

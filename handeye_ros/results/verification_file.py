@@ -14,7 +14,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.output import csv_text, page
+from handeye_ros.output import page
 from handeye_ros.results.calibration_file import content_of, require_format, unusable
 from rich.table import Table
 
@@ -94,12 +94,6 @@ def sentence(content: Mapping[str, Any]) -> str:
                        + (f', nominal {nominal}, off by {deviation}' if nominal else ''))
     surface = filter(None, [content['surface']])
     return '; '.join((title_of(content), *content['reasons'], *surface, *figures))
-
-
-def stations_csv(content: Mapping[str, Any]) -> str:
-    """Return the results of the stops as CSV, in metres."""
-    stations = content['per_station']
-    return csv_text(stations[0], (station.values() for station in stations))
 
 
 def protocol_of(path: Path) -> str | None:

@@ -3,7 +3,6 @@
 """Every routine on recordings of rendered profiles, from the bag to the verdict; sweeps."""
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 
 from handeye_ros import pipeline, se3
@@ -68,15 +67,14 @@ def test_on_bags(tmp_path, name):
         write_calibration(stated(T, provenance={'config': flatten(Config(noise=bench.NOISE))}),
                           tmp_path / 'calibration.yaml')
         text = said('verify', name, *bags, '--calibration', tmp_path / 'calibration.yaml', '--out',
-                    tmp_path / 'told.yaml', '--stations', tmp_path / 's.csv', *options(name, made),
+                    tmp_path / 'told.yaml', *options(name, made),
                     exit_code=exit_code)
         results.append(yaml.safe_load((tmp_path / 'told.yaml').read_text()))
         assert text.startswith(f'{name}: {results[-1]["verdict"].upper()}')
     right, wrong = results
     assert within(right) and (right['verdict'], wrong['verdict']) == ('pass', 'fail')
     assert wrong['inputs'] == list(map(str, bags)) and wrong['recorded']
-    with (tmp_path / 's.csv').open() as table:
-        assert len(list(csv.DictReader(table))) == len(wrong['per_station']) >= len(bags)
+    assert len(wrong['per_station']) >= len(bags)
     if name == 'sphere':
         reported(tmp_path, wrong)
 
