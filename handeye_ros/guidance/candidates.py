@@ -170,12 +170,12 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     points = _on_target(template, solution, poses, points, same_point)
     linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
     kept = np.flatnonzero(_shows_the_same(linear, points, same_point,
-                                      linearise(template, solution.estimate), view))
+                                          linearise(template, solution.estimate), view))
     return linear.problem.subset(kept), points[kept][:, anchored].mean(axis=1)
 
 
 def _shows_the_same(linear: Linear, points: Array, same_point: Array, before: Linear, view: View
-                ) -> NDArray[np.bool_]:
+                    ) -> NDArray[np.bool_]:
     """
     Return which stations see the target as the template does; before: the template's problem.
 
