@@ -34,8 +34,9 @@ from handeye_ros.estimation.least_squares import (
     Whitener,
 )
 from handeye_ros.estimation.noise import Noise, total_covariance, Whitening
-from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem, Target
+from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
 from handeye_ros.frames import mount_frame, name_direction
+from handeye_ros.targets.target import Target
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg
@@ -195,7 +196,7 @@ class Shape:
         wrt_mount = np.einsum('mji,mj->mi', R, wrt_base)
         wrt_shape = derivatives(partial(self.distance, p), q)
         return Linear(problem, Estimate(X, q), self.distance(p, q),
-                      np.hstack([wrt_mount, se3.cross(lever, wrt_mount), wrt_shape]), lever,
+                      np.hstack([wrt_mount, np.cross(lever, wrt_mount), wrt_shape]), lever,
                       wrt_base)
 
     def fitted(self, p: Array, white: Callable[[Array], Whitener] = lambda q: identity,
