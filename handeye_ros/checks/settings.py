@@ -54,7 +54,7 @@ def require_settings(session: Session, config: Config) -> None:
         fit = explanation_of_results([result_of(stop, as_changed) for stop in stops], as_changed)
         if as_changed.target.type == 'plane':  # it explains no edge that is seen now
             fit = replace(fit, squares=np.where(edges, np.inf, fit.squares))
-        return fit if _within_noise(fit) else Explanation.nothing(len(stops))
+        return fit if within_noise(fit) else Explanation.nothing(len(stops))
 
     refuse_better(stated, [
         Hypothesis(partial(refit, values), partial(settings_refusal, values, stated), len(values))
@@ -90,7 +90,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
     values = {RANGE_SIGN: str(flipped.profile.range_sign)}
 
     def refusal(fit: Explanation) -> DataError:
-        if _within_noise(fit):
+        if within_noise(fit):
             return settings_refusal(values, stated, fit)
         return UnexplainedError(
             f'{fit.compared(stated, f"{RANGE_SIGN} {values[RANGE_SIGN]}")}, neither as well as '
@@ -101,7 +101,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
         partial(explanation_of_results, others, flipped, clocks=clocks), refusal)])
 
 
-def _within_noise(fit: Explanation) -> bool:
+def within_noise(fit: Explanation) -> bool:
     """
     Return whether stops that were read anew fit as well as the noise predicts, in metres.
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from handeye_ros.checks.hypotheses import explanation_of_results
-from handeye_ros.checks.settings import thinned, with_settings
+from handeye_ros.checks.settings import thinned, with_settings, within_noise
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
@@ -62,7 +62,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     as_plane = with_settings(config, {'target.type': 'plane'})
     planes = [result_of(thinned(stop, config), as_plane) for stop in stops]
     fit = explanation_of_results(planes, as_plane, all_starts=True)
-    if not fit.believable:
+    if not fit.believable or not within_noise(fit):
         return
     estimate = fit.parts[0].estimate
     T = [inverse(estimate.state.reshape(4, 4)) @ mount_poses(stop.sample.T_base_flange, config)
@@ -70,20 +70,25 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     seen = [_heights(plane, T_k) for plane, T_k in zip(planes, T, strict=True)]
     height = np.array([_heights(stop.sample, T_k)[0] for stop, T_k in zip(stops, T, strict=True)])
     near = np.abs(height[:, None] - height) < SMALLEST_DISTANCE
-    groups = np.unique(near[np.isfinite(height)], axis=0)
-    groups = groups[np.argsort(-groups.sum(axis=1), kind='stable')]
-    at = np.array([np.median(height[alike]) for alike in groups])
-    for alike, middle in zip(groups, at, strict=True):
+    groups: list[tuple[float, Array]] = []  # stops whose faces lie at one height, most first
+    for k in np.argsort(-near.sum(axis=1), kind='stable'):
+        if near[k].any() and not any(alike[k] for _, alike in groups):
+            groups.append((height[k], near[k]))
+    several = False
+    for middle, alike in groups:
         both = ~alike & [np.any(np.abs(h - middle) < SMALLEST_DISTANCE) for h in seen]
+        if both.sum() < FEWEST_STOPS:
+            continue
+        several |= bool(alike.sum() >= FEWEST_STOPS)
         # as few as they may be: it is the plane that tells the surfaces apart
-        if both.sum() >= FEWEST_STOPS and explanation_of_results(
-                [stop.sample for stop in stops[alike]], config, all_starts=True).agrees:
+        if explanation_of_results([stop.sample for stop in stops[alike]], config,
+                                  all_starts=True).agrees:
             away = np.nanmedian(np.abs(height[~alike] - middle))
             raise OtherSurfaceError(stops[~alike], float(away))
     why = ''
-    if refusal.reason in ('misfit', 'edges') and (groups.sum(axis=1) >= FEWEST_STOPS).sum() > 1:
-        told = '; '.join(f'{h * 1e3:.1f} mm: {_numbers(stops[alike])}'
-                         for h, alike in zip(at - at.min(), groups, strict=True))
+    if refusal.reason in ('misfit', 'edges') and several:
+        told = '; '.join(f'{(middle - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[alike])}'
+                         for middle, alike in groups)
         why = f'they show edges at several heights ({told}), as of a clamp or a second plate'
     elif refusal.reason == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
