@@ -213,8 +213,6 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
             others = _answer_without(refusal, session, config)
             if others.calibration:
                 return others
-            if others.refusal and others.refusal.reason == 'moved':  # with or without them
-                refusal = others.refusal
     return Answer(ordered, solution, agree, calibration, refusal)
 
 
