@@ -24,6 +24,7 @@ from handeye_ros.sampling.stops import Stop
 from handeye_ros.se3 import inverse
 from handeye_ros.targets import target_for
 import numpy as np
+from numpy.typing import NDArray
 
 SMALLEST_DISTANCE = 1e-3  # m: faces that are farther apart are several surfaces
 LARGEST_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
@@ -70,7 +71,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     seen = [_heights(plane, T_k) for plane, T_k in zip(planes, T, strict=True)]
     height = np.array([_heights(stop.sample, T_k)[0] for stop, T_k in zip(stops, T, strict=True)])
     near = np.abs(height[:, None] - height) < SMALLEST_DISTANCE
-    groups: list[tuple[float, Array]] = []  # stops whose faces lie at one height, most first
+    groups: list[tuple[float, NDArray[np.bool_]]] = []  # stops whose faces lie at one height, most first
     for k in np.argsort(-near.sum(axis=1), kind='stable'):
         if near[k].any() and not any(alike[k] for _, alike in groups):
             groups.append((height[k], near[k]))
