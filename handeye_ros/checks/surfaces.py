@@ -71,7 +71,8 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     seen = [_heights(plane, T_k) for plane, T_k in zip(planes, T, strict=True)]
     height = np.array([_heights(stop.sample, T_k)[0] for stop, T_k in zip(stops, T, strict=True)])
     near = np.abs(height[:, None] - height) < SMALLEST_DISTANCE
-    groups: list[tuple[float, NDArray[np.bool_]]] = []  # stops whose faces lie at one height, most first
+    # height and stops of the faces that lie at one height, most first
+    groups: list[tuple[float, NDArray[np.bool_]]] = []
     for k in np.argsort(-near.sum(axis=1), kind='stable'):
         if near[k].any() and not any(alike[k] for _, alike in groups):
             groups.append((height[k], near[k]))
