@@ -25,9 +25,14 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.robot.estimate import ArmFit, estimate_weights
+from handeye_ros.robot.estimate import (
+    ArmFit,
+    ArmPoints,
+    ArmState,
+    ArmStops,
+    estimate_weights,
+)
 from handeye_ros.robot.points import arm_problem_of, PointRows
-from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
 from handeye_ros.robot.selection import ArmOutcome, solve
 from handeye_ros.robot.sources import arm_problem_of as arm_problem_of_sources
 from handeye_ros.robot.sources import Source

@@ -16,8 +16,14 @@ from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import graduated, Rows, System
 from handeye_ros.published import fixed_point
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmFit, first_fit, LEAST_NOISE
-from handeye_ros.robot.residuals import ArmPoints, ArmState, ArmStops
+from handeye_ros.robot.estimate import (
+    ArmFit,
+    ArmPoints,
+    ArmState,
+    ArmStops,
+    first_fit,
+    LEAST_NOISE,
+)
 from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve
 from handeye_ros.tables import ANGLE, LENGTH, Table
 from handeye_ros.targets.target import xyz

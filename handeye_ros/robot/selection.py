@@ -45,7 +45,6 @@ FOLD_ROUNDS = 2
 LEAST_AGREEING = 0.5  # smallest share of the stops that agree
 HOPELESS_FACTOR = 20.0  # times the limit of the residual: no arm is so inaccurate
 LARGEST_ERROR = {DIRECTION: 0.02, POSITION: 0.01}  # of an axis, if the URDF belongs to the robot
-LINE_CONFIGURATIONS = 15  # configurations on the line from one to another
 # Per kind of joint, rad and m: tolerance of the limits, which are often stated roughly, and the
 # smallest range of values that determines the error of a joint.
 LARGEST_EXTRAPOLATION = {REVOLUTE: 0.35, PRISMATIC: 0.1}
@@ -224,22 +223,6 @@ def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
         yield (f'the model with {" and ".join(last.kinds)} predicts left-out points no better '
                f'than {" and ".join(chosen.kinds) or UNCHANGED_ARM}: the simpler one is '
                'the answer')
-    if one_configuration(chosen.fit.state.arm, last.fit.stops.q):
-        yield ('all poses have one configuration of elbow and wrist: other configurations '
-               'determine more joint parameters')
-
-
-def one_configuration(arm: Arm, q: Array) -> bool:
-    """
-    Return whether a six-axis arm stays on one side of all its singularities.
-
-    Then no straight line in joint space from the first configuration to another crosses one.
-    """
-    if [joint.kind for joint in arm.joints] != [REVOLUTE] * 6:
-        return False
-    fractions = np.linspace(0.0, 1.0, LINE_CONFIGURATIONS)[:, None, None]
-    between = (q[0] + fractions * (q - q[0])).reshape(-1, 6)
-    return len(np.unique(np.sign(np.linalg.det(arm.freed(()).twists(between)[..., 0])))) == 1
 
 
 def joint_notes(arm: Arm, q: Array) -> list[str]:

@@ -18,8 +18,7 @@ from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import cover_both
 from handeye_ros.frames import mount_poses, sensor_axes
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import first_fit
-from handeye_ros.robot.residuals import ArmProfiles, ArmState, ArmStops, lengths
+from handeye_ros.robot.estimate import ArmProfiles, ArmState, ArmStops, first_fit, lengths
 from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
