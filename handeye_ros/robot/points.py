@@ -13,7 +13,7 @@ from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import graduated, Rows, System
+from handeye_ros.estimation.least_squares import adjust, Rows, System
 from handeye_ros.published import fixed_point
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import (
@@ -22,7 +22,7 @@ from handeye_ros.robot.estimate import (
     ArmState,
     ArmStops,
     first_fit,
-    LEAST_NOISE,
+    MINIMUM,
 )
 from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve
 from handeye_ros.tables import ANGLE, LENGTH, Table
@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
-FAR_SQUARES = 25.0  # squared residuals over their median: left out of the first fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +106,8 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
         r, J = stops.linearised(state)
         return Rows(r / INACCURATE_RMS, lambda: J / INACCURATE_RMS)
 
-    def squares(state: ArmState) -> Array:
-        return (stops.distances(state) / INACCURATE_RMS) ** 2 / 3
-    state = graduated(start, squares, System(linearised, stops.moved, stops.station).reweighted)
-    left = squares(state)
-    good = left <= FAR_SQUARES * max(float(np.median(left)), (LEAST_NOISE / INACCURATE_RMS) ** 2)
-    return first_fit(stops, state, good, INACCURATE_RMS)
+    near = adjust(System(linearised, stops.moved, stops.station), start, MINIMUM)
+    return first_fit(stops, near.state, np.isin(np.arange(len(stops)), near.used), INACCURATE_RMS)
 
 
 def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]
