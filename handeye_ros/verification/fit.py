@@ -245,7 +245,6 @@ class Fit:
     smallest_error: the smallest detectable error of the calibration in the direction in which it
         shows least, as RMS displacement of the points (m)
     weakest_direction: in words
-    weakest_error, weakest_error_std: the estimated error in this direction
     error (6,): estimated error of the calibration
     p_error, p_no_error: p-values of the distances with and without it
     largest_error, largest_error_std: its largest displacement of a point (m)
@@ -258,8 +257,6 @@ class Fit:
     scatter: Scatter
     smallest_error: float
     weakest_direction: str
-    weakest_error: float
-    weakest_error_std: float
     distances: Array
     distance_std: Array
     region: float
@@ -327,8 +324,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
     likeliest = _likeliest_errors(at, measured)
     error, known = likeliest.error, len(measured.deviation)
     scale = max(likeliest.left / likeliest.freedom, 1.0)
-    smallest_error, weakest_direction, weakest_error, weakest_error_std = _weakest(
-        likeliest.information, lever, error, mount_frame(problem.config))
+    smallest_error, weakest_direction = _weakest(likeliest.information, lever,
+                                                 mount_frame(problem.config))
     largest_error, largest_error_std = largest_displacement(
         lever, error, scale * likeliest.covariance)
     variances = np.square(robot).sum(axis=1)
@@ -338,10 +335,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
         quantities=measured.quantities, scatter=_scatter(at, root, distances),
-        smallest_error=smallest_error, weakest_direction=weakest_direction,
-        weakest_error=weakest_error, weakest_error_std=weakest_error_std, distances=distances,
-        distance_std=np.sqrt(variances),
-        region=measured.region, freedom=known,
+        smallest_error=smallest_error, weakest_direction=weakest_direction, distances=distances,
+        distance_std=np.sqrt(variances), region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
         error=error, p_error=float(chi2_sf(likeliest.left, likeliest.freedom)),
         p_no_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
@@ -446,12 +441,11 @@ def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, fl
     return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
 
 
-def _weakest(information: Array, lever: Array, error: Array, mount: str
-             ) -> tuple[float, str, float, float]:
+def _weakest(information: Array, lever: Array, mount: str) -> tuple[float, str]:
     """
-    Return smallest_error, weakest_direction, weakest_error and its std of a Fit.
+    Return smallest_error and weakest_direction of a Fit.
 
-    information (6, 6): about the calibration's error in its mount; error (6,): the estimated one.
+    information (6, 6): about the calibration's error in its mount.
     """
     wrt_move = se3.wrt_perturbation(lever)
     shift = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)  # mean square displacement
@@ -461,9 +455,8 @@ def _weakest(information: Array, lever: Array, error: Array, mount: str
     by_rotation = np.sqrt(worst[3:] @ shift[3:, 3:] @ worst[3:])
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
                     ('rotation about', worst[3:]))
-    std = float(1 / np.sqrt(max(power[0], 1e-12)))
-    return (DETECTION_SIGMAS * std, f'{motion} {name_direction(axis, mount)}',
-            abs(float(worst @ shift @ error)), std)
+    return (DETECTION_SIGMAS / math.sqrt(max(power[0], 1e-12)),
+            f'{motion} {name_direction(axis, mount)}')
 
 
 def refit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:

@@ -24,6 +24,7 @@ from handeye_ros.estimation.least_squares import FALSE_ALARM
 from handeye_ros.frames import sensor_axes
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import (
+    CONFORMS,
     decision,
     FORMAT,
     formatted,
@@ -47,7 +48,7 @@ from handeye_ros.verification.routines import Routine
 import numpy as np
 
 EARLIEST_STAMP = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
-NORMAL_95, ONE_SIDED_95 = 1.96, 1.64
+ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
 LARGE_TOLERANCE = 0.01  # m: a larger tolerance gets a note
@@ -201,8 +202,8 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     violated, open_values = _values_off(quantities, used, limits, hidden)
     contradiction = _contradiction(stations)
     notes = _notes(fit, other_size, stations, limits)
-    failed = [*violated, *_points_off(stations, limits),
-              *([] if other_size else _error_shown(fit, limits))]
+    shown, suggested = _calibration_off(fit, limits, other_size)
+    failed = [*violated, *_points_off(stations, limits), *shown]
     if failed:
         return 'fail', (*failed, *contradiction, *notes)
     if fit.smallest_error > limits.tolerance:
@@ -211,7 +212,7 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
             f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}' + (
                 hidden or ': turn the sensor more between the stops' + _or_measure(
                     used, fit.smallest_error, limits.tolerance, ', or')), *contradiction, *notes)
-    undecided = [*contradiction, *open_values, *_error_suggested(fit, limits)]
+    undecided = [*contradiction, *open_values, *suggested]
     return 'undecided' if undecided else 'pass', (*undecided, *notes)
 
 
@@ -251,25 +252,22 @@ def _points_off(stations: Sequence[StationResult], limits: VerifyConfig) -> list
             f'{mm(worst.distance)} from the fit (the worst: {worst.name})']
 
 
-def _error_shown(fit: Fit, limits: VerifyConfig) -> list[str]:
-    """Return in words the error of the calibration that the points surely show."""
-    at_least = fit.largest_error - ONE_SIDED_95 * fit.largest_error_std
-    shown = fit.p_no_error <= SIGNIFICANCE and at_least > limits.tolerance
-    return ['the pattern of the distances matches a calibration error of '
-            f'{mm(fit.largest_error)} ± {mm(COVERAGE_FACTOR * fit.largest_error_std)} '
-            f'(k = {COVERAGE_FACTOR:g}) at the points'] if shown else []
+def _calibration_off(fit: Fit, limits: VerifyConfig, other_size: bool
+                     ) -> tuple[list[str], list[str]]:
+    """
+    Return the error of the calibration that violates the tolerance, and one that may, in words.
 
-
-def _error_suggested(fit: Fit, limits: VerifyConfig) -> list[str]:
-    """Return in words the error of the calibration that may exceed the tolerance."""
-    return [f'the points suggest an error of the calibration of {mm(size)} ± '
-            f'{mm(COVERAGE_FACTOR * std)} (k = {COVERAGE_FACTOR:g}), which may exceed the '
-            'tolerance: measure at more stops'
-            for size, std, is_seen in (
-                (fit.largest_error, fit.largest_error_std, fit.p_no_error < SIGNIFICANCE),
-                (fit.weakest_error, fit.weakest_error_std,
-                 fit.weakest_error > NORMAL_95 * fit.weakest_error_std))
-            if is_seen and size + ONE_SIDED_95 * std > limits.tolerance][:1]
+    other_size: whether another size of the artefact explains it as well.
+    """
+    decided = decision(fit.largest_error, ONE_SIDED_95 * fit.largest_error_std, limits.tolerance)
+    if fit.p_no_error > SIGNIFICANCE or decided == CONFORMS:
+        return [], []
+    error = (f'an error of the calibration of {mm(fit.largest_error)} ± '
+             f'{mm(COVERAGE_FACTOR * fit.largest_error_std)} (k = {COVERAGE_FACTOR:g})')
+    if decided == VIOLATES and not other_size:
+        return [f'the pattern of the distances matches {error} at the points'], []
+    return [], [f'the points suggest {error}, which may exceed the tolerance: measure at more '
+                'stops']
 
 
 def _contradiction(stations: Sequence[StationResult]) -> list[str]:
