@@ -202,7 +202,7 @@ class ArmStops:
     @property
     def axes(self) -> int:
         """Return the number of residuals in one vector: they differ in their noise."""
-        return max(seen.axes for seen in self.measured)
+        return max(data.axes for data in self.measured)
 
     @cached_property
     def unknowns(self) -> int:
@@ -213,19 +213,19 @@ class ArmStops:
     def parts(self) -> list[tuple[Measurement, slice, slice]]:
         """Return for each target its measurements, its stops, and the columns of its unknowns."""
         stops = np.cumsum([0, *map(len, self.measured)])
-        columns = np.cumsum([6, *(seen.unknowns for seen in self.measured)])
-        return [(seen, slice(*own), slice(*free)) for seen, own, free in zip(
+        columns = np.cumsum([6, *(data.unknowns for data in self.measured)])
+        return [(data, slice(*own), slice(*free)) for data, own, free in zip(
             self.measured, pairwise(stops), pairwise(columns), strict=True)]
 
     @cached_property
     def station(self) -> NDArray[np.intp]:
         """Return the stop (m,) of each residual."""
-        return np.concatenate([seen.station + stops.start for seen, stops, _ in self.parts])
+        return np.concatenate([data.station + stops.start for data, stops, _ in self.parts])
 
     def residuals(self, state: ArmState) -> list[Residuals]:
         """Return the residuals of each target, without the smooth error."""
         T = state.arm.forward(self.q)
-        return [seen.residuals(T[stops], state.X, target) for (seen, stops, _), target in zip(
+        return [data.residuals(T[stops], state.X, target) for (data, stops, _), target in zip(
             self.parts, state.targets, strict=True)]
 
     def distances(self, state: ArmState) -> Array:
@@ -242,9 +242,9 @@ class ArmStops:
         shifts = np.einsum('nr,tx->ntrx', self.root, np.eye(6, 3)).reshape(len(self), 6, -1)
         of_arm, rows = state.arm.twists(self.q)[:, :, state.arm.free], list[Array]()
         twists = np.append(of_arm, shifts, axis=2)
-        for residual, (seen, stops, columns) in zip(self.residuals(state), self.parts,
+        for residual, (data, stops, columns) in zip(self.residuals(state), self.parts,
                                                     strict=True):
-            station = seen.station + stops.start
+            station = data.station + stops.start
             wrt_own = np.zeros((len(residual.values), self.unknowns))
             wrt_own[:, :6], wrt_own[:, columns] = residual.wrt_own[:, :6], residual.wrt_own[:, 6:]
             wrt_errors = (residual.wrt_pose[:, None] @ twists[station])[:, 0]
@@ -255,7 +255,7 @@ class ArmStops:
 
     def moved(self, state: ArmState, step: Array) -> ArmState:
         """Return a state after a step (u,)."""
-        targets = tuple(seen.moved(target, step[columns]) for (seen, _, columns), target in zip(
+        targets = tuple(data.moved(target, step[columns]) for (data, _, columns), target in zip(
             self.parts, state.targets, strict=True))
         of_arm, smooth = np.split(step[self.unknowns:], [len(state.arm.values)])
         return ArmState(se3.perturb(state.X, step[:6]), targets,

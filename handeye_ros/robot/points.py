@@ -99,15 +99,16 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     T = T if rows.in_hand else se3.inverse(T)
     most = max(parts, key=np.count_nonzero)
     X, _ = fixed_point.solve_linear(T[most], rows.points[most])
-    seen = se3.apply(T @ X, rows.points[:, None])[:, 0]
-    start = ArmState(X, tuple(np.median(seen[part], axis=0) for part in parts), arm, np.zeros(0))
+    places = se3.apply(T @ X, rows.points[:, None])[:, 0]
+    start = ArmState(X, tuple(np.median(places[part], axis=0) for part in parts), arm, np.zeros(0))
 
     def linearised(state: ArmState) -> Rows:
         r, J = stops.linearised(state)
         return Rows(r / INACCURATE_RMS, lambda: J / INACCURATE_RMS)
 
-    near = adjust(System(linearised, stops.moved, stops.station), start, MINIMUM)
-    return first_fit(stops, near.state, np.isin(np.arange(len(stops)), near.used), INACCURATE_RMS)
+    adjusted = adjust(System(linearised, stops.moved, stops.station), start, MINIMUM)
+    used = np.isin(np.arange(len(stops)), adjusted.used)
+    return first_fit(stops, adjusted.state, used, INACCURATE_RMS)
 
 
 def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]

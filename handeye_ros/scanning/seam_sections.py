@@ -237,16 +237,16 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
     sections = [(t, *both) for t in places.tolist() if None not in (
         both := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])]
-    seen, *sides = zip(*sections, strict=True) if sections else ((first, last),)
-    missing = np.append(np.diff(seen) - step, 0.0)
+    lengths, *sides = zip(*sections, strict=True) if sections else ((first, last),)
+    missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
     if not sections or missing[worst] > LARGEST_MISSING_EDGE:
-        place = position_text(curve.beyond(0.5 * (seen[worst] + seen[worst + 1]))[0])
+        place = position_text(curve.beyond(0.5 * (lengths[worst] + lengths[worst + 1]))[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
     a, b = (_Side(*map(np.array, zip(*side, strict=True))) for side in sides)
-    ends = (float(seen[0] + max(a.begins[0], b.begins[0])),
-            float(seen[-1] + min(a.stops[-1], b.stops[-1])))
+    ends = (float(lengths[0] + max(a.begins[0], b.begins[0])),
+            float(lengths[-1] + min(a.stops[-1], b.stops[-1])))
     filled = np.minimum(a.stops - a.begins, b.stops - b.begins) > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
@@ -255,7 +255,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
                        for sides in ((a, b), (a.further(), b), (a, b.further())))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
-    return Edges(np.array(seen)[filled], lines, resolution, unit(a.normal + b.normal),
+    return Edges(np.array(lengths)[filled], lines, resolution, unit(a.normal + b.normal),
                  float(np.median([a.noise, b.noise])), ends)
 
 

@@ -145,11 +145,11 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     others: the stops that gave no sample. Raises DataError, and InputError for a calibration
     without a target to compare with.
     """
-    whole = _comparison(samples, calibration, config, others)
+    comparison_of_all = _comparison(samples, calibration, config, others)
 
     def compared_at(stops: Numbers
                     ) -> tuple[tuple[_Comparison, _Residuals], Array, Array, Numbers]:
-        rest = replace(whole, problem=whole.problem.subset(stops))
+        rest = replace(comparison_of_all, problem=comparison_of_all.problem.subset(stops))
         obs, rows = rest.problem.observations, rest.residuals()
         require_stations([len(np.unique(obs.station))])
         # whatever moved, and however the calibration errs
@@ -161,7 +161,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         return (rest, rows), white[:, -1], white[:, :-1], stops[obs.station]
 
     (comparison, rows), _, left_out = fit_without_outliers(
-        np.unique(whole.problem.observations.station), compared_at)
+        np.unique(comparison_of_all.problem.observations.station), compared_at)
     causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
               _Cause('robot', _robot_likelihood(comparison, rows), ROBOT_CHANGED))
     likelihood = np.array([cause.likelihood for cause in causes])

@@ -291,11 +291,11 @@ class _Whitened:
         return np.asarray(values - self.J @ (self.gain @ values))
 
 
-def fit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
+def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     """
     Return the fit of a shape; raises InputError for an impossible covariance.
 
-    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; smooth: 1 sigma (m) of the
+    X: (4, 4) sensor plane in the mount; C: (6, 6) its covariance; smooth_std: 1 sigma (m) of the
     smooth error of the robot. The settings of the stations hold the uncertainty of nominal values.
     """
     stations, problem = shape.stations, shape.stations.problem
@@ -312,7 +312,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
                      lambda q: whitening(covariances_at(shape.linear(X, q))))
     linear = shape.linear(X, q)
     covariances, distances, lever = covariances_at(linear), linear.residuals, linear.lever
-    robot = wrt_smooth(linear.wrt_pose, problem.smooth[problem.observations.station] * smooth)
+    robot = wrt_smooth(linear.wrt_pose, problem.smooth[problem.observations.station] * smooth_std)
     r, E, J = np.split(whitening(covariances)(np.column_stack([
         distances, linear.jacobian[:, :6], robot, linear.jacobian[:, 6:]])),
         [1, 7 + robot.shape[1]], axis=1)
@@ -459,10 +459,10 @@ def _weakest(information: Array, lever: Array, mount: str) -> tuple[float, str]:
             f'{motion} {name_direction(axis, mount)}')
 
 
-def refit_shape(shape: Shape, X: Array, C: Array, smooth: float = 0.0) -> Fit:
+def refit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     """Return the fit with the calibration error estimated as well, for errors of any size."""
     for _ in range(REFIT_COUNT):
-        result = fit_shape(shape, X, C, smooth)
+        result = fit_shape(shape, X, C, smooth_std)
         if not result.largest_error < LARGEST_SHIFT:
             break
         X = se3.perturb(X, -result.error)

@@ -90,16 +90,16 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     offset = round(config.time_offset * 1e9)
     for profiles, track in passes:
         flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
-        seen = np.flatnonzero(flange.inside)
-        seen = seen[evenly_chosen(len(seen), PASS_PROFILES)]
-        for number, index in enumerate(seen.tolist(), len(stamps)):
+        usable = np.flatnonzero(flange.inside)
+        usable = usable[evenly_chosen(len(usable), PASS_PROFILES)]
+        for number, index in enumerate(usable.tolist(), len(stamps)):
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
             some = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
             rows.add_points(number, some, 0, np.repeat(noise[None], len(some), axis=0),
                             number * POINTS_OF_PROFILE)
-        poses.append(flange.T_base_flange[seen])
-        stamps += [profiles[index].stamp for index in seen.tolist()]
-        counts.append(len(seen))
+        poses.append(flange.T_base_flange[usable])
+        stamps += [profiles[index].stamp for index in usable.tolist()]
+        counts.append(len(usable))
     return StationSet.of(
         TARGETS['plane'], mount_poses(np.concatenate(poses), config), rows.observations(), config,
         stamps=np.array(stamps, dtype=np.int64), counts=tuple(counts), are_passes=True)

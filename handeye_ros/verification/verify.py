@@ -139,16 +139,16 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
     X = calibration.T_flange_sensor @ sensor_axes(config)
-    smooth = float(calibration.target.get('robot_position_error', 0.0))
+    smooth_std = float(calibration.target.get('robot_position_error', 0.0))
 
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
-        fit = fit_shape(shape, X, calibration.covariance, smooth)
+        fit = fit_shape(shape, X, calibration.covariance, smooth_std)
         return (shape, fit), fit.residuals, fit.wrt_unknowns, shape.stations.group_of_point
 
     (shape, fit), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(fit.scatter.p, fit.p_error) < UNEXPLAINED_P and not routine.in_passes:
-        freed = refit_shape(shape, X, calibration.covariance, smooth)
+        freed = refit_shape(shape, X, calibration.covariance, smooth_std)
         if freed.p_error < UNEXPLAINED_P and freed.scatter.maximum > config.verify.tolerance:
             raise DataError(
                 f'this is not what "{routine.name}" measures: no error of the calibration brings '
@@ -157,7 +157,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
                 '(verify.near), and, of a sweep, that the clocks are as they were (handeye check)')
     quantities = (*fit.quantities, *routine.scatter(shape.stations, fit.distances))
     per_station = _station_results(stations, shape.stations, fit, p, dropped)
-    verdict, reasons = _decide(fit, quantities, per_station, config.verify, smooth)
+    verdict, reasons = _decide(fit, quantities, per_station, config.verify, smooth_std)
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
@@ -189,14 +189,14 @@ def _station_results(stations: StationSet, used: StationSet, fit: Fit,
 
 
 def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[StationResult],
-            limits: VerifyConfig, smooth: float) -> tuple[str, tuple[str, ...]]:
+            limits: VerifyConfig, smooth_std: float) -> tuple[str, tuple[str, ...]]:
     """
     Return the verdict (pass, fail, undecided or insensitive), and its reasons as sentences.
 
-    smooth: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
+    smooth_std: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
     """
-    hidden = (f': the smooth error of the robot that the calibration found ({mm(smooth)}) hides '
-              'less' if DETECTION_SIGMAS * smooth > limits.tolerance else '')
+    hidden = (f': the smooth error of the robot that the calibration found ({mm(smooth_std)}) '
+              'hides less' if DETECTION_SIGMAS * smooth_std > limits.tolerance else '')
     other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     used = sum(station.used for station in stations)
     violated, open_values = _values_off(quantities, used, limits, hidden)
