@@ -65,29 +65,23 @@ class Job:
 
     def fingerprint(self) -> list[Any]:
         """Return what the result depends on: version, command, and size and time of all files."""
+        paths = (Path(self.bag), *(Path(word.rpartition('=')[2]) for word in self.words))
         return [__version__, self.command(Path()), *(
-            files_of(Path(path)) for path in (
-                self.bag, *(word.rpartition('=')[2] for word in self.words))
-            if os.path.exists(path))]
+            [str(file), file.stat().st_size, file.stat().st_mtime_ns]
+            for path in paths for file in files_below(path))]
 
 
-def files_of(source: Path) -> dict[str, str]:
-    """
-    Return the files at a path, relative to it ('.' is the path itself), with their size and time.
-
-    Links to folders are followed.
-    """
-    files = [source] if source.is_file() else sorted(_files_below(source))
-    return {str(file.relative_to(source)): f'{file.stat().st_size} {file.stat().st_mtime_ns}'
-            for file in files}
-
-
-def _files_below(top: Path) -> Iterator[Path]:
-    for folder, inside, names in os.walk(top, followlinks=True):
+def files_below(path: Path) -> list[Path]:
+    """Return the files in a folder, following links, or a file itself; none of another path."""
+    if path.is_file():
+        return [path]
+    files: list[Path] = []
+    for folder, inside, names in os.walk(path, followlinks=True):
         real = Path(folder).resolve()
         inside[:] = [name for name in inside  # without links to a folder above
                      if (real / name).resolve() not in (real, *real.parents)]
-        yield from filter(Path.is_file, (Path(folder, name) for name in names))
+        files += filter(Path.is_file, (Path(folder, name) for name in names))
+    return sorted(files)
 
 
 def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
@@ -120,7 +114,7 @@ def jobs_of(sources: Sequence[str], base: Job) -> list[Job]:
 
 def _bags_in(source: Path, several: bool) -> Iterator[tuple[Path, str]]:
     """Yield the bags at a path, and their labels; several: with the folder's name."""
-    files = list(map(Path, files_of(source)))
+    files = [file.relative_to(source) for file in files_below(source)]
     folders = {file.parent for file in files if file.name == 'metadata.yaml'}
     if Path() in {*files, *folders}:
         yield source, _label_of(source.resolve())
