@@ -55,11 +55,13 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
     config = config_of(calibration)
     used = [stop for stop in recording.stops if stop.used and stop.features]
     points = in_sensor(in_plane(f for stop in used for f in stop.features), config)
+    good, sentence = verdict(calibration, recording, points)
     drawn = scene(calibration, recording.stops, config)
     with style():
         plots = dict(_plots(used))
     return page(
-        'report.html', c=calibration, verdict=verdict(calibration, recording, points),
+        'report.html', c=calibration, good=good, sentence=sentence,
+        remarks=list(_remarks(calibration, recording)),
         transform=list(table.transform_rows(calibration)),
         facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
@@ -76,26 +78,16 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
               ('ROS 2, shell', exports.command(calibration))])
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """A sentence, and remarks, one sentence each; good: nothing is wrong."""
-
-    good: bool
-    sentence: str
-    remarks: tuple[str, ...]
-
-
-def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array) -> Verdict:
-    """Return the verdict; visible: points (k, 3) in the sensor frame, may be empty."""
-    remarks = tuple(_remarks(calibration, recording))
+def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
+            ) -> tuple[bool, str]:
+    """Return whether nothing is wrong, and a sentence; visible: points (k, 3) of the sensor."""
     if wrong := _wrong(calibration, recording):
-        return Verdict(False, f'Do not rely on this calibration: {wrong}', remarks)
+        return False, f'Do not rely on this calibration: {wrong}'
     points, region = (visible, 'the points that were seen') if len(visible) else (
         field_points(), FIELD_TEXT)
-    return Verdict(
-        True, f'Good for mapping points of {calibration.child_frame} into '
-        f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in space, '
-        f'over {region}).', remarks)
+    return (True, f'Good for mapping points of {calibration.child_frame} into '
+            f'{calibration.parent_frame} to {mm(mapped_std(calibration, points))} (1 sigma in '
+            f'space, over {region}).')
 
 
 def _wrong(calibration: Calibration, recording: SolvedRecording) -> str:

@@ -126,10 +126,10 @@ def test_each_stop_agrees_as_the_file_says(calibration: Calibration, found: Solv
 def test_a_recording_that_says_something_else_is_reported(calibration: Calibration,
                                                           found: SolvedRecording) -> None:
     T = se3.perturb(calibration.T_flange_sensor, np.array([1e-3, 0, 0, 0, 0, 0]))
-    said = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
-    assert not said.good
-    assert said.sentence.startswith('Do not rely on this calibration: the recording gives another '
-                                    'answer than the one saved, 1.000 mm')
+    good, sentence = verdict(replace(calibration, T_flange_sensor=T), found, np.empty((0, 3)))
+    assert not good
+    assert sentence.startswith('Do not rely on this calibration: the recording gives another '
+                               'answer than the one saved, 1.000 mm')
     refused = solved_recording(calibration, ROOT / 'bags' / 'one_orientation')
     assert ('Do not rely on this calibration: the recording is refused now: all poses share'
             in report.html(calibration, refused))
