@@ -35,7 +35,6 @@ ON_TARGET = 1e-4  # m: largest residual of a point on the target
 SMALLEST_SHARE = 0.5  # smallest share of a feature's length in the view
 SMALLEST_COSINE = 0.5  # smallest cosine of the incidence on a face, if the template has it
 SMALLEST_CORNER = 0.6  # rad between two faces in a profile; the finder needs 0.26
-SMALLEST_FACE = 0.2  # smallest visible length of a face beside its edge, over the view's width
 SEED = 0  # the same samples give the same advice
 
 
@@ -181,22 +180,19 @@ def _shows_the_same(linear: Linear, points: Array, same_point: Array, before: Li
 
     points: (n, c, 2) of the stations of linear; same_point: (c, c) 1 where conditions are of one.
     """
-    config = linear.problem.config
-    crossing = config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
-    strict = replace(config, sampling=replace(config.sampling, min_crossing_angle=crossing))
     A = linear.wrt_point.reshape(points.shape)
     in_view = view.room(points).min(axis=1) > -1e-4
     on_target = np.abs(linear.residuals).reshape(A.shape[:2]).max(axis=1) < ON_TARGET
-    return np.asarray(
-        in_view & on_target & _crossed_steeply(A, same_point, before, crossing)
-        & _from_same_side(A, same_point, before) & _labelled_alike(linear, before, strict)
-        & _enough_of_faces(linear, A, points, same_point, before, view))
+    corner = (_corner_seen(A, points, before, view) if linear.problem.target.face_count == 2 else
+              np.True_)
+    return np.asarray(in_view & on_target & corner & _crossed_steeply(A, same_point, before)
+                      & _from_same_side(A, same_point, before))
 
 
-def _crossed_steeply(A: Array, same_point: Array, before: Linear, crossing: float
-                     ) -> NDArray[np.bool_]:
+def _crossed_steeply(A: Array, same_point: Array, before: Linear) -> NDArray[np.bool_]:
     """Return where moves along the laser line show at edges, and moves in the plane at faces."""
     problem = before.problem
+    crossing = problem.config.sampling.min_crossing_angle + STOP_POSE_ERROR[1]
     at_edge = np.isin(problem.observations.kind, problem.target.essential_kinds) @ same_point > 0
     steep = np.where(at_edge, A[..., 0] ** 2, (A ** 2).sum(axis=2)) @ same_point
     return np.asarray((steep > np.sin(crossing) ** 2).all(axis=1))
@@ -208,25 +204,6 @@ def _from_same_side(A: Array, same_point: Array, before: Linear) -> NDArray[np.b
     size = np.sqrt(by_range ** 2 @ same_point)
     towards = (A[..., 1] * by_range) @ same_point > SMALLEST_COSINE * size
     return np.asarray((towards | (size <= SMALLEST_COSINE)).all(axis=1))
-
-
-def _labelled_alike(linear: Linear, before: Linear, strict: Config) -> NDArray[np.bool_]:
-    """Return where the target assigns the points to what they are in the template."""
-    problem, kind = linear.problem, before.problem.observations.kind
-    labelled = problem.target.reassign(
-        problem.observations, problem.points_in_base(linear.estimate.X), linear.estimate.state,
-        strict)
-    return np.asarray((labelled.kind.reshape(-1, len(kind)) == kind).all(axis=1))
-
-
-def _enough_of_faces(linear: Linear, A: Array, points: Array, same_point: Array, before: Linear,
-                     view: View) -> NDArray[np.bool_]:
-    """Return where the faces are in view as far as is needed to find what lies between them."""
-    if linear.problem.target.face_count == 2:
-        return _corner_seen(A, points, before, view)
-    if len(before.problem.observations) == same_point[0].sum():  # an edge point alone
-        return _face_seen(linear.problem.poses @ linear.estimate.X, points[:, 0], before, view)
-    return np.ones(len(points), dtype=bool)
 
 
 def _linear(template: Problem, solution: Solution, poses: Array, points: Array, noise: Array
@@ -266,22 +243,6 @@ def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArr
     corners = np.linalg.solve(normals + 1e-9 * np.eye(2), height)[..., 0]
     return np.asarray((facing > SMALLEST_COSINE).all(axis=1) & (view.room(corners) > 0)
                       & (np.abs(np.linalg.det(normals)) > np.sin(SMALLEST_CORNER)))
-
-
-def _face_seen(T: Array, points: Array, template: Linear, view: View) -> NDArray[np.bool_]:
-    """
-    Return where enough of the face beside an edge point is in view, to find the edge.
-
-    T: (n, 4, 4) poses of the sensor, which sees the edge at points (n, 2).
-    """
-    obs = template.problem.observations
-    seen = (template.problem.poses[0] @ template.estimate.X)[:3, [0, 2]]
-    edge, inward = np.cross(*template.wrt_base), -seen @ obs.outward[0]
-    along = np.cross(np.cross(edge, inward), T[:, :3, 1])  # in the face and the light plane
-    along *= np.sign(along @ np.cross(np.cross(edge, inward), edge))[:, None]
-    along = np.einsum('nij,ni->nj', T[:, :3, [0, 2]], along)
-    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    return view.room(points + SMALLEST_FACE * view.size[0] * along) > 0
 
 
 def with_one_more(solution: Solution, seen: Problem) -> Array:
