@@ -505,14 +505,11 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
 
 def from_provenance(values: Any) -> Config:
-    """Return the configuration of a calibration file; unknown keys are ignored."""
-    known, usable = {p.key for p in parameters()}, {}
-    for key, value in values.items() if isinstance(values, Mapping) else ():
-        if key in known or str(key).startswith(RECORD_PREFIX):
-            with suppress(BadValueError):  # of a newer version
-                with_values(Config(), {key: value})
-                usable[key] = value
-    return with_values(Config(), usable)
+    """Return the configuration of a calibration file; keys of other versions are ignored."""
+    known = {p.key for p in parameters()}
+    return with_values(Config(), {
+        key: value for key, value in (values.items() if isinstance(values, Mapping) else ())
+        if key in known or str(key).startswith(RECORD_PREFIX)}, 'the calibration')
 
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
