@@ -52,7 +52,7 @@ from handeye_ros.estimation.search import (
 )
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses_of
-from handeye_ros.guidance.advice import advise, turn_and_tilt
+from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.view import extremes, learn_view, Move, View, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import errors_against, field_points
@@ -225,6 +225,18 @@ def anywhere(cell: World) -> np.ndarray | None:
     allowed = (np.linalg.norm(T[:3, 3] - first[:3, 3]) <= config.reach
                and np.linalg.norm(tilts) <= config.tilt and abs(turns[0]) <= config.turn)
     return missed(cell, T, place, 1.0) if allowed else None
+
+
+def turn_and_tilt(first: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return turns (n,) about the viewing direction and tilts (n, 2) after them, rad.
+
+    first: (3, 3) of the sensor; R: (n, 3, 3), first @ Exp(0, 0, turn) @ Exp(*tilt, 0).
+    """
+    q = se3.quaternion(se3.transform(first.T @ R, np.zeros((len(R), 3))))
+    turn = 2 * np.arctan2(q[:, 2], q[:, 3])
+    about_z = se3.exp_rotation(np.column_stack([np.zeros((len(R), 2)), turn]))
+    return turn, se3.log_rotation(np.swapaxes(first @ about_z, 1, 2) @ R)[:, :2]
 
 
 def missed(cell: World, T: np.ndarray, place: np.ndarray, away: float) -> np.ndarray:

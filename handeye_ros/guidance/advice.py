@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Guidance: the uncertainty so far, what is missing, and the next pose."""
+"""Guidance: the uncertainty so far, what limits it, and the next pose."""
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -13,9 +13,9 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_frame, mount_poses_of, name_direction
-from handeye_ros.guidance.candidates import anchor_of, Proposal, propose
-from handeye_ros.guidance.view import learn_view, Move, next_move, noun, View, view_levers
+from handeye_ros.frames import mount_frame, name_direction
+from handeye_ros.guidance.candidates import Proposal, propose
+from handeye_ros.guidance.view import learn_view, Move, next_move, noun, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.se3 import mapped_std, worst_rotation, worst_translation
 import numpy as np
@@ -25,8 +25,6 @@ ROUGHLY_KNOWN = 3e-3  # m: points mapped worse than this cannot be aimed at
 GOOD_COUNT = 15  # samples, before which nothing but the wanted accuracy is enough
 SMALLEST_GAIN = 0.02  # of the mapped points' sigma: less is no reason for another sample
 SMALLEST_CAUSE = 0.5  # of the sigma: a smaller cause is not named
-WANTED_TILT, WANTED_TURN = 0.6, 0.52  # of the largest tilt, to either side; rad, to either side
-WANTED_PLACES = 0.5  # of the view
 
 
 @dataclass(frozen=True)
@@ -104,6 +102,8 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     """
     target = targets.target_for(config)
     what, sweeping = noun(target), config.sampling.moving
+    sweep_on = (f'continue to sweep over the {what}: to and fro across it, with tilts about all '
+                'axes, near and far, with changes of speed')
     if found is None or not samples:
         return _before_an_answer(f'take the first sample: hold the sensor square to the target, '
                                  f'with the {what} in the middle of the view')
@@ -114,9 +114,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
         enough = solution is None and len(samples) >= target.min_samples
         refusal = found.refusal if enough else None
         if sweeping:
-            return _before_an_answer(
-                f'continue to sweep over the {what}: to and fro across it, with tilts about all '
-                'axes, near and far, with changes of speed', None, refusal)
+            return _before_an_answer(sweep_on, None, refusal)
         move = next_move(len(samples), target, config, view)
         return _before_an_answer(move.text, move, refusal)
 
@@ -125,20 +123,18 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     if not sweeping:
         surely = view.inner(sigmas[-1].std)  # seen there, wherever the sensor is
         proposal = propose(solution, samples, config, surely, levers, failed_poses)
-    enough, why = enough_and_why(sigmas, proposal.std if proposal else None,
-                                 largest_cause(solution), len(samples))
-    if parted := parted_by_outliers(solution):
-        enough, why = False, parted
-    if enough and found.refusal:
-        enough, why = False, str(found.refusal)
+    enough, why = enough_and_why(sigmas[-1].std, sigmas[-1].limit,
+                                 proposal.std if proposal else None, largest_cause(solution),
+                                 len(samples))
+    if refused := parted_by_outliers(solution) or str(found.refusal or ''):
+        enough, why = False, refused
     sentences = [why, *offset_notes(solution)]
     if not enough:
-        sentences += missing(solution, view, mount_poses_of(samples[:1], config)[0], config)
-        if proposal:
-            sentences.append(_directions(samples[-1].T_base_flange, proposal, config, what))
-        elif not sweeping:
-            sentences.append('no pose within guidance.reach, guidance.tilt and guidance.turn '
-                             f'keeps the {what} in view: widen them')
+        sentences.append(
+            sweep_on if sweeping else
+            _directions(samples[-1].T_base_flange, proposal, config, what) if proposal else
+            f'no pose within guidance.reach, guidance.tilt and guidance.turn keeps the {what} in '
+            'view: widen them')
     return Advice(tuple(sentences), proposal, None, sigmas, enough, why)
 
 
@@ -182,20 +178,13 @@ def largest_cause(solution: Solution) -> tuple[Cause, float] | None:
     return (cause, share) if share >= SMALLEST_CAUSE else None
 
 
-def enough_and_why(sigmas: Sequence[Sigma], expected: float | None,
+def enough_and_why(std: float, accuracy: float, expected: float | None,
                    largest: tuple[Cause, float] | None, count: int) -> tuple[bool, str]:
     """
     Return whether the samples are sufficient, and the reason.
 
-    sigmas: of sigma_table; expected: 1 sigma of mapped points after one more sample (m).
+    std: 1 sigma of mapped points (m), now; expected: after one more sample; accuracy: as wanted.
     """
-    for sigma in reversed(sigmas[:-1]):
-        if sigma.std > sigma.limit:
-            factor, unit, digits = ((1e3, 'mm', 2) if sigma.unit == 'm' else
-                                    (np.degrees(1.0), 'degrees', 3))
-            return False, (f'{sigma.name} is uncertain by {factor * sigma.std:.{digits}f} {unit} '
-                           f'(limit {factor * sigma.limit:.{digits}f})')
-    std, accuracy = sigmas[-1].std, sigmas[-1].limit
     content = (f'points in view are known to {1e3 * std:.3f} mm (1 sigma, {1e3 * accuracy:.3f} '
                'wanted)')
     remedy = 'noise dominates'
@@ -209,46 +198,6 @@ def enough_and_why(sigmas: Sequence[Sigma], expected: float | None,
     if expected:
         content += f'; one more sample would bring {1e3 * expected:.3f} mm'
     return (True, f'enough: {content}') if std <= accuracy else (False, content)
-
-
-def missing(solution: Solution, view: View, first: Array, config: Config) -> list[str]:
-    """
-    Return what the samples of a solution lack most, as one sentence, or none.
-
-    first: (4, 4) pose of the mount at the first sample, from which angles are counted.
-    """
-    problem, keys = solution.problem, config.guidance
-    X = solution.estimate.X[:3, :3]
-    turn, tilt = turn_and_tilt(first[:3, :3] @ X, problem.poses[:, :3, :3] @ X)
-    places = np.array([anchor_of(problem, i) for i in range(len(problem.poses))])
-    most_tilt, place = WANTED_TILT * keys.tilt, f'place of the {noun(problem.target)} '
-    wanted = [('tilt about the laser line', tilt[:, 0], most_tilt, 'degrees'),
-              ('tilt about the normal of the light plane', tilt[:, 1], most_tilt, 'degrees'),
-              ('turn about the viewing direction', turn, min(WANTED_TURN, WANTED_TILT * keys.turn),
-               'degrees'),
-              (place + 'in range', places[:, 1], WANTED_PLACES * view.size[1] / 2, 'mm')]
-    if problem.target.essential:  # others fill the view
-        wanted.append((place + 'along the laser line', places[:, 0],
-                       WANTED_PLACES * view.size[0] / 2, 'mm'))
-    lacks = []
-    for text, values, half, unit in wanted:
-        factor, so_far = np.degrees(1.0) if unit == 'degrees' else 1e3, float(np.ptp(values)) / 2
-        if so_far < half:
-            lacks.append((so_far / half, f'{text}: {factor * so_far:.0f} {unit} to either side so '
-                          f'far, {factor * half:.0f} wanted'))
-    return [min(lacks)[1]] if lacks else []
-
-
-def turn_and_tilt(first: Array, R: Array) -> tuple[Array, Array]:
-    """
-    Return turns (n,) about the viewing direction and tilts (n, 2) after them, rad.
-
-    first: (3, 3) of the sensor; R: (n, 3, 3), first @ Exp(0, 0, turn) @ Exp(*tilt, 0).
-    """
-    q = se3.quaternion(se3.transform(first.T @ R, np.zeros((len(R), 3))))
-    turn = 2 * np.arctan2(q[:, 2], q[:, 3])
-    about_z = se3.exp_rotation(np.column_stack([np.zeros((len(R), 2)), turn]))
-    return turn, se3.log_rotation(np.swapaxes(first @ about_z, 1, 2) @ R)[:, :2]
 
 
 def _directions(T_base_flange: Array, proposal: Proposal, config: Config, what: str) -> str:
