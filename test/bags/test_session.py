@@ -135,7 +135,7 @@ def test_a_sample_taken_again_is_reported_and_compared(whole: Path, tmp_path: Pa
         found = solved_recording(calibration, bag, tmp_path)
         assert not found.refusal and not found.missing
         assert sum(stop.used for stop in found.stops) == calibration.quality.samples_used
-        assert verdict(calibration, found, np.empty((0, 3))).good
+        assert verdict(calibration, found, np.empty((0, 3)))[0]
     run = handeye('compare', session, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert f'{calibration.quality.samples_used} samples' in run.stdout
