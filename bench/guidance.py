@@ -47,7 +47,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import (
     refined_robustly,
     robust_solution,
-    with_all_blocks,
+    with_systematic_errors,
     without_outliers,
 )
 from handeye_ros.estimation.solve import Solution
@@ -55,9 +55,9 @@ from handeye_ros.frames import mount_poses_of
 from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.view import extremes, learn_view, Move, View, view_levers
 from handeye_ros.pipeline import Answer
+from handeye_ros.profiles.edge_shapes import with_common_shape
 from handeye_ros.results.truth_file import errors_against, field_points
 from handeye_ros.review import flat_crossing
-from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import duplicate_pose
 from handeye_ros.sampling.stops import Stop
@@ -396,7 +396,7 @@ def solved(cell: World) -> Solution | None:
     try:
         agreed = (without_outliers(refined_robustly(problem, cell.last.estimate)) if cell.last else
                   robust_solution(problem, np.random.default_rng(0), True))
-        found = with_all_blocks(agreed)
+        found = with_systematic_errors(agreed)
     except (DataError, np.linalg.LinAlgError):
         return None
     cell.last = found if sigma_of(found, cell) < KNOWN_WELL else None

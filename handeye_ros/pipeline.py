@@ -50,10 +50,10 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, require_type
 from handeye_ros.estimation.least_squares import single_threaded
-from handeye_ros.estimation.search import robust_solution, with_all_blocks
+from handeye_ros.estimation.search import robust_solution, with_systematic_errors
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
-from handeye_ros.sampling.edge_shapes import with_common_shape
+from handeye_ros.profiles.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of, synchronised
 import numpy as np
@@ -185,7 +185,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the
         # lengths of the target where they are stated wrongly. Refuse clocks that jumped, and
         # scales that differ.
-        solution = with_free_size_if_needed(with_all_blocks(solution))
+        solution = with_free_size_if_needed(with_systematic_errors(solution))
         require_steady_clocks(solution)
         require_one_scale(solution)
         agree = True

@@ -3,8 +3,8 @@
 """
 What explains samples that do not fit, in the order in which it is asked.
 
-The sign of the range, a known error in the convention of the poses, the scale of the robot, unless
-a move explains more than that, a sensor or target that moved; and, where none of these is certain,
+The sign of the range, a known error in the convention of the poses, the scale of the robot or a
+sensor or target that moved, whichever explains more; and, where none of these is certain,
 another setting, stops that show another surface, or the clocks. The first that explains the same
 stops decisively better is named (hypotheses).
 """
@@ -42,15 +42,14 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
-    samples: in the order of the stations of the problem. The first of these is raised; 1, 2 and 4
+    samples: in the order of the stations of the problem. The first of these is raised; 1 and 2
     also where the samples do not contradict the solution:
 
     1. the other sign of the range;
     2. another convention of the poses, or orientations without any order;
     3. too little rotation, which can look like a move;
-    4. an error of the scale of the robot, or a move that explains more than that;
-    5. a move;
-    6. the contradiction itself.
+    4. an error of the scale of the robot, or a move, whichever explains more;
+    5. the contradiction itself.
     """
     stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
     if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
@@ -62,9 +61,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
         if turning(problem.poses)[0][1] < FEW_TURNS:
             require_certain(solution.reported_covariance, problem.config,
                             missing_motion(solution, problem.config))
-    _require_scale_unless_moved(problem, solution, stated)
-    if refusal:
-        refuse_better(stated, move_hypotheses(problem))
+        refuse_better(stated, [*scale_hypotheses(solution), *move_hypotheses(problem)])
         raise refusal
 
 
@@ -75,18 +72,6 @@ def _require_ordered_orientations(problem: Problem, solution: Solution) -> None:
                         'RMS, and the orientations of the poses are scattered in all directions, '
                         'as when angles in degrees are read as radians: convert the angles of the '
                         'poses', reason='convention')
-
-
-def _require_scale_unless_moved(problem: Problem, solution: Solution, stated: Explanation
-                                ) -> None:
-    """Raise DataError for an error of scale, or for the move that explains more than that."""
-    scales = scale_hypotheses(solution)  # one, if any
-    try:
-        refuse_better(stated, scales)
-    except DataError:  # a move may look like a scale
-        by_scale = scales[0].refit()
-        refuse_better(by_scale, move_hypotheses(problem))
-        raise
 
 
 def with_known_cause(refusal: DataError, session: Session, config: Config) -> DataError:

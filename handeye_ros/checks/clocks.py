@@ -35,7 +35,7 @@ COMPARED_LAG = NS // 20  # ns between two profiles that are compared
 STILL_SHARE = 0.1  # smallest share of the comparisons with a robot at rest
 LARGEST_REST_RATIO, SMALLEST_CHANGE = 4.0, 5e-5  # largest change at rest: ratio, and at least (m)
 SMALLEST_OFFSET = 0.05  # s: a smaller time offset is not visible at stops
-MOST_DRIFT = 10.0  # times clock_drift_std: more is a step of a clock
+CLOCK_STEP = 10.0  # times clock_drift_std: more is a step of a clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class _Still:
 def require_steady_clocks(solution: Solution) -> None:
     """Raise DataError (clocks_differ) where the clocks of a sweep drift apart as none do."""
     drift = clock_estimate(solution, CLOCK_DRIFT)
-    if drift and abs(drift.value) > MOST_DRIFT * solution.problem.config.clock_drift_std:
+    if drift and abs(drift.value) > CLOCK_STEP * solution.problem.config.clock_drift_std:
         raise DataError(
             f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.0f} ms a '
             'minute, or one of them jumped meanwhile: give both the same clock, without steps, '

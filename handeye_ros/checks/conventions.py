@@ -86,28 +86,16 @@ def _composed(read_as: str, meant: str, T: Array, factor: float = 1.0) -> list[A
     return [se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])]
 
 
-def _in_order(order: list[int], T: Array) -> list[Array]:
-    """Undo roll, pitch, yaw in another order; order: the position of each."""
-    return _two_ways(T, _rotations('xyz', _both_rpy(T)[..., order]))
+def _reversed(T: Array) -> list[Array]:
+    """Undo yaw, pitch, roll taken for roll, pitch, yaw."""
+    return _two_ways(T, Rotation.from_euler('xyz', _both_rpy(T).reshape(-1, 3)[:, ::-1]))
 
 
 def _rotation_vectors(T: Array) -> list[Array]:
     """Undo rotation vectors of at most half a turn read as roll, pitch, yaw."""
     both = _both_rpy(T)
-    return _two_ways(T, se3.exp_rotation(both), np.linalg.norm(both, axis=2) <= np.pi)
-
-
-def _rpy_as_vectors(T: Array) -> list[Array]:
-    """Undo roll, pitch, yaw read as rotation vectors."""
-    short = se3.log_rotation(T[:, :3, :3])
-    length = np.maximum(np.linalg.norm(short, axis=1, keepdims=True), 1e-9)
-    both = np.stack([short, short * (1 - 2 * np.pi / length)])
-    return _two_ways(T, _rotations('xyz', both), np.abs(both[..., 1]) <= np.pi / 2)
-
-
-def _rotations(axes: str, angles: Array) -> Array:
-    flat: Array = Rotation.from_euler(axes, angles.reshape(-1, 3)).as_matrix()
-    return flat.reshape(*angles.shape[:-1], 3, 3)
+    return _two_ways(T, Rotation.from_rotvec(both.reshape(-1, 3)),
+                     np.linalg.norm(both, axis=2) <= np.pi)
 
 
 def _both_rpy(T: Array) -> Array:
@@ -117,14 +105,16 @@ def _both_rpy(T: Array) -> Array:
     return np.stack([one, (other + np.pi) % (2 * np.pi) - np.pi])
 
 
-def _two_ways(T: Array, R: Array, valid: NDArray[np.bool_] | None = None) -> list[Array]:
+def _two_ways(T: Array, rotations: Rotation, valid: NDArray[np.bool_] | None = None
+              ) -> list[Array]:
     """
-    Return the poses with one of two rotations R (2, n, 3, 3) each; either way for the first pose.
+    Return the poses with one of two rotations (2 n) each; either way for the first pose.
 
     valid: (2, n) which of them are possible, None: all. The pose with a rotation nearest to that
     of a decided pose is decided next.
     """
-    n, readings = R.shape[1], []
+    n, readings = len(T), []
+    R = rotations.as_matrix().reshape(2, n, 3, 3)
     able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
     for first in range(2):
         chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
@@ -147,9 +137,6 @@ CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
      'fill x, y, z, w of the message by name, not in the order w x y z'),
     ('positions in millimetres', lambda T: [se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e-3)],
      'publish positions in metres'),
-    ('positions a thousand times larger',
-     lambda T: [se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e3)],
-     'publish positions in metres: these were divided by 1000 once too often'),
     ('extrinsic Euler angles', partial(_composed, 'XYZ', 'xyz'),
      'the angles were composed as intrinsic x-y-z; compose them as extrinsic x-y-z (Rz Ry Rx)'),
     ('intrinsic Euler angles', partial(_composed, 'xyz', 'XYZ'),
@@ -159,17 +146,10 @@ CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
     ('transposed rotations',
      lambda T: [se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])],
      'publish the rotation of the flange in the base, not its transpose'),
-    ('roll and yaw exchanged', partial(_in_order, [2, 1, 0]),
+    ('roll and yaw exchanged', _reversed,
      'the angles came in the order yaw, pitch, roll, as the A, B, C of KUKA do (about z, y, x), '
      'but were taken as roll, pitch, yaw; compose them as Rz(A) Ry(B) Rx(C)'),
-    ('roll and pitch exchanged', partial(_in_order, [1, 0, 2]),
-     'take the angles in the order roll, pitch, yaw'),
-    ('pitch and yaw exchanged', partial(_in_order, [0, 2, 1]),
-     'take the angles in the order roll, pitch, yaw'),
     ('rotation vectors', _rotation_vectors,
      'the orientations are rotation vectors, as Universal Robots gives them, but were read as '
      'roll, pitch, yaw; turn by their length about their direction'),
-    ('roll, pitch, yaw', _rpy_as_vectors,
-     'the orientations are roll, pitch, yaw but were read as rotation vectors; compose them as '
-     'extrinsic x-y-z (Rz Ry Rx)'),
 )

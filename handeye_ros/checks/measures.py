@@ -9,10 +9,14 @@ from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE
 from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.least_squares import covariance_of
-from handeye_ros.estimation.noise import whitening
-from handeye_ros.estimation.problem import Problem
-from handeye_ros.estimation.search import CONVINCING_SQUARE, robust_solution, with_all_blocks
+from handeye_ros.estimation.blocks import robot_scale, stated_measures
+from handeye_ros.estimation.noise import Noise
+from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.search import (
+    CONVINCING_SQUARE,
+    robust_solution,
+    with_systematic_errors,
+)
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
 import numpy as np
@@ -54,7 +58,7 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     if not config.target.size or stated >= FREED_SIZE:
         return agreed
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
-    other = with_all_blocks(replace(
+    other = with_systematic_errors(replace(
         agreed, full_problem=replace(agreed.full_problem, config=free),
         linear=replace(agreed.linear, problem=replace(problem, config=free))))
     freed, before = (block_estimates(one.conservative) for one in (other, agreed))
@@ -65,38 +69,25 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     return other if wrong or seen == [True, False] else agreed
 
 
-def scale_error(solution: Solution) -> tuple[float, float]:
-    """
-    Return robot scale over sensor scale less 1, and its 1 sigma.
-
-    One more unknown is solved for at the solution, to first order. The target's stated measures
-    are unknown too, so that a wrong measure is not taken for a scale error.
-    """
-    problem, whiten = solution.problem, whitening(solution.linear, solution.noise)
-    positions = problem.robot_poses[:, :3, 3]
-    moved = (positions - positions.mean(axis=0))[problem.observations.station]
-    by_scale = (solution.linear.wrt_pose[:, :3] * moved).sum(axis=1)
-    measures = solution.linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    J = np.column_stack([whiten(np.column_stack([by_scale, measures])), solution.jacobian])
-    covariance = covariance_of(J)
-    scale = covariance[0] @ (J.T @ solution.postfit_residuals)
-    return float(scale), float(covariance[0, 0]) ** 0.5
-
-
 def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
-    """Return the hypothesis that a small error of scale is most of the residuals, if it may be."""
-    scale, std = scale_error(agreed)
-    if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
-        return []
-    problem, T = agreed.full_problem, agreed.full_problem.robot_poses.copy()
-    T[:, :3, 3] /= 1 + scale
+    """
+    Return the hypothesis that robot and sensor differ in scale, if they may.
 
-    def refit() -> Explanation:
-        fit = explanation_of_problem(replace(problem, poses=mount_poses(T, problem.config)))
-        most = fit.variance_factor < 0.5 * agreed.variance_factor
-        return fit if most else Explanation.nothing(len(T))
-    return [Hypothesis(refit, lambda fit: _scales_differ(
-        abs(scale), std * fit.variance_factor ** 0.5))]
+    The scale is solved for to first order, with the stated measures of the target, so that a wrong
+    measure is not taken for a scale.
+    """
+    problem, config = agreed.full_problem, agreed.full_problem.config
+    free = replace(config, noise=replace(config.noise, robot_scale=LARGEST_SCALE_ERROR))
+    linear = linearise(replace(agreed.problem, config=free), agreed.estimate)
+    found = Solution.of_linear(linear, Noise(), (*robot_scale(linear), *stated_measures(linear)))
+    scale = block_estimates(found)['scale']
+    if not SMALLEST_SCALE_ERROR < abs(scale.value) < LARGEST_SCALE_ERROR:
+        return []
+    T = problem.robot_poses.copy()
+    T[:, :3, 3] /= 1 + scale.value
+    scaled = replace(problem, poses=mount_poses(T, config))
+    return [Hypothesis(lambda: explanation_of_problem(scaled), lambda fit: _scales_differ(
+        abs(scale.value), scale.std * fit.variance_factor ** 0.5))]
 
 
 def require_one_scale(agreed: Solution) -> None:

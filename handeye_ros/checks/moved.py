@@ -30,10 +30,10 @@ from handeye_ros.estimation.noise import LUMPED, whitening
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
 from handeye_ros.estimation.solve import (
-    cover_both,
     reestimated,
     Solution,
     solution_at,
+    upper_bound,
 )
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 SENSOR, TARGET = range(2)  # a body that moves: the first index of gains, derivatives, arms
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
-MOST_CHANGES = 40  # possible moments of a small move
+MOMENTS_TRIED = 40  # possible moments of a small move
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 SIZE_FACTORS = (1.0, 0.25)  # factors on it, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
@@ -130,8 +130,8 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
     if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return agreed, ''
-    margin = 2 if agreed.problem.pose_model is None else n // MOST_CHANGES  # sweep: many samples
-    moments = np.unique(np.linspace(margin, n - margin, MOST_CHANGES).round().astype(int))
+    margin = 2 if agreed.problem.pose_model is None else n // MOMENTS_TRIED  # sweep: many samples
+    moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
     first = _MoveSums.of(conservative, moments).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
@@ -159,7 +159,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         raise DataError(sentence, reason='moved')
     away = se3.difference(moved.estimate.X, unmoved.estimate.X)
     with_move = moved.covariance[:6, :6] + np.outer(away, away)
-    more = cover_both(agreed.transform_covariance, with_move) - agreed.transform_covariance
+    more = upper_bound(agreed.transform_covariance, with_move) - agreed.transform_covariance
     added = {**agreed.added_covariances, POSSIBLE_MOVE: more}
     return replace(agreed, added_covariances=added), sentence
 

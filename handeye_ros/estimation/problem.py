@@ -46,11 +46,6 @@ class StationGroup:
     shared: Array
     components: Array
 
-    def thinned(self, stride: int) -> StationGroup:
-        """Return every stride-th of the stations."""
-        return StationGroup(self.rows[::stride], self.correlation[::stride], self.shared[::stride],
-                            self.components[:, ::stride])
-
 
 @dataclass(frozen=True, eq=False)
 class Observations:

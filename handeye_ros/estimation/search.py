@@ -82,52 +82,53 @@ def quick_solution(problem: Problem) -> Solution | None:
     return None
 
 
-def without_outliers(solution: Solution) -> Solution:
-    """Return the solution after dropping stations that do not fit, one by one."""
+def without_outliers(robust: Solution) -> Solution:
+    """Return the solution after dropping stations that do not fit a robust one, one by one."""
+    problem = robust.full_problem
     # least squares could move to a fit between the target and another surface
-    limit = LARGEST_SQUARE if solution.full_problem.ambiguous else GROSS_SQUARE
-    squares = station_squares(solution.linear, solution.full_problem)
+    limit = LARGEST_SQUARE if problem.ambiguous else GROSS_SQUARE
+    squares = station_squares(robust.linear, problem)
     good = squares <= limit * max(1.0, typical_square(squares))
-    good[np.argsort(squares, kind='stable')[:solution.full_problem.target.min_samples]] = True
-    near, gross = solution, {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
+    good[np.argsort(squares, kind='stable')[:problem.target.min_samples]] = True
+    gross = {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        kept = near.problem.subset(used)
-        return solution_at(kept, least_squares_estimate(kept, (before or near).estimate), LUMPED)
+        kept = robust.problem.subset(used)
+        return solution_at(kept, least_squares_estimate(kept, (before or robust).estimate), LUMPED)
 
     def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
         return squares / shared_variance_factor(squares, freedom), freedom
 
-    whole = solution.full_problem
-    solution, used, dropped = drop_outliers(np.flatnonzero(good), len(whole.poses),
-                                            whole.target.min_samples, fitted, judged)
-    return replace(solution, full_problem=whole, used=used, dropped_squares=gross | dropped)
+    solution, used, dropped = drop_outliers(np.flatnonzero(good), len(problem.poses),
+                                            problem.target.min_samples, fitted, judged)
+    return replace(solution, full_problem=problem, used=used, dropped_squares=gross | dropped)
 
 
-def with_all_blocks(solution: Solution) -> Solution:
+def with_systematic_errors(agreed: Solution) -> Solution:
     """
-    Return the solution with all nuisance blocks, outliers dropped.
+    Return the solution with all nuisance blocks, from one without; further outliers dropped.
 
     With few stations, each may be wrong without being detected; the reported covariance includes
     this.
     """
-    near, whole = solution, solution.full_problem
+    problem = agreed.full_problem
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
-        kept = near.problem.subset(np.flatnonzero(np.isin(near.used, used)))
-        start, noise = near.estimate, Noise()
+        kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
+        start, noise = agreed.estimate, Noise()
         if before is not None and len(used) > MANY_STATIONS:
             conservative = before.conservative  # a few of very many hardly move the solution
             start, noise = conservative.estimate, conservative.noise
             kept = kept.with_pose_values(conservative.problem.pose_values)
-        return with_contamination(map_solution(kept, start, noise), len(whole.poses) - len(used))
+        solution = map_solution(kept, start, noise)
+        return with_contamination(solution, len(problem.poses) - len(used))
 
     solution, used, dropped = drop_outliers(
-        near.used, len(whole.poses), whole.target.min_samples, fitted,
+        agreed.used, len(problem.poses), problem.target.min_samples, fitted,
         lambda fit: fit.conservative.left_out_squares(), lambda fit: fit.surely_wrong)
-    return replace(solution, full_problem=whole, used=used,
-                   dropped_squares={**near.dropped_squares, **dropped})
+    return replace(solution, full_problem=problem, used=used,
+                   dropped_squares={**agreed.dropped_squares, **dropped})
 
 
 def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:

@@ -74,7 +74,7 @@ class Solution:
     surely_wrong: the station that almost surely is
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
-    conservative_twin: the solution at conservative scales, of one that is not: its estimate
+    for_report: of a solution for the estimate, the one at the conservative scales: its estimate
         moves too far, its covariance is realistic
     """
 
@@ -91,7 +91,7 @@ class Solution:
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
     surely_wrong: int | None = None
-    conservative_twin: Solution | None = None
+    for_report: Solution | None = None
 
     @classmethod
     def of_linear(cls, linear: Linear, noise: Noise,
@@ -205,9 +205,7 @@ class Solution:
     def estimated_factors(self, stated: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
         sums = np.zeros((len(MAP_PRIOR_FACTORS), 2))
-        stride = -(-len(self.problem.poses) // MANY_STATIONS)
-        for group, roots in zip(self.problem.station_groups, self.whitening.roots, strict=True):
-            at, root = group.thinned(stride), roots[::stride]
+        for at, root in zip(self.problem.station_groups, self.whitening.roots, strict=True):
             V = covariance_parts(self.linear, at)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
             r = self.postfit_residuals[at.rows]
@@ -255,7 +253,7 @@ class Solution:
     @property
     def conservative(self) -> Solution:
         """Return the solution at the conservative scales, itself where it is that."""
-        return self.conservative_twin or self
+        return self.for_report or self
 
     @cached_property
     def reported_covariance(self) -> Array:
@@ -265,10 +263,10 @@ class Solution:
         It covers the errors of both the mount's transform and the best-fit transform.
         """
         reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
-        if self.conservative_twin is None:
+        if self.for_report is None:
             return reported
         away = self.shift_of_report
-        reported[:6, :6] = cover_both(reported[:6, :6] + np.outer(away, away), self._best_fit)
+        reported[:6, :6] = upper_bound(reported[:6, :6] + np.outer(away, away), self._best_fit)
         reported[:6, :6] += sum(self.added_covariances.values())
         return reported
 
@@ -452,7 +450,7 @@ class Solution:
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
 
-def cover_both(first: Array, second: Array) -> Array:
+def upper_bound(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
@@ -532,7 +530,7 @@ def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solu
     """Return a solution together with that for the report: at the conservative scales of noise."""
     long_errors = replace(for_estimate.problem, long_errors=True)
     for_report = solution_at(long_errors, for_estimate.linear.estimate, noise).rescaled(steps)
-    return replace(for_estimate, conservative_twin=for_report)
+    return replace(for_estimate, for_report=for_report)
 
 
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:

@@ -33,21 +33,21 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edge_rounding import rounding_of
+from handeye_ros.profiles.edge_shapes import rounding_of
 from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
 
 GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
-LEAST_TO_VIEW_END = 1e-3  # smallest distance of an edge from the end of the view (m)
+VIEW_MARGIN = 1e-3  # smallest distance of an edge from the end of the view (m)
 ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 MIN_STEP_SIGMAS = 8.0
 SHADOW_SLOPE = 2.0  # largest width hidden behind a step, over its height
 LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
-MOST_LOST = 4  # largest number of columns between neighbouring points of the plate
+LOST_BETWEEN = 4  # largest number of columns between neighbouring points of the plate
 SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
-MOST_FURTHER = 80  # columns behind a face that may still be its bent end or its wall
+FURTHER_COLUMNS = 80  # columns behind a face that may still be its bent end or its wall
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4
@@ -55,12 +55,12 @@ BENT_END_SIGMAS = 2.0  # an end that is lower than this is bent
 FLAT_SIGMAS = 3.0  # largest distance of a face point below the face line
 STEEPEST_ROUNDING = 1.5  # slope of a bent end from where it leaves the face line
 SHORTEST_ROUNDING = 20  # points before the last one of a face that may be bent
-RIM_SHARE, LARGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
+RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 in so many; at most
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 LAST_POINTS = 3  # last points that give the depth of an end
-MOST_STRAY = 2  # most points between two levels that are only mixed at the edge
-LARGEST_AWAY = 2.5  # spreads of its points up to which the bow of a face goes on (1.7: its ends)
-MOST_MIXED = 16  # points between two levels: a wider transition is a surface
+MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
+BOW_REACH = 2.5  # spreads of its points up to which the bow of a face goes on (1.7: its ends)
+LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
 RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
 
 
@@ -136,7 +136,7 @@ class FaceEnd:
         """Return how far (n,) below its line the face is, outwards at u (n,), and near its end."""
         (x, _), (along, _), (_, below) = self.frame
         middle, spread, bow = self._parabola
-        away = np.clip((x + u * along - middle) / spread, -LARGEST_AWAY, LARGEST_AWAY)
+        away = np.clip((x + u * along - middle) / spread, -BOW_REACH, BOW_REACH)
         return np.asarray(bow * below * bent(away))
 
     @cached_property
@@ -192,10 +192,10 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     else:
         raise NoEdgeError('at the border of the field of view')
     room = min(end.column, size - 1 - end.column) * end.pitch
-    if marks_lost and room < LEAST_TO_VIEW_END:
+    if marks_lost and room < VIEW_MARGIN:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
-            f'it {LEAST_TO_VIEW_END * 1e3:.0f} mm or more into the view)')
+            f'it {VIEW_MARGIN * 1e3:.0f} mm or more into the view)')
     if other and ending == 'roof':
         return _corner(end, other)
     wall = _wall(end, further)
@@ -245,7 +245,7 @@ def _meet_in_a_corner(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -
     x = a.crossing(b)
     x_end, x_start = end.points[end.column, 0], end.points[other.first, 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
-    bent = len(further) > 0 and other.first - further[-1] <= MOST_LOST
+    bent = len(further) > 0 and other.first - further[-1] <= LOST_BETWEEN
     reach = max(ROOF_REACH * end.column_pitch, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
@@ -278,10 +278,10 @@ def _further_columns(end: FaceEnd) -> NDArray[np.intp]:
     point does not end it.
     """
     at = int(end.returns.searchsorted(end.column))
-    ahead = end.returns[at:at + MOST_FURTHER + 2].tolist()
+    ahead = end.returns[at:at + FURTHER_COLUMNS + 2].tolist()
     columns, skipped = [end.column], False
     for column, after in pairwise([*ahead[1:], end.column]):
-        if column - end.column > MOST_FURTHER:
+        if column - end.column > FURTHER_COLUMNS:
             break
         if _follows(end, columns[-1], column):
             columns.append(column)
@@ -298,7 +298,7 @@ def _follows(end: FaceEnd, column: int, after: int) -> bool:
     aside, drop = abs(x_after - x), end.near_sign * (z - z_after)
     slack = SLACK_SIGMAS * end.segment.noise
     # a driver may leave lost points out: then the next column need not be near
-    return (0 < after - column <= MOST_LOST and aside < (MOST_LOST + 0.5) * end.column_pitch
+    return (0 < after - column <= LOST_BETWEEN and aside < (LOST_BETWEEN + 0.5) * end.column_pitch
             and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
@@ -340,7 +340,7 @@ def _edge_before_drop(end: FaceEnd, further: NDArray[np.intp], ground: Segment |
     Return the end of a plate before a drop, the further columns included.
 
     ground: the surface seen below, or None. The distance of a bent end from its edge is determined
-    later from all samples (see sampling/edge_shapes.py).
+    later from all samples (see profiles/edge_shapes.py).
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], further])
     u, v = end.outwards_and_below(plate)
@@ -358,7 +358,7 @@ def _edge_before_drop(end: FaceEnd, further: NDArray[np.intp], ground: Segment |
         return edge
     # the end is bent: its last points are the worst
     before = end.segment.columns[-max(2 * len(further), SHORTEST_ROUNDING):]
-    inner = further[:len(further) - min(len(further) // RIM_SHARE, LARGEST_RIM)]
+    inner = further[:len(further) - min(len(further) // RIM_SHARE, LONGEST_RIM)]
     bend = rounding_of(*end.outwards_and_below(np.concatenate([before, inner])), place, pitch,
                        noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
@@ -378,7 +378,7 @@ def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, f
     second value is the number of columns from the last point of the plate to half height, 0
     without a ramp.
     """
-    if ground is None or not 0 < ground.first - last - 1 <= MOST_MIXED:
+    if ground is None or not 0 < ground.first - last - 1 <= LONGEST_RAMP:
         return 0, 0.0
     points = end.points[last:ground.first + 1]
     columns = returned(points)
@@ -386,7 +386,7 @@ def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, f
     height = np.abs(z - end.segment.height(x))
     share = (height - height[0]) / (np.abs(ground.height(x) - end.segment.height(x)) - height[0])
     mixed_columns = int((share[1:-1] < 0.8).sum())
-    if mixed_columns <= MOST_STRAY:
+    if mixed_columns <= MIXED_POINTS:
         return (mixed_columns if len(columns) == len(points) else 0), 0.0
     after = max(int(np.argmax(share > 0.5)), 1)
     way = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)

@@ -25,13 +25,13 @@ STRAY_GAP = 2  # an end point further than this from its neighbour is on the lin
 INLIER_SIGMAS = 4.0
 MOST_NOISE = 30.0  # times the configured noise: more is no surface
 STEEPEST_SURFACE = 4.0  # slope of a surface from which light still comes back
-MOST_JUMPS = 0.1  # largest share of jumps from point to point in a profile without clutter
+CLUTTER_JUMPS = 0.1  # largest share of jumps from point to point in a profile without clutter
 # compared on either side; fewest of all at a similar range
 NEIGHBOURS_EACH_SIDE, FEWEST_NEIGHBOURS = 5, 4
 END_POINTS = 5  # points of a group whose mean shows a bent end
 ROUNDED_SIGMAS = 3.0
 BOW_SIGMAS = 3.0  # least bow of a face that counts
-LARGEST_END = 6  # a bent end has at most one part in so many of the points
+BENT_SHARE = 6  # a bent end has at most one part in so many of the points
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ def without_clutter(columns: NDArray[np.intp], points: Array, noise: float) -> N
     at a similar range. noise: configured, 1 sigma (m).
     """
     z, slack = points[:, 1].take(columns), MOST_NOISE * noise
-    if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= MOST_JUMPS * len(columns):
+    if np.count_nonzero(np.abs(z[1:] - z[:-1]) > slack) <= CLUTTER_JUMPS * len(columns):
         return columns
     x = points[:, 0].take(columns)
     neighbours = np.zeros(len(columns), dtype=np.intp)
@@ -209,7 +209,7 @@ def _segments(columns: NDArray[np.intp], x: Array, z: Array, least_noise: float)
 
 def _bent_end(residual: Array, noise: float) -> int:
     """Return the number of leading residuals (n,) that indicate a bent end."""
-    bent, most = 0, len(residual) // LARGEST_END // END_POINTS * END_POINTS
+    bent, most = 0, len(residual) // BENT_SHARE // END_POINTS * END_POINTS
     least = ROUNDED_SIGMAS * noise * END_POINTS ** 0.5
     while bent < most and abs(sum(residual[bent:bent + END_POINTS].tolist())) > least:
         bent += END_POINTS

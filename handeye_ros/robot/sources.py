@@ -15,12 +15,12 @@ from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
-from handeye_ros.estimation.solve import cover_both
+from handeye_ros.estimation.solve import upper_bound
 from handeye_ros.frames import mount_poses, sensor_axes
+from handeye_ros.profiles.edge_shapes import with_common_shape
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmProfiles, ArmState, ArmStops, first_fit, lengths
 from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
-from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_at_poses, synchronised
 import numpy as np
@@ -142,7 +142,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     calibrations = [_calibrated(source, outcome.arm) for source in sources]
     first, covariance = calibrations[0], outcome.covariance[:6, :6]
     if len(calibrations) == 1:
-        calibration = replace(first, covariance=cover_both(first.covariance, covariance))
+        calibration = replace(first, covariance=upper_bound(first.covariance, covariance))
     else:
         calibration = _combined(calibrations, outcome.chosen.fit.state.X @ se3.inverse(
             sensor_axes(sources[0].problem.config)), covariance)

@@ -130,7 +130,7 @@ class Sphere(ProfileTarget):
             outward /= np.linalg.norm(outward, axis=1)[:, None]
             noise = np.zeros((len(outward), 2, 2))
             noise[:, :, 0] = outward * feature.std[:, None]
-            rows.add_points(station, feature.points, 0, noise)
+            rows.add(station, feature.points, 0, noise)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the radius if it is given."""

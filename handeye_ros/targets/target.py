@@ -78,10 +78,6 @@ class Target(ABC):
         """Return the essential kinds as indices into kinds."""
         return [k for k, name in enumerate(self.kinds) if name in self.essential]
 
-    def views_alike(self, problem: Problem, estimate: Estimate) -> str:
-        """Return in words how the views of the target are too much alike, '' if they are not."""
-        return ''
-
     def seen_within(self, linear: Linear) -> tuple[str, float]:
         """
         Return the place of the view about which half a turn changes least, and m RMS off it.
@@ -137,11 +133,6 @@ class Target(ABC):
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
 
-    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
-                        ) -> str:
-        """Return in words where observations lie that are not on the target, '' if unknown."""
-        return ''
-
     def blocks(self, linear: Linear) -> Iterable[ParameterBlock]:
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
         return ()
@@ -165,14 +156,13 @@ class ObservationRows:
     outward: list[Array] = field(default_factory=list)
     shape_std: list[float] = field(default_factory=list)
 
-    def add(self, station: int, point: Array, kind: int, factor: Array, error: int,
+    def add(self, station: int, points: Array, kind: int, factor: Array, error: int = 0,
             edge: EdgePoint | None = None) -> None:
-        """Append one condition; see Observations. edge: the edge that the point is on, or None."""
-        self.add_points(station, point[None], kind, factor[None], error, edge)
+        """
+        Append a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
 
-    def add_points(self, station: int, points: Array, kind: int, factor: Array, error: int = 0,
-                   edge: EdgePoint | None = None) -> None:
-        """Append a condition for each of points (k, 2), with factors (k, 2, 2)."""
+        edge: the edge that the points are on, or None.
+        """
         self.points.append(points)
         self.error_factor.append(factor)
         self.numbers.append((station, kind, error, 1 + ENDINGS.index(edge.ending) if edge else 0))
@@ -203,7 +193,7 @@ def add_face(rows: ObservationRows, station: int, line: FaceLine, error: int, ki
         std = np.full(2, line.std * 2 ** 0.5)
     factor = np.zeros((len(points), 2, 2))
     factor[:, :, 0] = std[:, None] * across
-    rows.add_points(station, points, kind, factor, error)
+    rows.add(station, points, kind, factor, error)
 
 
 def edge_error_factor(edge: EdgePoint) -> Array:
@@ -256,8 +246,8 @@ class FaceTarget(ProfileTarget):
             add_face(rows, station, feature, ERRORS_PER_FEATURE * number, number % self.face_count)
         elif isinstance(feature, EdgePoint):
             for kind in self.edge_kinds:
-                rows.add(station, self.edge_place(feature), kind, edge_error_factor(feature),
-                         ERRORS_PER_FEATURE * number, feature)
+                rows.add(station, self.edge_place(feature)[None], kind,
+                         edge_error_factor(feature)[None], ERRORS_PER_FEATURE * number, feature)
 
     def edge_place(self, edge: EdgePoint) -> Array:
         """Return the point (2,) that is on the edge."""
@@ -306,8 +296,8 @@ class FaceTarget(ProfileTarget):
         return np.concatenate([pose, state[..., 16:] + delta[..., len(self.moves):]], axis=-1)
 
     def blocks(self, linear: Linear) -> Blocks:
-        """Yield the blocks of set-backs, shapes of edges, and flatness of faces."""
-        for source in (setbacks, edge_shapes, flatness, grazing):
+        """Yield the blocks of the ends of faces, of their flatness, and of grazing light."""
+        for source in (ends_of_faces, flatness, grazing):
             yield from source(linear)
 
     def feature_errors(self, linear: Linear) -> Array:
@@ -321,66 +311,36 @@ def out_of_face(linear: Linear) -> Array:
     return np.asarray((linear.wrt_point * outward).sum(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class EndRows:
+def ends_of_faces(linear: Linear) -> Blocks:
     """
-    The ends of faces, m observations in all.
+    Yield the blocks of the ends of faces: set-back, its change with the tilt, and shape.
 
-    feature: (m,) index of the feature of each observation
-    parts: for each (kind, way the face ends), which observations (m,) these are, kind 0 if an end
-        has several
-    slope: (m,) of the face there, against the line of sight
+    The set-back is one per kind and way of ending, of kind 0 for points of several conditions; the
+    shape is how far the true one deviates from that seen in profiles.
     """
-
-    feature: NDArray[np.intp]
-    parts: dict[tuple[int, int], NDArray[np.bool_]]
-    slope: Array
-
-    def outwards(self, linear: Linear) -> Array:
-        """Return derivatives (m,) by outward moves of the ends, of unit length per feature."""
-        along = out_of_face(linear)
-        length = np.sqrt(np.bincount(self.feature, along ** 2))[self.feature]
-        return np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
-
-
-def face_ends(obs: Observations) -> EndRows:
-    """Return the ends of faces among observations."""
+    obs, kinds = linear.problem.observations, linear.problem.target.kinds
+    std, end = linear.problem.config.target.setback_std, obs.ending > 0
     _, feature, count = np.unique(obs.error_source, return_inverse=True, return_counts=True)
     kind = np.where(count[feature] > 1, 0, obs.kind)  # conditions of one point share its edge
-    ends = sorted({(int(k), int(e)) for k, e in zip(kind, obs.ending, strict=True) if e})
+    # by outward moves, of unit length per feature
+    along = out_of_face(linear)
+    length = np.sqrt(np.bincount(feature, along ** 2))[feature]
+    outwards = np.divide(along, length, out=np.zeros(len(along)), where=length > 0)
+    for k, e in sorted({*zip(kind[end].tolist(), obs.ending[end].tolist(), strict=True)}):
+        rows = (kind == k) & (obs.ending == e)
+        name = f'setback_{kinds[k]}_{ENDINGS[e - 1]}'
+        yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std, report=name)
+    # the visible part of a bevel or a blurred step depends on the tilt
     slope = np.divide(obs.outward[:, 1], np.abs(obs.outward[:, 0]), out=np.zeros(len(obs)),
                       where=obs.outward[:, 0] != 0)
-    return EndRows(feature, {(k, e): (kind == k) & (obs.ending == e) for k, e in ends}, slope)
-
-
-def setbacks(linear: Linear) -> Blocks:
-    """Yield the blocks of the set-back of faces from their edges, one per kind of end."""
-    std, kinds = linear.problem.config.target.setback_std, linear.problem.target.kinds
-    obs = linear.problem.observations
-    ends = face_ends(obs)
-    outwards = ends.outwards(linear)
-    # the visible part of a bevel or a blurred step depends on the tilt
-    by_slope = np.column_stack([ends.slope, 2 * ends.slope ** 2])
-    for (kind, end), rows in ends.parts.items():
-        name = f'setback_{kinds[kind]}_{ENDINGS[end - 1]}'
-        yield ParameterBlock(name, np.where(rows, outwards, 0.0)[:, None] * std, std, report=name)
-    for end in sorted({end for _, end in ends.parts}):
-        tilted = np.where(obs.ending == end, outwards, 0.0)[:, None] * by_slope
-        yield ParameterBlock(f'incidence_{ENDINGS[end - 1]}', tilted * std, std)
-
-
-def edge_shapes(linear: Linear) -> Blocks:
-    """Yield the blocks of the deviation of edge shapes from those seen in profiles."""
-    obs = linear.problem.observations
-    if not obs.shape_std.any():
-        return
-    ends = face_ends(obs)
-    outwards = ends.outwards(linear) * obs.shape_std
-    for kind in sorted({kind for kind, _ in ends.parts}):
-        rows = np.any([of_end for (k, _), of_end in ends.parts.items() if k == kind], axis=0)
+    by_slope = np.column_stack([slope, 2 * slope ** 2])
+    for e in np.unique(obs.ending[end]).tolist():
+        tilted = np.where(obs.ending == e, outwards, 0.0)[:, None] * by_slope
+        yield ParameterBlock(f'incidence_{ENDINGS[e - 1]}', tilted * std, std)
+    for k in np.unique(kind[end]).tolist():
         # it comes from few points of a curve, and is extrapolated
-        yield ParameterBlock(f'shape_{linear.problem.target.kinds[kind]}',
-                             np.where(rows, outwards, 0.0)[:, None], 1.0, least_variance=1.0)
+        by_shape = np.where(end & (kind == k), outwards * obs.shape_std, 0.0)
+        yield ParameterBlock(f'shape_{kinds[k]}', by_shape[:, None], 1.0, least_variance=1.0)
 
 
 def face_kinds(target: Target) -> list[int]:

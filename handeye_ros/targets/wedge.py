@@ -107,7 +107,7 @@ def crossings(observations: Observations) -> Observations:
         # two lines that are parallel cross nowhere: any point of one of them then
         along = np.linalg.lstsq(np.column_stack([u, -v]), b - a, rcond=None)[0][0]
         for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):
-            rows.add(int(station), a + along * u, kind, 1e-5 * np.eye(2), 0)
+            rows.add(int(station), (a + along * u)[None], kind, 1e-5 * np.eye(2)[None])
     return rows.observations()
 
 

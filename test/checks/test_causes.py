@@ -58,16 +58,12 @@ def angles(values: Array) -> Rotation:
     ('sphere', simulated('inverted'), 'inverse poses'),
     ('plate', simulated('wxyz'), 'w x y z'), ('plate', simulated('intrinsic'), 'intrinsic'),
     ('plate', simulated('millimetres'), 'positions in millimetres'),
-    ('plate', lambda T: se3.transform(T[:, :3, :3], T[:, :3, 3] * 1e-3), 'thousand times larger'),
     *(('plate', read(change), words) for change, words in (
         (lambda R: R.inv(), 'transposed rotations'),
         (lambda R: angles(np.radians(R.as_euler('xyz'))), 'angles in radians'),
         (lambda R: angles(R.as_euler('XYZ')), 'intrinsic Euler angles'),
         (lambda R: angles(R.as_euler('xyz')[:, [2, 1, 0]]), 'roll and yaw exchanged'),
-        (lambda R: angles(R.as_euler('xyz')[:, [1, 0, 2]]), 'roll and pitch exchanged'),
-        (lambda R: angles(R.as_euler('xyz')[:, [0, 2, 1]]), 'pitch and yaw exchanged'),
-        (lambda R: angles(R.as_rotvec()), 'with rotation vectors'),
-        (lambda R: Rotation.from_rotvec(R.as_euler('xyz')), 'with roll, pitch, yaw'))),
+        (lambda R: angles(R.as_rotvec()), 'with rotation vectors'))),
     ('plate', simulated('degrees'), 'angles in degrees are read as radians'),
     ('sphere', simulated('degrees'), 'angles in degrees are read as radians')])
 def test_convention_errors_are_named(target: str, change: Callable[[Array], Array], words: str

@@ -27,7 +27,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import budget
 from handeye_ros.estimation.noise import covariance_parts, LUMPED
 from handeye_ros.estimation.search import least_squares_estimate
-from handeye_ros.estimation.solve import cover_both, solution_at
+from handeye_ros.estimation.solve import solution_at, upper_bound
 from handeye_ros.simulate import FAULTS, simulate_samples
 import numpy as np
 import pytest
@@ -157,11 +157,11 @@ def test_a_covariance_that_covers_two_has_neither_less() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         first, second = (root @ root.T for root in rng.normal(size=(2, 6, 6)))
-        least = cover_both(first, second)
+        least = upper_bound(first, second)
         for given in (first, second):
             assert np.linalg.eigvalsh(least - given).min() > -1e-9 * least.max()
-        assert np.allclose(cover_both(first, 0.5 * first), first)
-        assert np.allclose(cover_both(first, 2 * first), 2 * first)
+        assert np.allclose(upper_bound(first, 0.5 * first), first)
+        assert np.allclose(upper_bound(first, 2 * first), 2 * first)
 
 
 @pytest.mark.thorough

@@ -11,7 +11,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.noise import LUMPED
-from handeye_ros.estimation.search import robust_solution, with_all_blocks
+from handeye_ros.estimation.search import robust_solution, with_systematic_errors
 from handeye_ros.estimation.solve import solution_at
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import FAULTS, SCENARIOS, simulate, simulate_samples
@@ -197,7 +197,7 @@ def test_what_a_wrong_station_would_do_is_stated_of_few_and_next_to_nothing_of_m
     grown = []
     for stations in ((3, 3), (9, 9)):
         made = cell(replace(SCENARIOS['plate'], stations=stations), 0)
-        solution = with_all_blocks(robust_solution(made.problem, np.random.default_rng(0)))
+        solution = with_systematic_errors(robust_solution(made.problem, np.random.default_rng(0)))
         without = replace(solution, added_covariances={})
         grown.append(np.diag(solution.transform_covariance)
                      / np.diag(without.transform_covariance))
