@@ -9,9 +9,8 @@ from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE
 from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.blocks import robot_scale, stated_measures
-from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.least_squares import covariance_of
+from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
     robust_solution,
@@ -76,18 +75,21 @@ def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
     The scale is solved for to first order, with the stated measures of the target, so that a wrong
     measure is not taken for a scale.
     """
-    problem, config = agreed.full_problem, agreed.full_problem.config
-    free = replace(config, noise=replace(config.noise, robot_scale=LARGEST_SCALE_ERROR))
-    linear = linearise(replace(agreed.problem, config=free), agreed.estimate)
-    found = Solution.of_linear(linear, Noise(), (*robot_scale(linear), *stated_measures(linear)))
-    scale = block_estimates(found)['scale']
-    if not SMALLEST_SCALE_ERROR < abs(scale.value) < LARGEST_SCALE_ERROR:
+    problem, linear = agreed.full_problem, agreed.linear
+    positions = agreed.problem.robot_poses[:, :3, 3]
+    moved = (positions - positions.mean(axis=0))[agreed.problem.observations.station]
+    by_scale = (linear.wrt_pose[:, :3] * moved).sum(axis=1)
+    measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
+    J = np.column_stack([agreed.whitening(np.column_stack([by_scale, measures])), agreed.jacobian])
+    covariance = covariance_of(J)
+    scale = float(covariance[0] @ (J.T @ agreed.postfit_residuals))
+    if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
         return []
     T = problem.robot_poses.copy()
-    T[:, :3, 3] /= 1 + scale.value
-    scaled = replace(problem, poses=mount_poses(T, config))
+    T[:, :3, 3] /= 1 + scale
+    scaled = replace(problem, poses=mount_poses(T, problem.config))
     return [Hypothesis(lambda: explanation_of_problem(scaled), lambda fit: _scales_differ(
-        abs(scale.value), scale.std * fit.variance_factor ** 0.5))]
+        abs(scale), float(covariance[0, 0] * fit.variance_factor) ** 0.5))]
 
 
 def require_one_scale(agreed: Solution) -> None:
