@@ -3,32 +3,26 @@
 """
 Messages of a rosbag2 recording (mcap or db3) in the order of the file, as far as it is readable.
 
-A recording that is cut off (power failure, full disk) is read up to its end, also within a chunk.
-Nothing larger than LARGEST_RECORD is held in memory, whatever lengths a damaged file states.
+A recording that is cut off (power failure, full disk) is read up to its last whole chunk.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, suppress
 from functools import lru_cache, partial
-import io
 from pathlib import Path
 import re
 import shutil
 import sqlite3
-import struct
 import tempfile
 from typing import BinaryIO, NamedTuple
 import weakref
-import zlib
 
 from handeye_ros.config import yaml_content
 from handeye_ros.errors import InputError
-import lz4.frame  # type: ignore[import-untyped]
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Schema
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
+from mcap.stream_reader import breakup_chunk, StreamReader
 import yaml
 import zstandard
 
@@ -44,10 +38,6 @@ ROS1_MAGIC = b'#ROSBAG V'
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 
-RECORD_HEAD = struct.Struct('<BQ')  # opcode and length of an mcap record
-MESSAGE_HEAD = struct.Struct('<HIQQ')  # channel, number, time of receipt and of publishing
-DEFINITIONS: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema,
-                                                  Opcode.CHANNEL: Channel}
 LARGEST_RECORD = 1 << 28  # bytes of a record or message, compressed or not: none is larger
 CACHED_CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are close together
 
@@ -86,6 +76,7 @@ class Reader:
         self._progress = progress
         self._done = 0.0  # bytes of the files that were read, and of all
         self._total = 1.0
+        self._records_at = lru_cache(CACHED_CHUNKS)(_records_at)
 
     def messages(self) -> Iterator[Raw]:
         """Yield the messages; raises InputError if there is nothing to read."""
@@ -94,7 +85,7 @@ class Reader:
             sizes = [file.stat().st_size for file in self.files]
             self._total = max(1.0, sum(sizes))
             for file, size in zip(self.files, sizes, strict=True):
-                yield from _storage(file, self).messages()
+                yield from self._messages_of(file)
                 self._done += size
         except OSError as error:
             raise InputError(f'{error.filename or self.path}: cannot be read: '
@@ -103,7 +94,120 @@ class Reader:
             reason = '; '.join(self.warnings) or 'the recording was stopped before it began'
             raise InputError(f'{self.path}: holds no messages ({reason}): record again')
 
-    def register_topic(self, topic: str, kind: str, encoding: str) -> str:
+    def _messages_of(self, path: Path) -> Iterator[Raw]:
+        """Yield the messages of a file, decompressed; raises InputError if it is of no bag."""
+        magic, file = _magic(path), path
+        if magic.startswith(ZSTD_MAGIC):
+            # messages may be read again from it, by functions that hold this reader
+            folder = tempfile.mkdtemp(prefix='handeye-')
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            file = Path(folder) / path.with_suffix('').name
+            with path.open('rb') as packed, file.open('wb') as target, suppress(
+                    zstandard.ZstdError):
+                zstandard.ZstdDecompressor().copy_stream(packed, target)  # up to a damage
+            magic = _magic(file) or ZSTD_MAGIC
+        if magic == MCAP_MAGIC:
+            return self._from_mcap(file, path.name)
+        if SQLITE_MAGIC.startswith(magic) and magic:
+            return self._from_database(file, path.name)
+        reason = ('the file is empty: record again' if not magic else
+                  'is a ROS 1 bag: convert it with rosbags-convert'
+                  if ROS1_MAGIC.startswith(magic) else
+                  'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
+        raise InputError(f'{path}: {reason}')
+
+    def _from_mcap(self, path: Path, name: str) -> Iterator[Raw]:
+        """Yield the messages of an .mcap file; name: for the warnings."""
+        schemas: dict[int, str] = {}
+        channels: dict[int, str] = {}  # '': not requested
+        count, damaged = 0, 0
+
+        def define(record: Schema | Channel) -> None:
+            if isinstance(record, Schema):
+                schemas[record.id] = record.name
+            else:
+                channels[record.id] = self._registered(
+                    record.topic, schemas.get(record.schema_id, 'of unknown type'),
+                    record.message_encoding)
+
+        with path.open('rb') as stream:
+            with suppress(Exception):  # its end repeats what a damaged chunk may define
+                summary = make_reader(stream).get_summary()
+                for definition in (*summary.schemas.values(), *summary.channels.values()):
+                    define(definition)
+            start, complete = 0, False
+            for record in _up_to_damage(stream, start):
+                if complete := isinstance(record, DataEnd):
+                    break
+                self._advanced(start)
+                try:
+                    records = _expanded(record)
+                except Exception:  # noqa: BLE001 - of decompressors, and of the parser
+                    damaged += 1
+                    records = []
+                for index, one in enumerate(records):
+                    if isinstance(one, Schema | Channel):
+                        define(one)
+                    elif isinstance(one, Message):
+                        count += 1
+                        if topic := channels.get(one.channel_id):
+                            yield Raw(topic, one.log_time, _message(one.data),
+                                      partial(self._from_chunk, path, start, index))
+                start = stream.tell()
+        if damaged or not complete:
+            self.warnings.append(f'{name} is cut off or damaged: read {count} messages, left out '
+                                 f'{damaged} damaged chunk(s)')
+
+    def _from_chunk(self, path: Path, start: int, index: int) -> bytes:
+        """Return a message of an .mcap file again: one record in that at a position."""
+        try:
+            return _message(self._records_at(path, start)[index].data)
+        except Exception:  # noqa: BLE001 - the file has changed
+            return b''
+
+    def _from_database(self, path: Path, name: str) -> Iterator[Raw]:
+        """
+        Yield the messages of a .db3 file; name: for the warnings.
+
+        In the order of recording: by time, a bag of two runs would look like one. SQLite refuses a
+        truncated file.
+        """
+        log = path.with_name(f'{path.name}-wal')
+        if log.exists() and log.stat().st_size:
+            self.warnings.append(f'the recorder of {name} was killed, and {log.name} holds '
+                                 'messages that are not read: "ros2 bag info" merges them into '
+                                 'the file')
+        count = position = 0
+        try:
+            with closing(_connected(path)) as database:
+                names = {}
+                for key, topic, kind, encoding in database.execute(
+                        'SELECT id, name, type, serialization_format FROM topics'):
+                    if wanted := self._registered(str(topic), str(kind), str(encoding)):
+                        names[key] = wanted
+                marks = ', '.join('?' * len(names))
+                for key, number, time, data in database.execute(
+                        'SELECT id, topic_id, timestamp, data FROM messages '
+                        f'WHERE topic_id IN ({marks}) ORDER BY id', list(names)):
+                    yield Raw(names[number], int(time), _message(bytes(data)),
+                              partial(self._from_row, path, key))
+                    count, position = count + 1, position + len(data)
+                    if count % 1000 == 0:
+                        self._advanced(position)
+        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+            self.warnings.append(f'{name} is cut off or damaged ({error}): read {count} messages '
+                                 'up to there')
+
+    def _from_row(self, path: Path, key: int) -> bytes:
+        """Return a message of a .db3 file again."""
+        try:
+            with closing(_connected(path)) as database:
+                (data,), = database.execute('SELECT data FROM messages WHERE id = ?', (key,))
+            return _message(bytes(data))
+        except (sqlite3.Error, TypeError, ValueError):
+            return b''  # the file has changed
+
+    def _registered(self, topic: str, kind: str, encoding: str) -> str:
         """Take note of a topic and its type; return its name, '' if it is not requested."""
         topic = full_name(topic)
         package, _, name = kind.partition('/')  # some write it as ROS 1 did
@@ -111,7 +215,7 @@ class Reader:
         self.types[topic] = kind if encoding == 'cdr' else f'{kind} in {encoding}'
         return topic if self._topics is None or topic in self._topics else ''
 
-    def advanced(self, position: int) -> None:
+    def _advanced(self, position: int) -> None:
         """Tell how many bytes of the file were read; of a compressed file that is a guess."""
         self._progress(min(1.0, (self._done + position) / self._total))
 
@@ -153,31 +257,6 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(digits or 0), text) for text, digits in re.findall(r'(\D*)(\d*)', path.name)]
 
 
-def _storage(path: Path, reader: Reader) -> _Mcap | _Sqlite:
-    """Return a storage file, decompressed; raises InputError for other files."""
-    magic, file, folder = _magic(path), path, None
-    if magic[:len(ZSTD_MAGIC)] == ZSTD_MAGIC:
-        folder = tempfile.mkdtemp(prefix='handeye-')
-        file = Path(folder) / path.with_suffix('').name
-        with path.open('rb') as packed, file.open('wb') as target, suppress(zstandard.ZstdError):
-            zstandard.ZstdDecompressor().copy_stream(packed, target)  # up to a damage
-        magic = _magic(file) or ZSTD_MAGIC
-    storage: _Mcap | _Sqlite
-    if magic == MCAP_MAGIC:
-        storage = _Mcap(file, path.name, reader)
-    elif magic == SQLITE_MAGIC[:len(MCAP_MAGIC)]:
-        storage = _Sqlite(file, path.name, reader)
-    else:
-        reason = ('the file is empty: record again' if not magic else
-                  'is a ROS 1 bag: convert it with rosbags-convert'
-                  if magic == ROS1_MAGIC[:len(magic)] else
-                  'is not a bag; expected a rosbag2 folder, or an .mcap or .db3 file')
-        raise InputError(f'{path}: {reason}')
-    if folder:  # messages may be read again from it as long as the storage exists
-        weakref.finalize(storage, shutil.rmtree, folder, ignore_errors=True)
-    return storage
-
-
 def _magic(path: Path) -> bytes:
     with path.open('rb') as stream:
         return stream.read(len(MCAP_MAGIC))
@@ -188,174 +267,29 @@ def _message(data: bytes) -> bytes:
     if data[:4] != ZSTD_MAGIC:
         return data
     try:
-        return _unpacked(data)
+        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+            return stream.read(LARGEST_RECORD)
     except zstandard.ZstdError:
         return b''  # no message of any type
 
 
-def _unpacked(data: bytes) -> bytes:
-    """Return decompressed zstd data, also if cut off."""
-    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-        return stream.read(LARGEST_RECORD)
+def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
+    """Yield the records of an .mcap file from a position on; damaged bytes end them."""
+    stream.seek(start)
+    with suppress(Exception):  # of all kinds, in the parser
+        yield from StreamReader(stream, skip_magic=start > 0, emit_chunks=True,
+                                record_size_limit=LARGEST_RECORD).records
 
 
-class _Mcap:
-    """
-    An .mcap file; its channels may be defined within chunks, and again at its end.
-
-    Read by hand: mcap's readers take several times as long, or nothing from a cut or damaged file.
-    """
-
-    def __init__(self, path: Path, name: str, reader: Reader) -> None:
-        """name: for the warnings."""
-        self._path, self._name, self._reader = path, name, reader
-        self._schemas: dict[int, str] = {}
-        self._channels: dict[int, str] = {}  # '': not requested
-        # a reference to this file, and to its temporary folder, is kept by each message
-        self._records_at = lru_cache(CACHED_CHUNKS)(self._read_again)
-
-    def messages(self) -> Iterator[Raw]:
-        """Yield the messages of the topics that the reader wants."""
-        count, damaged, complete = 0, 0, False
-        with self._path.open('rb') as stream:
-            with suppress(Exception):  # damaged bytes cause all kinds of errors in the parser
-                summary = SeekingReader(stream, record_size_limit=LARGEST_RECORD).get_summary()
-                if summary:
-                    for definition in (*summary.schemas.values(), *summary.channels.values()):
-                        self._define(definition)
-            stream.seek(len(MCAP_MAGIC))
-            for start, opcode, content, whole in _records(stream):
-                self._reader.advanced(start)
-                if opcode == Opcode.DATA_END:
-                    complete = True
-                    break
-                try:
-                    records = _expanded(opcode, content, whole)
-                except Exception:  # noqa: BLE001 - of decompressors, and of the parser
-                    damaged += 1
-                    continue
-                for index, (kind, record) in enumerate(records):
-                    if kind == Opcode.MESSAGE and len(record) >= MESSAGE_HEAD.size:
-                        count += 1
-                        channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(record)
-                        if topic := self._channels.get(channel):
-                            yield Raw(topic, log_time, _message(bytes(record[MESSAGE_HEAD.size:])),
-                                      partial(self._fetch, start, index))
-                    elif kind in DEFINITIONS:
-                        with suppress(Exception):  # damaged: its messages are unknown
-                            self._define(DEFINITIONS[kind].read(ReadDataStream(
-                                io.BytesIO(record))))
-        if damaged:
-            self._reader.warnings.append(
-                f'{self._name} is damaged: {damaged} chunk(s) of it were left out')
-        if not complete:
-            self._reader.warnings.append(f'{self._name} is cut off or damaged: read {count} '
-                                         'messages up to there')
-
-    def _define(self, record: Schema | Channel) -> None:
-        """Take note of a schema or a channel."""
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record.name
-            return
-        kind = self._schemas.get(record.schema_id, 'of unknown type')
-        self._channels[record.id] = self._reader.register_topic(record.topic, kind,
-                                                                record.message_encoding)
-
-    def _fetch(self, start: int, index: int) -> bytes:
-        try:
-            return _message(bytes(self._records_at(start)[index][1][MESSAGE_HEAD.size:]))
-        except Exception:  # noqa: BLE001 - the file has changed
-            return b''
-
-    def _read_again(self, start: int) -> list[tuple[int, memoryview]]:
-        with self._path.open('rb') as stream:
-            stream.seek(start)
-            _, opcode, content, whole = next(_records(stream))
-        return _expanded(opcode, content, whole)
-
-
-def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes, bool]]:
-    """Yield position, opcode, content of each mcap record, and whether it is not cut off."""
-    while True:
-        start = stream.tell()
-        head = stream.read(RECORD_HEAD.size)
-        if len(head) < RECORD_HEAD.size:
-            return
-        opcode, length = RECORD_HEAD.unpack(head)
-        content = stream.read(min(length, LARGEST_RECORD))
-        yield start, opcode, content, len(content) == length
-
-
-def _expanded(opcode: int, content: bytes, whole: bool) -> list[tuple[int, memoryview]]:
+def _expanded(record: McapRecord) -> list[McapRecord]:
     """Return a record, or those in a chunk; raises any kind of error for a damaged one."""
-    if opcode != Opcode.CHUNK:
-        return [(opcode, memoryview(content))] if whole else []
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
-    data: bytes = chunk.data
-    if chunk.compression == 'lz4':
-        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST_RECORD)
-    elif chunk.compression == 'zstd':
-        data = _unpacked(data)
-    if whole and (len(data) != chunk.uncompressed_size or chunk.uncompressed_crc
-                  and chunk.uncompressed_crc != zlib.crc32(data)):
-        raise ValueError('the chunk is damaged')
-    view, records, begin = memoryview(data), [], RECORD_HEAD.size
-    while begin <= len(view):
-        kind, length = RECORD_HEAD.unpack_from(view, begin - RECORD_HEAD.size)
-        record = view[begin:begin + length]
-        if len(record) == length:
-            records.append((kind, record))
-        begin += length + RECORD_HEAD.size
-    return records
+    return breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
 
 
-class _Sqlite:
-    """
-    A database.
+def _records_at(path: Path, start: int) -> list[McapRecord]:
+    with path.open('rb') as stream:
+        return _expanded(next(_up_to_damage(stream, start)))
 
-    In the order of recording: by time, a bag of two runs would look like one. SQLite refuses a
-    truncated file.
-    """
 
-    def __init__(self, path: Path, name: str, reader: Reader) -> None:
-        """name: for the warnings."""
-        self._path, self._name, self._reader = path, name, reader
-        log = path.with_name(f'{path.name}-wal')
-        if log.exists() and log.stat().st_size:
-            reader.warnings.append(f'the recorder of {name} was killed, and {log.name} holds '
-                                   'messages that are not read: "ros2 bag info" merges them into '
-                                   'the file')
-
-    def messages(self) -> Iterator[Raw]:
-        """Yield the messages of the topics that the reader wants."""
-        count = position = 0
-        try:
-            with closing(self._connected()) as database:
-                names = {}
-                for key, name, kind, encoding in database.execute(
-                        'SELECT id, name, type, serialization_format FROM topics'):
-                    if topic := self._reader.register_topic(str(name), str(kind), str(encoding)):
-                        names[key] = topic
-                marks = ', '.join('?' * len(names))
-                for key, number, time, data in database.execute(
-                        'SELECT id, topic_id, timestamp, data FROM messages '
-                        f'WHERE topic_id IN ({marks}) ORDER BY id', list(names)):
-                    yield Raw(names[number], int(time), _message(bytes(data)),
-                              partial(self._fetch, key))
-                    count, position = count + 1, position + len(data)
-                    if count % 1000 == 0:
-                        self._reader.advanced(position)
-        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
-            self._reader.warnings.append(f'{self._name} is cut off or damaged ({error}): read '
-                                         f'{count} messages up to there')
-
-    def _connected(self) -> sqlite3.Connection:
-        return sqlite3.connect(f'{self._path.absolute().as_uri()}?immutable=1', uri=True)
-
-    def _fetch(self, key: int) -> bytes:
-        try:
-            with closing(self._connected()) as database:
-                (data,), = database.execute('SELECT data FROM messages WHERE id = ?', (key,))
-            return _message(bytes(data))
-        except (sqlite3.Error, TypeError, ValueError):
-            return b''  # the file has changed
+def _connected(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f'{path.absolute().as_uri()}?immutable=1', uri=True)
