@@ -39,6 +39,10 @@ class Notation:
     numbers: Callable[[Rotation], Array]
     rotation: Callable[[Array], Rotation]
 
+    def columns(self, prefix: str) -> list[str]:
+        """Return the names of the columns of an orientation in a table."""
+        return [f'{prefix}_{label}' for label in self.labels]
+
 
 def _euler_numbers(axes: str, rotation: Rotation) -> Array:
     with warnings.catch_warnings():  # of gimbal lock, where the angles are not unique

@@ -72,18 +72,12 @@ class Table:
         unit = self._units.get(name)
         return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
 
-    def unit(self, name: str) -> str:
-        """Return the unit of a column in the header, empty where it has none."""
-        return self._units[name] or ''
-
-    def renamed(self, names: Sequence[str], others: Sequence[str], unit: str) -> Table:
-        """Return the table with other names of some columns, and their unit (empty: none)."""
-        other, old = copy(self), set(names)
-        other._columns = {name: column for name, column in self._columns.items()
-                          if name not in old}
-        other._columns |= {new: self._columns[name]
-                           for name, new in zip(names, others, strict=True)}
-        other._units = self._units | dict.fromkeys(others, unit)
+    def renamed(self, names: Mapping[str, str]) -> Table:
+        """Return the table with other names of some columns; their units stay."""
+        other = copy(self)
+        other._columns, other._units = (
+            {names.get(name, name): value for name, value in values.items()}
+            for values in (self._columns, self._units))
         return other
 
     @property
@@ -121,11 +115,11 @@ class Table:
         if angles:
             notation = orientations.notation_of(angles)
             length = notation.length
-        elif self.has([f'{prefix}_{label}' for label in orientations.RPY.labels]):
+        elif self.has(orientations.RPY.columns(prefix)):
             notation = orientations.RPY
-        names = [f'{prefix}_{label}' for label in notation.labels]
+        names = notation.columns(prefix)
         fitting = [name for name, other in orientations.NOTATIONS.items()
-                   if self.has([f'{prefix}_{label}' for label in other.labels])]
+                   if self.has(other.columns(prefix))]
         if fitting and not self.has(names):
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
                              f'--angles {" or ".join(fitting)} reads, of the flange only')

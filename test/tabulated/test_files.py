@@ -271,19 +271,13 @@ NUMBERS: dict[str, Callable[[Rotation], np.ndarray]] = {
 
 
 @pytest.mark.parametrize(('written', 'unit', 'length', 'columns', 'angles', 'words'), [
-    ('vector', 'rad', 'mm', 'rx ry rz', 'staubli', 'ur-rotation-vector and its positions in mm'),
-    ('vector', 'rad', 'mm', 'rx ry rz', 'staubli', 'write their unit, as in flange_x [mm]'),
     ('vector', 'rad', 'm', 'rx ry rz', 'staubli', 'set target.angles to ur-rotation-vector'),
     ('vector', 'rad', 'm', 'a b c', 'kuka', 'name the columns flange_rx, flange_ry, flange_rz'),
-    ('vector', 'deg', 'm', 'rx ry rz', 'ur', 'with the angles of the flange in deg they agree'),
-    ('vector', 'deg', 'mm', 'rx ry rz', 'ur', 'flange in deg and its positions in mm they agree'),
     ('xyz', 'deg', 'mm', 'rx ry rz', 'ur', 'set target.angles to yaskawa-rxryrz'),
     ('xyz', 'deg', 'mm', 'a b c', 'kuka', 'with the flange written as fanuc-wpr they agree'),
-    ('zyx', 'rad', 'm', 'a b c', 'kuka', 'flange in rad and its positions in m they agree'),
     ('zyx', 'deg', 'm', 'roll[deg] pitch[deg] yaw[deg]', '', 'kuka-abc and name the columns'),
-    ('xyz', 'rad', 'm', 'roll[deg] pitch[deg] yaw[deg]', '', 'name the columns flange_roll [rad]'),
     ('xyzw', '', 'mm', 'q1 q2 q3 q4', 'abb', 'flange quaternions as x y z w they agree')])
-def test_the_notation_or_the_unit_of_a_controller_is_named(
+def test_the_notation_of_a_controller_is_named(
         written: str, unit: str, length: str, columns: str, angles: str, words: str, handeye: Run,
         tmp_path: Path) -> None:
     simulated.write('hand_eye', 1, tmp_path / 'cell')
@@ -302,24 +296,6 @@ def test_the_notation_or_the_unit_of_a_controller_is_named(
                fmt='%.12g')
     refused(handeye('solve', *given('hand_eye', tmp_path / 'cell'),
                     *(('--set', f'target.angles={angles}') if angles else ())), 3, words)
-
-
-def test_the_unit_of_the_angles_of_both_lists_is_named(handeye: Run, tmp_path: Path) -> None:
-    simulated.write('hand_eye', 1, tmp_path / 'cell')
-    file = tmp_path / 'cell' / 'poses.csv'
-    table, header, values = Table(file), [], []
-    for name in ('flange', 'target'):
-        T = table.poses(name)
-        values += [T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')]
-        header += [f'{name}_{column}' for column in (
-            'x [m]', 'y [m]', 'z [m]', 'roll [deg]', 'pitch [deg]', 'yaw [deg]')]
-    np.savetxt(file, np.hstack(values), delimiter=',', header=','.join(header), comments='')
-    refused(handeye('solve', *given('hand_eye', tmp_path / 'cell')), 3,
-            'with the angles of the flange in rad and the angles of the target in rad they agree')
-    text = file.read_text()
-    file.write_text(text.replace('deg', 'rad', 3))
-    refused(handeye('solve', *given('hand_eye', tmp_path / 'cell')), 3,
-            'with the angles of the target in rad they agree')
 
 
 @pytest.mark.parametrize('seed', [8, 12, 19])
