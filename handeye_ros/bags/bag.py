@@ -51,12 +51,10 @@ from handeye_ros.sampling.stream import (
     FEW_SHARE,
     FEW_STRAYS,
     fitting,
-    in_order,
     LAST_STAMP,
     two_frames,
 )
 import numpy as np
-from numpy.typing import NDArray
 
 MOST_MALFORMED = 0.5  # largest share of messages of a topic that cannot be used
 
@@ -129,7 +127,11 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     clouds = _Recorded('profile_topic', config.profile_topic, CLOUD_TYPE,
                        lambda raw: converter.take(raw.data, raw.fetch))
     topics, poses_of = _pose_source(config, arm)
-    reader = _read_topics(path, (clouds, *topics), progress)
+    # if two settings name one topic, the first gets its messages; its type refuses the second
+    by_name = {topic.name: topic for topic in reversed((clouds, *topics))}
+    reader = Reader(path, by_name, progress)
+    for raw in reader.messages():
+        by_name[raw.topic].add(raw)
     profiles: list[RawProfile] = []
     previous = None
     for message in clouds.ordered(reader):
@@ -145,25 +147,6 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                         'the clocks of sensor and robot differ, or they were not recorded '
                         'together')
     return Recording(tuple(profiles), poses, joints, reader.warnings, reader.files)
-
-
-def read_poses(path: Path, config: Config, arm: Arm | None = None) -> Recording:
-    """Return only the flange poses of a bag; see read."""
-    topics, poses_of = _pose_source(config, arm)
-    reader = _read_topics(path, topics)
-    poses, joints = poses_of(reader)
-    return Recording((), poses, joints, reader.warnings, reader.files)
-
-
-def _read_topics(path: Path, topics: Sequence[_Recorded],
-                 progress: Callable[[float], None] = lambda share: None) -> Reader:
-    """Pass every message to its topic; return the reader of the bag."""
-    # if two settings name one topic, the first gets its messages; its type refuses the second
-    by_name = {topic.name: topic for topic in reversed(topics)}
-    reader = Reader(path, by_name, progress)
-    for raw in reader.messages():
-        by_name[raw.topic].add(raw)
-    return reader
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,37 +219,22 @@ class _Recorded:
         DataError for stamps of two runs.
         """
         self.require(reader)
-        items, warnings = self._as_received(reader.warnings), reader.warnings
-        stamped = [item for item in items if item.stamp]
+        warnings = reader.warnings
+        stamped = [item for item in self.items if item.stamp]
         if not stamped:
             warnings.append(f'the messages on {self.name} have no stamps; the times at which they '
                             'were recorded are used')
             stamped = [replace(item, stamp=time) for item, time in zip(
                 self.items, self._log_times, strict=True)]
-        elif len(stamped) < len(items):
-            warnings.append(f'{len(items) - len(stamped)} messages on {self.name} without a stamp '
-                            'were left out')
+        elif len(stamped) < len(self.items):
+            warnings.append(f'{len(self.items) - len(stamped)} messages on {self.name} without a '
+                            'stamp were left out')
         return sorted(_fitting(self.name, stamped, warnings), key=by_stamp)
-
-    def _as_received(self, warnings: list[str]) -> list[Any]:
-        """
-        Return the items in the order received, if they are stored in another order.
-
-        The order in the file has priority: two consecutive runs of a simulated clock have the same
-        times of receipt, and must not be merged into one.
-        """
-        stamps, order = _stamps(self.items), np.argsort(self._log_times, kind='stable')
-        if (in_order(stamps) is not None or in_order(stamps[order]) is None
-                or len(np.unique(stamps)) < len(stamps)):
-            return self.items
-        warnings.append(f'the messages on {self.name} do not lie in the order in which they were '
-                        'received, and were sorted')
-        return [self.items[index] for index in order]
 
 
 def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]:
     """Return the items whose stamps fit the order of the others; DataError for two runs."""
-    stamps = _stamps(items)
+    stamps = np.array([item.stamp for item in items], np.int64)
     fits = fitting(stamps, f'on {topic}')
     wrong = np.flatnonzero(~fits)
     if len(wrong):
@@ -275,10 +243,6 @@ def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]
             f'far from those around them (first message {wrong[0] + 1}, of '
             f'{stamps[wrong[0]] * 1e-9:.3f} s)')
     return list(compress(items, fits))
-
-
-def _stamps(items: Sequence[Any]) -> NDArray[np.int64]:
-    return np.array([item.stamp for item in items], np.int64)
 
 
 Poses: TypeAlias = tuple[Sequence[TimedPose], Array | None]

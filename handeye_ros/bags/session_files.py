@@ -8,8 +8,8 @@ a stop, its profiles and poses (and joint values), so that stops can be evaluate
 written under another name, synced, and renamed; then metadata.yaml is written under another name
 and renamed, and the folder is synced. If the process is killed at any time, all files are complete
 bags, and metadata.yaml lists all of them except perhaps the last, which the node has not yet
-reported. After a power failure metadata.yaml may be older: it is synced later, repeats only data
-of the files, and is written again when the session is continued.
+reported. After a power failure metadata.yaml may be older: it repeats only data of the files, and
+is written again when the session is continued.
 """
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ from handeye_ros.bags.bag_write import (
     cloud_cdr,
     contents_of,
     DOUBLE_POINT,
-    METADATA,
     pose_cdr,
     string_cdr,
     sync,
@@ -161,7 +160,6 @@ class SessionFiles:
         self._parent = parent
         self.path = stored.path if stored else None
         self._lock: int | None = None
-        self._unsynced = stored is not None
         if stored:
             with ExitStack() as failed, write_errors_for(stored.path):
                 self._lock = _claimed(
@@ -215,7 +213,6 @@ class SessionFiles:
                 write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
                 stream.flush()
                 os.fsync(stream.fileno())
-            self._unsynced = True
             try:
                 write_metadata(folder, files_of(folder))
             except (OSError, InputError):
@@ -229,13 +226,6 @@ class SessionFiles:
         other = SessionFiles(self._parent)
         other.add_event(CONFIGURED, config)  # so that `last` names it
         return other
-
-    def sync(self) -> None:
-        """Sync metadata.yaml; no service waits for it, as the files hold the same data."""
-        if self.path and self._unsynced:
-            self._unsynced = False
-            with suppress(OSError):
-                sync(self.path / METADATA)
 
     def _begun(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""

@@ -85,15 +85,14 @@ def kinematics(
 
 def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str]) -> 'Source':
     """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros.bags.bag import read_poses
     from handeye_ros.robot.sources import source_of
     stored = stored_session(path)
     settings = replace(configuration(config, assignments, stored.config if stored else None),
                        kinematics='')
-    if stored:
-        return source_of(stored.session(settings), read_poses(path, settings, arm), arm, settings,
-                         [{'path': str(path)}])
     recording = read_bag(path, settings, arm)
+    if stored:
+        return source_of(stored.session(settings), recording, arm, settings,
+                         [{'path': str(path)}])
     session = collect_samples(recording, settings)
     return source_of(session, recording, arm, settings, recording.inputs)
 

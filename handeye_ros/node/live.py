@@ -11,8 +11,7 @@ stored one when settings change. After each such piece of work the worker (pool.
 used. What follows from the samples is in answer.py and verification.py.
 
 When ~/take_sample has taken a stop, that is on the disk as a file of its own, synced
-(SessionFiles in bags/session_files.py); metadata.yaml, which repeats what the files say, is synced
-after the answer. During a verification nothing is stored until its result.
+(SessionFiles in bags/session_files.py). During a verification nothing is stored until its result.
 
 Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
@@ -222,7 +221,6 @@ class LiveSession:
             self.wake()
         else:
             self.answer.begin_review()
-        self.files.sync()
         trim_memory()
 
     def run_job(self, name: str, accept: Callable[[Future[Any]], Result],
