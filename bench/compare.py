@@ -33,8 +33,7 @@ from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.measured import laser_tracker
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
-from handeye_ros.tabulated.sweeps import Piece, sweep_from
-from handeye_ros.tabulated.tracker import TrackerSession
+from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerSession
 import numpy as np
 from scipy.spatial.transform import Rotation
 import trials

@@ -19,13 +19,13 @@ from handeye_ros import pipeline, se3, targets
 from handeye_ros.calibration import measured_points
 from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, EdgePoint, Reject, rms, Sample
+from handeye_ros.data import Arc, Array, Reject, rms, Sample
 from handeye_ros.errors import DataError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_estimate
 from handeye_ros.frames import sensor_axes
-from handeye_ros.published import chen2023, cn105021139a, fixed_point, wu2017, zheng2018
+from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zheng2018
 from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth_file import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
@@ -132,19 +132,6 @@ def _by_method(name: str) -> Callable[[ComparedStations], Array]:
     return fit
 
 
-def _line_on_one_edge(stations: ComparedStations) -> Array:
-    """Return the fit of the line to the plate's edge with more points."""
-    kind = stations.problem.observations.kind
-    edge = max((plate.P, plate.Q), key=lambda k: int((kind == k).sum()))
-    points, samples = stations.problem.observations.select(kind == edge), []
-    for i, sample in enumerate(stations.samples):
-        mine = points.points[points.station == i]
-        edges = tuple(f for f in sample.features if isinstance(f, EdgePoint)
-                      and (mine == f.point).all(axis=1).any())
-        samples += [replace(sample, features=edges)] if edges else []
-    return _by_method('line')(replace(stations, samples=tuple(samples)))
-
-
 def _edges(stations: ComparedStations) -> tuple[Array, Array, Array]:
     """Return poses (n, 4, 4), points (n, 2) and edges (n,) of the points of a plate's edges."""
     obs = stations.problem.observations
@@ -163,7 +150,7 @@ def _ball(stations: ComparedStations) -> tuple[Array, Array]:
     poses = stations.problem.poses[[i for i, _ in arcs]]
     T_plane_base = se3.inverse(poses @ stations.estimate.X)
     centre = se3.apply(T_plane_base, stations.estimate.state[None, :3])[:, 0]
-    return poses, fixed_point.ball_centres(
+    return poses, jing2020.ball_centres(
         np.array([arc.centre for _, arc in arcs]), np.array([arc.radius for _, arc in arcs]),
         radius, np.where(centre[:, 1] < 0, -1.0, 1.0))
 
@@ -193,7 +180,6 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
         Estimator('plate', _by_method('plate')),
         Estimator('plane, the face lines alone', _by_method('plane')),
-        Estimator('line, one edge alone', _line_on_one_edge),
         Estimator('Chen 2023, nine parameters',
                   lambda given: chen2023.solve_nine(*_edges(given))),
         Estimator('Chen 2023, on SE(3)',
@@ -202,9 +188,9 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
     'sphere': (
         Estimator('sphere', _by_method('sphere')),
         Estimator('fixed point, linear',
-                  lambda given: fixed_point.solve_linear(*_ball(given))[0]),
+                  lambda given: jing2020.fixed_point_linear(*_ball(given))[0]),
         Estimator('fixed point, least squares',
-                  lambda given: fixed_point.solve_least_squares(*_ball(given))),
+                  lambda given: jing2020.fixed_point_least_squares(*_ball(given))),
     ),
     'line': (
         Estimator('line', _by_method('line')),

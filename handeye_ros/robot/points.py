@@ -14,7 +14,7 @@ from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.least_squares import adjust, Rows, System
-from handeye_ros.published import fixed_point
+from handeye_ros.published import jing2020
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import (
     ArmFit,
@@ -98,7 +98,7 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     T = arm.forward(rows.q)
     T = T if rows.in_hand else se3.inverse(T)
     most = max(parts, key=np.count_nonzero)
-    X, _ = fixed_point.solve_linear(T[most], rows.points[most])
+    X, _ = jing2020.fixed_point_linear(T[most], rows.points[most])
     places = se3.apply(T @ X, rows.points[:, None])[:, 0]
     start = ArmState(X, tuple(np.median(places[part], axis=0) for part in parts), arm, np.zeros(0))
 

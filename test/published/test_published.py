@@ -10,7 +10,7 @@ from math import comb
 from handeye_ros import se3
 from handeye_ros.data import Array
 from handeye_ros.errors import SingularError, TooFewError
-from handeye_ros.published import chen2023, fixed_point, jing2020, wu2017, zheng2018
+from handeye_ros.published import chen2023, jing2020, wu2017, zheng2018
 from handeye_ros.published import cn105021139a as patent
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def tracked(part: str, count: int) -> object:
 @pytest.mark.parametrize(('solve', 'words'), [
     (lambda: chen2023.solve_rigid(POSES, POINTS[:, :2], np.repeat(['p', 'q'], [5, 4])),
      'at least 5 points on edge q, got 4'),
-    (lambda: fixed_point.solve_linear(POSES[:3], POINTS[:3]), 'at least 4 profiles, got 3'),
+    (lambda: jing2020.fixed_point_linear(POSES[:3], POINTS[:3]), 'at least 4 profiles, got 3'),
     (lambda: wu2017.solve(POINTS[:3], POINTS[:3]), 'at least 4 points, got 3'),
     (lambda: zheng2018.solve(POSES[:4], POINTS[:4, :2], np.eye(4)),
      'at least 5 points on the edge, got 4'),

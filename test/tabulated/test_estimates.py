@@ -13,8 +13,7 @@ from handeye_ros.published import jing2020
 from handeye_ros.simulate.measured import BALL_RADIUS, laser_tracker, SimulatedFiles
 from handeye_ros.tabulated.hand_eye import Views
 from handeye_ros.tabulated.points import Pairs
-from handeye_ros.tabulated.sweeps import Piece, sweep_from, SWEPT_PARTS
-from handeye_ros.tabulated.tracker import TrackerSession
+from handeye_ros.tabulated.tracker import Piece, sweep_from, SWEPT_PARTS, TrackerSession
 from handeye_ros.tabulated.values import solve, TableAnswer
 import numpy as np
 import pytest
