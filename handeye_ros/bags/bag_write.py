@@ -7,8 +7,8 @@ Profiles and poses as drivers publish them, and paths.
 """
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 import json
 from operator import attrgetter
@@ -27,6 +27,7 @@ from handeye_ros.errors import InputError
 from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results import truth_file
 from mcap.reader import make_reader
+from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
@@ -97,24 +98,8 @@ def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Ra
     writer.finish()
 
 
-@dataclass(frozen=True)
-class Contents:
-    """What an .mcap file says of itself: first and last time (ns), type and count by topic."""
-
-    first: int
-    last: int
-    topics: Mapping[str, tuple[str, int]]
-
-    @property
-    def span(self) -> dict[str, Any]:
-        """Return the time and the number of the messages as metadata.yaml states them."""
-        return {'duration': {'nanoseconds': self.last - self.first},
-                'message_count': sum(count for _, count in self.topics.values()),
-                'starting_time': {'nanoseconds_since_epoch': self.first}}
-
-
-def contents_of(file: Path) -> Contents:
-    """Return the contents of a whole .mcap file; raises InputError."""
+def contents_of(file: Path) -> Summary:
+    """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
         return _contents(file, file.stat().st_mtime_ns)
     except OSError as error:
@@ -124,17 +109,13 @@ def contents_of(file: Path) -> Contents:
 
 
 @lru_cache(10_000)
-def _contents(file: Path, written: int) -> Contents:
-    """Return the contents of a file as it was written at a time (ns)."""
+def _contents(file: Path, written: int) -> Summary:
+    """Return the summary of a file as it was written at a time (ns)."""
     with file.open('rb') as stream:
         summary = make_reader(stream).get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError('it has no end')
-    counts = summary.statistics.channel_message_counts
-    topics = {channel.topic: (summary.schemas[channel.schema_id].name, counts.get(number, 0))
-              for number, channel in summary.channels.items()}
-    return Contents(summary.statistics.message_start_time, summary.statistics.message_end_time,
-                    topics)
+    return summary
 
 
 def write_metadata(folder: Path, files: Sequence[Path]) -> None:
@@ -144,26 +125,36 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
     JSON is YAML, and is written 100 times faster.
     """
     parts = [contents_of(file) for file in files]
-    topics: dict[str, tuple[str, int]] = {}
+    kinds, counts = dict[str, str](), Counter[str]()
     for part in parts:
-        for topic, (kind, count) in part.topics.items():
-            topics[topic] = kind, topics.get(topic, ('', 0))[1] + count
-    whole = Contents(min(part.first for part in parts), max(part.last for part in parts), topics)
+        for number, channel in part.channels.items():
+            kinds[channel.topic] = part.schemas[channel.schema_id].name
+            counts[channel.topic] += part.statistics.channel_message_counts.get(number, 0)
     information = {
-        'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy', **whole.span,
+        'version': 9, 'storage_identifier': 'mcap', 'ros_distro': 'jazzy', **_span(parts),
         'topics_with_message_count': [
-            {'message_count': count, 'topic_metadata': {
+            {'message_count': counts[topic], 'topic_metadata': {
                 'name': topic, 'type': kind, 'serialization_format': 'cdr',
                 'offered_qos_profiles': [], 'type_description_hash': _hash(kind)}}
-            for topic, (kind, count) in topics.items()],
+            for topic, kind in kinds.items()],
         'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [file.name for file in files],
-        'files': [{'path': file.name, **part.span}
+        'files': [{'path': file.name, **_span([part])}
                   for file, part in zip(files, parts, strict=True)],
         'custom_data': None}
     write_atomically(folder / METADATA, json.dumps({'rosbag2_bagfile_information': information},
                                                    indent=1))
     sync(folder)
+
+
+def _span(parts: Sequence[Summary]) -> dict[str, Any]:
+    """Return the time and the number of the messages in files as metadata.yaml states them."""
+    all_statistics = [part.statistics for part in parts]
+    first = min(one.message_start_time for one in all_statistics)
+    last = max(one.message_end_time for one in all_statistics)
+    return {'duration': {'nanoseconds': last - first},
+            'message_count': sum(one.message_count for one in all_statistics),
+            'starting_time': {'nanoseconds_since_epoch': first}}
 
 
 def sync(path: Path) -> None:

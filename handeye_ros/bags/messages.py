@@ -269,8 +269,14 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
     out_of_plane = 0.0
     if len(across):
         out_of_plane = float(np.nan_to_num(across.mean()))
-    return replace(_empty(cloud, config), points=_ordered(points[:, :2], good, config),
-                   out_of_plane=out_of_plane)
+    _require_axes(points[good, :2], config)
+    points[~good, 1] = np.nan
+    if not without_order(np.diff(points[good, 0])):  # else it has a place along the line
+        points[~good, 0] = np.nan
+    ordered = replace(_empty(cloud, config), points=np.ascontiguousarray(points[:, :2]),
+                      out_of_plane=out_of_plane).read()
+    ordered.points[np.isnan(ordered.points[:, 1])] = np.nan
+    return ordered
 
 
 def _empty(cloud: Cloud, config: ProfileConfig) -> Profile:
@@ -358,38 +364,14 @@ def _slope_across(points: Array) -> tuple[float, float]:
     return float(by[1]), math.sqrt(float(off @ off) / len(off))
 
 
-def _ordered(points: Array, good: NDArray[np.bool_], config: ProfileConfig) -> Array:
-    """
-    Return points (n, 2) in the order of the first column; good: (n,) which are returns.
-
-    If the returns are in order, forwards or backwards, all points stay as they are: the rows
-    without a return are then in place. Points with equal values are averaged. Raises if the order
-    shows wrong axes.
-    """
-    steps = np.diff(points[good, 0])
-    if not (steps > 0).all() and not (steps < 0).all():
-        along, across, _ = _axes(config)
-        if (len(steps) >= FEWEST_RETURNS and _back(steps) > RANGE_BACK
-                and _back(np.diff(points[good, 1])) < LINE_BACK):
-            raise _unusable(f'the points follow each other along {across}, not along {along}: set '
-                            f'profile.axes to [{across}, {along}]')
-        if without_order(steps):
-            return _sorted(points, good)
-    ordered = np.ascontiguousarray(points)
-    ordered[~good] = np.nan
-    return ordered
-
-
-def _sorted(points: Array, good: NDArray[np.bool_]) -> Array:
-    """Return points (n, 2) sorted by the first column; points with equal values are averaged."""
-    with np.errstate(invalid='ignore'):
-        placed = np.abs(points[:, 0]) <= LARGEST_COORDINATE
-    x, group = np.unique(points[placed, 0], return_inverse=True)
-    good = good[placed]
-    count = np.bincount(group[good], minlength=len(x))
-    total = np.bincount(group[good], points[placed, 1][good], minlength=len(x))
-    with np.errstate(invalid='ignore'):  # 0 / 0 where there is no return
-        return np.column_stack([np.where(count > 0, x, np.nan), total / count])
+def _require_axes(points: Array, config: ProfileConfig) -> None:
+    """Raise for returns (n, 2) whose order shows that the two axes are exchanged."""
+    along, across, _ = _axes(config)
+    steps = np.diff(points, axis=0)
+    if (len(steps) >= FEWEST_RETURNS and _back(steps[:, 0]) > RANGE_BACK
+            and _back(steps[:, 1]) < LINE_BACK):
+        raise _unusable(f'the points follow each other along {across}, not along {along}: set '
+                        f'profile.axes to [{across}, {along}]')
 
 
 def _back(steps: Array) -> float:

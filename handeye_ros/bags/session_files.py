@@ -301,7 +301,8 @@ def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
     try:
         files = files_of(path) if path.is_dir() else []
-        return bool(files) and OUTCOME_TOPIC in contents_of(files[0]).topics
+        return bool(files) and any(channel.topic == OUTCOME_TOPIC
+                                   for channel in contents_of(files[0]).channels.values())
     except (OSError, InputError):
         return False
 

@@ -255,14 +255,11 @@ def test_points_come_in_any_order(order: np.ndarray, z: np.ndarray) -> None:
                                rtol=1e-6)
 
 
-def test_several_profiles_in_one_organised_cloud_are_one() -> None:
-    z = EDGE + np.random.default_rng(3).normal(0, 3e-5, (5, 200))
-    z[:, 20:30] = np.nan
-    z[0, 40] = np.nan
-    got = points(layered(np.tile(LINE, 5), z.ravel(), height=5))
-    want = np.nanmean(z[:, [*range(20), *range(30, 200)]], axis=0)
-    np.testing.assert_allclose(got[~np.isnan(got[:, 1]), 1], want, rtol=1e-6)
-    assert len(got) == 200 and np.isnan(got[20:30]).all()
+@pytest.mark.parametrize('far', [0.0, 5.0])
+def test_what_lost_points_hold_does_not_change_the_order(far: float) -> None:
+    lost = np.isnan(LOST)
+    got = points(layered(np.where(lost, -far, LINE), LOST))
+    np.testing.assert_allclose(got, expected(LINE, LOST), rtol=1e-6)
 
 
 @pytest.mark.parametrize(('columns', 'axes', 'advice'), [
