@@ -18,12 +18,10 @@ import tempfile
 from typing import BinaryIO, NamedTuple
 import weakref
 
-from handeye_ros.config import yaml_content
 from handeye_ros.errors import InputError
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk, StreamReader
-import yaml
 import zstandard
 
 CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
@@ -81,7 +79,7 @@ class Reader:
     def messages(self) -> Iterator[Raw]:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
-            self.files = _files(self.path, self.warnings)
+            self.files = _files(self.path)
             sizes = [file.stat().st_size for file in self.files]
             self._total = max(1.0, sum(sizes))
             for file, size in zip(self.files, sizes, strict=True):
@@ -225,8 +223,8 @@ def full_name(topic: str) -> str:
     return '/' + topic.lstrip('/')
 
 
-def _files(path: Path, warnings: list[str]) -> list[Path]:
-    """Return the storage files of a bag in recording order."""
+def _files(path: Path) -> list[Path]:
+    """Return the storage files of a bag in recording order, which their numbers tell."""
     if not path.exists():
         raise InputError(f'{path}: no such file or folder; expected a rosbag2 folder, or an .mcap '
                          'or .db3 file')
@@ -237,19 +235,7 @@ def _files(path: Path, warnings: list[str]) -> list[Path]:
     stored = [p for p in stored if p.suffix != '.zstd' or p.with_suffix('') not in stored]
     if not stored:
         raise InputError(f'{path}: is not a bag: the folder holds no .mcap or .db3 file')
-    try:
-        content = yaml_content((path / 'metadata.yaml').read_text(encoding='utf-8'))
-        names = [Path(p).name for p in content['rosbag2_bagfile_information'][
-            'relative_file_paths']]
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError):
-        warnings.append(f'metadata.yaml is missing or damaged; read {len(stored)} storage file(s) '
-                        'of the folder')
-        return stored
-    listed = [path / name for name in names if (path / name).is_file()]
-    if len(listed) < len(names):
-        warnings.append(f'{len(names) - len(listed)} of the {len(names)} files that '
-                        'metadata.yaml lists are missing')
-    return listed or stored
+    return stored
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -49,7 +49,7 @@ from handeye_ros.bags.reader import (
 )
 from handeye_ros.config import Config, flatten, with_values
 from handeye_ros.data import RawProfile, Reject
-from handeye_ros.errors import InputError, UnusableMessageError, UnwritableError
+from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.output import atomic_file, folder_name, write_errors_for
 from handeye_ros.results.calibration_file import NEWEST, require_format
 from handeye_ros.sampling.features import result_of
@@ -80,17 +80,13 @@ class OutputFolders:
         self._own: dict[Path, int] = {}  # their locks
 
     def parent(self, config: Config) -> Path:
-        """Return the folder above the folders of names, absolute; raises UnwritableError."""
+        """Return the folder above the folders of names, absolute."""
         home = os.environ.get('ROS_HOME') or '~/.ros'
-        parent = Path(config.output_dir) if config.output_dir else (
-            Path(home) / 'handeye_ros' / self._namespace.strip('/'))
-        try:
-            return parent.expanduser().absolute()
-        except RuntimeError as error:
-            raise UnwritableError(parent, str(error)) from error
+        parent = config.output_dir or f'{home}/handeye_ros/{self._namespace.strip("/")}'
+        return Path(os.path.expanduser(parent)).absolute()
 
     def folder(self, config: Config) -> Path:
-        """Return the folder of the name, absolute; raises UnwritableError and BadValueError."""
+        """Return the folder of the name, absolute; raises BadValueError."""
         return self.parent(config) / folder_name(config)
 
     def own(self, config: Config) -> Path:

@@ -15,11 +15,9 @@ from collections.abc import Sequence
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
-from handeye_ros.errors import UnusableMessageError
 from handeye_ros.sampling.stream import interpolate, Stream
 import numpy as np
 
-MOST_FRAMES = 1000  # with stored transforms
 WAITED, FEW_TIMES = 0.25, 5  # s between transforms that poses wait for, and times those of others
 KEPT_TRANSFORMS = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
@@ -66,15 +64,10 @@ class FlangeTracker:
         """
         Add the transforms of one message; return the poses that are now known.
 
-        transforms: as messages.transforms_from_cdr returns them. Raises UnusableMessageError for
-        more frames than any robot has.
+        transforms: as messages.transforms_from_cdr returns them.
         """
         for child, pose in transforms:
             link = self._links.get(child)
-            if link is None and len(self._links) >= MOST_FRAMES:
-                raise UnusableMessageError(
-                    f'TransformStamped message not used: it is of frame "{child}", one more than '
-                    f'the {MOST_FRAMES} that are followed')
             if link is None or (link.parent, link.static) != (pose.parent_frame, static):
                 link = self._links[child] = _Link(pose.parent_frame, static)
             link.poses.extend([pose] if static else link.stream.add(pose, pose.parent_frame))

@@ -33,7 +33,6 @@ from scipy.special import fdtri
 
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
 SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
-MOST_ROWS = 10000  # of both lists
 REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
 CLEAR_SHARE = 0.2  # of misfit and of spread: a misreading with more does not explain the values
 
@@ -118,6 +117,12 @@ class Lists(Values):
     def field(self) -> Array:
         return _positions(self.seen)
 
+    @property
+    def reach(self) -> tuple[float, ...]:
+        """Return the typical distances (m) of both lists from the origins of their frames."""
+        return tuple(float(np.median(np.linalg.norm(_positions(values), axis=1)))
+                     for values in (self.seen, self.robot))
+
     def spread(self) -> float:
         """Return the extent of the positions (m), 1 sigma, the smaller one of both lists."""
         return float(min(np.std(_positions(values), axis=0).max()
@@ -125,9 +130,6 @@ class Lists(Values):
 
     def read_from(self, path: Path, otherwise: Callable[[], Iterator[Misreading]]) -> Input:
         """Return what was read; raises DataError for lists that no sensor and robot can give."""
-        if len(self) > MOST_ROWS:
-            raise DataError(f'{len(self)} rows are more than {MOST_ROWS}: keep one in '
-                            f'{math.ceil(len(self) / MOST_ROWS)}, evenly over the table')
         rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
         first = np.unique(rows, axis=0, return_index=True)[1]
         if len(first) < len(self):
@@ -135,12 +137,11 @@ class Lists(Values):
             raise DataError(f'{len(again)} rows repeat others to the last digit, first row '
                             f'{again[0]}: the answer would seem more certain than it is; keep '
                             'each row once')
-        reach = _reach(self.seen), _reach(self.robot)
-        if max(reach) < SHORTEST_REACH or min(reach) > LONGEST_REACH:
-            seen, robot = self.prefixes
-            raise DataError(f'the positions of the {seen} are typically {reach[0]:.3g} m from the '
-                            f'origin, those of the {robot} {reach[1]:.3g} m, as in no cell: '
-                            f'{_unit_of("and", seen, robot)}', reason='convention')
+        if max(self.reach) < SHORTEST_REACH or min(self.reach) > LONGEST_REACH:
+            (seen, robot), (near, far) = self.prefixes, self.reach
+            raise DataError(f'the positions of the {seen} are typically {near:.3g} m from the '
+                            f'origin, those of the {robot} {far:.3g} m, as in no cell: '
+                            f'{_unit_of(seen, robot)}', reason='convention')
         return Input(self, self.config.sensor_frame, (input_values(path),), tuple(otherwise()))
 
     def stated(self, covariance: Array, used: Index) -> Array:
@@ -155,37 +156,23 @@ class Lists(Values):
                           / chi2_isf(1 - REGION_PROBABILITY, 6))
 
     def in_other_units(self) -> Iterator[Misreading]:
-        """
-        Yield the values with the other ratio of units.
-
-        The ratio does not say which list is wrong: the one is named that is nowhere in a cell.
-        """
-        seen, robot = self.prefixes
-        lists: dict[str, tuple[Array, Callable[[Array], Lists]]] = {
-            seen: (self.seen, lambda values: replace(self, seen=values)),
-            robot: (self.robot, lambda values: replace(self, robot=values))}
-        for large, small in ((seen, robot), (robot, seen)):
-            (values, with_values), (others, with_others) = lists[large], lists[small]
-            if _reach(others) < SHORTEST_REACH and _reach(values) < LONGEST_REACH:
-                yield Misreading(f'the positions of the {small} 1000 times larger',
-                                 _unit_of('or', small), with_others(scaled(others, 1e3)))
-            else:
-                wrong = (large,) if _reach(values) > LONGEST_REACH else (large, small)
-                yield Misreading(f'the positions of the {large} 1000 times smaller',
-                                 _unit_of('or', *wrong), with_values(scaled(values, 1e-3)))
+        """Yield the values with one list in another unit, as far as they then are of a cell."""
+        first, second = self.prefixes
+        for factor, words in ((1e3, 'larger'), (1e-3, 'smaller')):
+            for prefix, seen, robot in ((first, factor, 1.0), (second, 1.0, factor)):
+                other = replace(self, seen=scaled(self.seen, seen),
+                                robot=scaled(self.robot, robot))
+                if SHORTEST_REACH < min(other.reach) and max(other.reach) < LONGEST_REACH:
+                    yield Misreading(f'the positions of the {prefix} 1000 times {words}',
+                                     _unit_of(prefix), other)
 
 
 def _positions(values: Array) -> Array:
     return values if values.ndim == 2 else values[:, :3, 3]
 
 
-def _reach(values: Array) -> float:
-    """Return the typical distance (m) of positions from the origin of their frame."""
-    return float(np.median(np.linalg.norm(_positions(values), axis=1)))
-
-
-def _unit_of(joined: str, *prefixes: str) -> str:
-    return 'correct the unit in the header of ' + f', {joined} of '.join(
+def _unit_of(*prefixes: str) -> str:
+    return 'correct the unit in the header of ' + ', and of '.join(
         ', '.join(f'{prefix}_{axis}' for axis in 'xyz') for prefix in prefixes)
 
 

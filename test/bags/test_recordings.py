@@ -65,17 +65,14 @@ def test_every_layout_storage_and_compression(good_bag, tmp_path, write, form):
     assert not recording.warnings
 
 
-@pytest.mark.parametrize('listed', [True, False])
-def test_a_split_bag_and_one_with_a_file_missing(good_bag, tmp_path, listed):
-    target = split(good_bag, tmp_path / 'split', listed)
+def test_a_split_bag_and_one_with_a_file_missing(good_bag, tmp_path):
+    target = split(good_bag, tmp_path / 'split')
     recording = bag.read(target, CONFIG)
     assert_equal_recordings(recording)
     assert len(recording.inputs) == 11
     (target / 'split_4.mcap').unlink()
     recording = bag.read(target, CONFIG)
-    assert len(recording.profiles) < len(PROFILES)
-    missing = '1 of the 11 files that metadata.yaml lists are missing'
-    assert (missing in recording.warnings) == listed
+    assert len(recording.profiles) < len(PROFILES) and not recording.warnings
 
 
 @pytest.mark.parametrize('name', NAMES)
@@ -175,14 +172,11 @@ def test_damage_anywhere_is_an_input_error_or_a_part_of_the_truth(
         assert recording.profiles and recording.poses
 
 
-@pytest.mark.parametrize('content', [None, 'a: [b', 'a: b'])
-def test_a_folder_without_usable_metadata(good_bag, content):
-    (good_bag / 'metadata.yaml').unlink()
-    if content:
-        (good_bag / 'metadata.yaml').write_text(content)
+def test_a_folder_is_read_without_its_metadata(good_bag):
+    (good_bag / 'metadata.yaml').write_text('a: [b')
     recording = bag.read(good_bag, CONFIG)
     assert_equal_recordings(recording)
-    assert 'metadata.yaml is missing or damaged' in recording.warnings[0]
+    assert not recording.warnings
 
 
 def test_a_db3_that_is_cut_or_without_its_table_or_of_a_killed_recorder(good_bag, tmp_path):

@@ -13,7 +13,6 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import get_typestore, Stores
-import yaml
 
 START = 1_700_000_000_000_000_001
 PROFILES_PERIOD, POSES_PERIOD = 33_333_333, 10_000_000
@@ -126,16 +125,13 @@ def assert_equal_recordings(recording, profiles=PROFILES, poses=POSES):
         np.testing.assert_allclose(got.quaternion, expected.quaternion, rtol=1e-15)
 
 
-def split(folder, target, listed):
+def split(folder, target):
     """Split a bag into eleven files, so that _10 comes behind _9."""
     target.mkdir()
     _, messages = scan(folder)
     names = [f'split_{i}.mcap' for i in range(11)]
     for i, name in enumerate(names):
         rewrite(folder, target / name, messages[i * 12:(i + 1) * 12])
-    if listed:
-        (target / 'metadata.yaml').write_text(yaml.safe_dump(
-            {'rosbag2_bagfile_information': {'relative_file_paths': names}}))
     return target
 
 

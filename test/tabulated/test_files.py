@@ -222,8 +222,6 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
      'the points lie in one line'),
     ('points', rows(lambda lines: lines + lines[2:4]), 3,
      '2 rows repeat others to the last digit, first row 11: the answer would seem'),
-    ('points', rows(lambda lines: numbered(lines[0].rpartition(',')[0] + ',{}', 10001)), 3,
-     '10001 rows are more than 10000: keep one in 2, evenly'),
     ('points', in_unit('camera', 'm', 'base'), 3,
      'correct the unit in the header of camera_x, camera_y, camera_z, and of base_x, base_y'),
     ('points', in_unit('camera', 'um', 'base'), 3, 'from the origin, those of the '),
