@@ -135,7 +135,7 @@ def write_metadata(folder: Path, files: Sequence[Path]) -> None:
         'topics_with_message_count': [
             {'message_count': counts[topic], 'topic_metadata': {
                 'name': topic, 'type': kind, 'serialization_format': 'cdr',
-                'offered_qos_profiles': [], 'type_description_hash': _hash(kind)}}
+                'offered_qos_profiles': [], 'type_description_hash': ''}}
             for topic, kind in kinds.items()],
         'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [file.name for file in files],
@@ -164,12 +164,6 @@ def sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-@cache
-def _hash(kind: str) -> str:
-    """Return the type hash (REP 2011) of a message type."""
-    return str(typestore().hash_rihs01(kind))
 
 
 @cache

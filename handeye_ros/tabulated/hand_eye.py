@@ -36,7 +36,7 @@ from handeye_ros.tables import Table
 from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, TableAnswer
 import numpy as np
 
-MOST_PAIRS = 2000
+PAIRS, SEED = 2000, 0  # of poses, drawn for the closed form
 LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 MINIMUM = 5  # fewer do not show how large the noise is
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
@@ -98,16 +98,13 @@ class Views(Lists):
 
     def closed_form(self) -> Array:
         """
-        Return the state by all pairs of poses, rotation first.
+        Return the state by pairs of poses, rotation first.
 
         Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares
         throughout. Raises SingularError, TooFewError.
         """
         T, seen = self.robot, self.seen
-        ends = np.cumsum(np.arange(len(T) - 1, 0, -1))  # of the pairs of each pose with later ones
-        pairs = np.linspace(0, ends[-1] - 1, min(ends[-1], MOST_PAIRS)).astype(int)
-        i = np.searchsorted(ends, pairs, side='right')
-        j = pairs - ends[i] + len(T)
+        i, j = np.random.default_rng(SEED).integers(len(T), size=(2, PAIRS))
         A, B = se3.inverse(T[j]) @ T[i], seen[j] @ se3.inverse(seen[i])
         sure = se3.angle(np.stack([A, B])[..., :3, :3]).max(axis=0) < LARGEST_ANGLE
         X = solve_motions(A[sure], B[sure])
