@@ -11,14 +11,13 @@ from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, TooFewError
-from handeye_ros.estimation.least_squares import adjust, Rows, System, TYPICAL_SHARE
+from handeye_ros.estimation.least_squares import adjust, Rows, System
 from handeye_ros.tables import Table
 from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, TableAnswer
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 MINIMUM = 4
-MOST_STARTS = 100
 SMALLEST_ANGLE = 0.05  # smallest spread across over spread along (rad)
 SMALLEST_SIGMA = 1e-9  # m; the noise is estimated, from this on
 
@@ -52,10 +51,7 @@ class Pairs(Lists):
                         lambda: se3.wrt_perturbation(turned).reshape(-1, 6) / SMALLEST_SIGMA)
 
         every = np.arange(len(self))
-        # the best start leaves out one point: in a few points a wrong one bends that of all
-        start = min((self.subset(np.delete(every, k)).rigid() for k in every[:MOST_STARTS]),
-                    key=lambda T: np.quantile(self.residuals(T, every, every), TYPICAL_SHARE))
-        fit = adjust(System(rows, se3.perturb, np.repeat(every, 3)), start, MINIMUM)
+        fit = adjust(System(rows, se3.perturb, np.repeat(every, 3)), self.rigid(), MINIMUM)
         off, left_out = (SMALLEST_SIGMA * np.linalg.norm(values, axis=1)
                          for values in (fit.residuals, fit.left_out))
         return TableAnswer(fit.state, self.stated(fit.covariance, fit.used),

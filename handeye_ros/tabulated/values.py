@@ -34,7 +34,7 @@ from scipy.special import fdtri
 LARGEST_RMS, LARGEST_ANGLE = 5e-3, 0.05  # of the residuals of values that agree (m, rad)
 SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reaches lies between them
 REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
-CLEAR_SHARE = 0.2  # of misfit and of spread: a misreading with more does not explain the values
+CLEAR_SHARE = 0.2  # of the misfit: a misreading with more does not explain the values
 
 Index: TypeAlias = NDArray[np.intp]
 
@@ -122,11 +122,6 @@ class Lists(Values):
         """Return the typical distances (m) of both lists from the origins of their frames."""
         return tuple(float(np.median(np.linalg.norm(_positions(values), axis=1)))
                      for values in (self.seen, self.robot))
-
-    def spread(self) -> float:
-        """Return the extent of the positions (m), 1 sigma, the smaller one of both lists."""
-        return float(min(np.std(_positions(values), axis=0).max()
-                         for values in (self.seen, self.robot)))
 
     def read_from(self, path: Path, otherwise: Callable[[], Iterator[Misreading]]) -> Input:
         """Return what was read; raises DataError for lists that no sensor and robot can give."""
@@ -300,8 +295,7 @@ def _misreading(otherwise: Sequence[Misreading], before: float) -> DataError | N
             answer = values.solve()
         except DataError:
             continue
-        # lengths in another unit make every residual smaller: it must be small beside the spread
-        if answer.agrees and answer.misfit < CLEAR_SHARE * min(before, values.spread()):
+        if answer.agrees and answer.misfit < CLEAR_SHARE * before:
             explaining.append(f'the values contradict each other, but with {words} they agree to '
                               f'{mm(answer.misfit)}: {remedy}')
     return DataError(explaining[0], reason='convention') if len(explaining) == 1 else None
