@@ -219,17 +219,13 @@ class _Recorded:
         DataError for stamps of two runs.
         """
         self.require(reader)
-        warnings = reader.warnings
-        stamped = [item for item in self.items if item.stamp]
-        if not stamped:
-            warnings.append(f'the messages on {self.name} have no stamps; the times at which they '
-                            'were recorded are used')
-            stamped = [replace(item, stamp=time) for item, time in zip(
-                self.items, self._log_times, strict=True)]
-        elif len(stamped) < len(self.items):
-            warnings.append(f'{len(self.items) - len(stamped)} messages on {self.name} without a '
-                            'stamp were left out')
-        return sorted(_fitting(self.name, stamped, warnings), key=by_stamp)
+        unstamped = sum(not item.stamp for item in self.items)
+        if unstamped:
+            reader.warnings.append(f'{unstamped} messages on {self.name} have no stamps; the '
+                                   'times at which they were recorded are used')
+        stamped = [item if item.stamp else replace(item, stamp=time) for item, time in zip(
+            self.items, self._log_times, strict=True)]
+        return sorted(_fitting(self.name, stamped, reader.warnings), key=by_stamp)
 
 
 def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]:

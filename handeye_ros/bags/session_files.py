@@ -268,12 +268,8 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
             else cloud_cdr(profile, config.profile.unit, DOUBLE_POINT))
         for profile in stop.profiles]
     messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
-    reason = stop.result.reason if kind == STOP and isinstance(stop.result, Reject) else ''
     values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
-              'taken': stop.sample is not None, 'text': reason, 'refused': stop.final_reason}
-    if sample := stop.sample:
-        values |= {'stamp': sample.stamp, 'profiles': sample.profiles,
-                   'T_base_flange': sample.T_base_flange.tolist()}
+              'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, {'config': flatten(replace(config, session=''))}),
                            (OUTCOME_TOPIC, values)):

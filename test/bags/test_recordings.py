@@ -269,15 +269,12 @@ def test_a_few_wild_stamps_are_dropped_and_reported(good_bag, tmp_path, topic, w
 
 def test_missing_stamps_and_clocks_that_share_no_time(good_bag, tmp_path):
     first = PROFILES[0].stamp
-    for number, (stamp_of, expected, warning) in enumerate([
-            (lambda _: 0, PROFILES, 'the messages on /profile have no stamps'),
-            (lambda t: 0 if t == first else t, PROFILES[1:],
-             '1 messages on /profile without a stamp were left out')]):
-        (tmp_path / str(number)).mkdir()
-        file = restamped_bag(good_bag, tmp_path / str(number), ['/profile'], stamp_of)
-        recording = bag.read(file, CONFIG)
-        assert_equal_recordings(recording, expected)
-        assert warning in recording.warnings[0]
+    for count, stamp_of in ((30, lambda _: 0), (1, lambda t: 0 if t == first else t)):
+        (tmp_path / str(count)).mkdir()
+        recording = bag.read(restamped_bag(good_bag, tmp_path / str(count), ['/profile'],
+                                           stamp_of), CONFIG)
+        assert_equal_recordings(recording)
+        assert f'{count} messages on /profile have no stamps' in recording.warnings[0]
     file = restamped_bag(good_bag, tmp_path, ['/profile'],
                          lambda t: t - START + PROFILES_PERIOD)
     refused('share no time', file, kind=DataError)
