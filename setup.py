@@ -25,7 +25,7 @@ setup(
         *((f'share/{NAME}/{folder}', sorted(glob(f'{folder}/*.*'))) for folder in FOLDERS),
     ],
     zip_safe=False,
-    install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2', 'lz4',
+    install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2',
                       'markupsafe', 'matplotlib', 'mcap', 'rosbags', 'rich', 'threadpoolctl',
                       'typer', 'zstandard'],
     extras_require={

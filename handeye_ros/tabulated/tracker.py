@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.bags.bag import read as read_bag
-from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
 from handeye_ros.config import Config
 from handeye_ros.data import AnyProfile, Array, rms, TimedPose
 from handeye_ros.errors import (
@@ -174,14 +173,12 @@ class TrackerSession(Values):
         agreed = self.subset(used)
         chain = agreed.chain()
         X, off = chain.T_flange_sensor, self.residuals(chain.T_flange_sensor, used, every)
-        lost = self.by_part(~good, np.mean) / LARGEST_DROPPED_SHARE
         excess = self.by_part(np.where(good, off / sigma, np.nan),
                               lambda known: np.sqrt(np.nanmean(known ** 2)))
-        worst = np.maximum(lost, excess / LARGEST_RMS)
-        if worst.max() > 1:
+        if excess.max() > LARGEST_RMS:
             raise DataError(
                 'the points contradict each other, most of all those of '
-                f'{self.pieces[int(worst.argmax())].part}: check which face is which, h0 and h1, '
+                f'{self.pieces[int(excess.argmax())].part}: check which face is which, h0 and h1, '
                 'the readings of P3, and the noise of both instruments', reason='misfit')
         # generalised cross-validation: each point predicted by a fit without it
         share = np.array([UNKNOWNS[piece.part] / len(self.measured.parts[piece.part])
