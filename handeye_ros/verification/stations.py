@@ -96,7 +96,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
             valid = profiles[index].points[np.isfinite(profiles[index].points).all(axis=1)]
             some = valid[evenly_chosen(len(valid), POINTS_OF_PROFILE)]
             rows.add(number, some, 0, np.repeat(noise[None], len(some), axis=0),
-                            number * POINTS_OF_PROFILE)
+                     number * POINTS_OF_PROFILE)
         poses.append(flange.T_base_flange[usable])
         stamps += [profiles[index].stamp for index in usable.tolist()]
         counts.append(len(usable))
