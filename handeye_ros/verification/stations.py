@@ -123,7 +123,7 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
             nearest = min(np.flatnonzero(stop == number), key=away.__getitem__)
             edge = edges[nearest][1]
             for direction in range(2 if is_line else 3):
-                rows.add(int(number), edge.point, direction, edge_error_factor(edge), 0)
+                rows.add(int(number), edge.point[None], direction, edge_error_factor(edge)[None])
     return rows.observations()
 
 
