@@ -26,7 +26,7 @@ from handeye_ros.data import (
     SampleReport,
     TIME_OFFSET,
 )
-from handeye_ros.estimation.blocks import ParameterBlock, slices
+from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, sensor_axes
@@ -39,6 +39,7 @@ ONLY_FACE = ('only its face was used: its edge point lies on no edge of the targ
              'crosses the edge at too small an angle')
 CONTRADICTION_SIGMAS, NOTED_SIGMAS = 4.0, 3.0  # sigmas: to refuse an answer, to note a measure
 PLATE_LENGTHS = 'size_p', 'size_q'  # of a plate
+SMALLEST_BEND = 3e-5  # m, told
 LARGE_DRIFT = 3e-5  # of clocks: cheap quartzes do not differ by more
 PARTED_P = 0.01  # largest probability that random stations are the first, or the last, ones
 
@@ -226,13 +227,15 @@ class BlockEstimate:
     """
     The first parameter of a block of nuisance parameters: its value and 1 sigma.
 
-    contradiction: of the value from the data alone with the stated one, in sigmas of both.
+    contradiction: of the value from the data alone with the stated one, in sigmas of both;
+    significance: of the value from the data alone, in its sigmas.
     """
 
     block: ParameterBlock
     value: float
     std: float
     contradiction: float
+    significance: float
 
 
 def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
@@ -242,10 +245,11 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     for block, columns in slices(solution.blocks):
         n = float(solution.nuisance[columns][0])
         p = min(float(variances[columns][0]), 1 - 1e-9)  # of a prior variance of 1
+        alone, variance = n / (1 - p), p / (1 - p)
         stated = 1 / solution.noise.block_variances.get(block.name, 1.0)
-        estimates[block.name] = BlockEstimate(
-            block, n * block.std, p ** 0.5 * block.std,
-            n / (1 - p) / math.sqrt(stated + p / (1 - p)))
+        estimates[block.name] = BlockEstimate(block, n * block.std, p ** 0.5 * block.std,
+                                              alone / math.sqrt(stated + variance),
+                                              alone / math.sqrt(max(variance, 1e-300)))
     return estimates
 
 
@@ -279,9 +283,9 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
 
 
 def notes_of(solution: Solution, config: Config) -> list[str]:
-    """Return the remarks on an answer in words: clocks, target, edges, surfaces."""
-    return [*offset_notes(solution), *_measure_notes(solution, config), *_edge_notes(solution),
-            *_surface_notes(solution)]
+    """Return the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
+    return [*offset_notes(solution), *_bend_notes(solution), *_measure_notes(solution, config),
+            *_edge_notes(solution), *_surface_notes(solution)]
 
 
 def offset_notes(solution: Solution) -> list[str]:
@@ -301,6 +305,15 @@ def offset_notes(solution: Solution) -> list[str]:
                      f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '
                      'offset is that of the middle of this recording: synchronise the clocks')
     return notes
+
+
+def _bend_notes(solution: Solution) -> Iterator[str]:
+    """Yield the note on a laser line that is bent out of its plane, if the data show that."""
+    bend = block_estimates(solution.conservative).get(LINE_BEND)
+    if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
+        yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
+               f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
+               'the transform is that of the plane which fits it best')
 
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
