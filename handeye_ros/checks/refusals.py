@@ -17,9 +17,9 @@ from handeye_ros.data import Array, Reject, Sample
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction, other_axes
 from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
-from handeye_ros.targets.target import Target
 import numpy as np
 from scipy.spatial.transform import Rotation
 

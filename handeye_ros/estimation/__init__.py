@@ -4,5 +4,5 @@
 The stated model of the estimator (docs/estimator.md) and its solution.
 
 Problem, nuisance parameters, noise, robust start, covariance. Names no target:
-a target gives its conditions and blocks as a `Target` (targets/target.py).
+a target gives its conditions and blocks as a `Target` (target.py).
 """

@@ -18,12 +18,12 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import smooth_basis
 from handeye_ros.estimation.least_squares import rows_by_count
+from handeye_ros.estimation.target import Target
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
-    from handeye_ros.targets.target import Target
 
 UNUSED = -1  # the kind of an observation that is not part of the target
 MANY_STATIONS = 200  # of more, a part tells noise and prior scales

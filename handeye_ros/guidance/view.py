@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
+from handeye_ros.estimation.target import Target
 from handeye_ros.results.scene import lines_and_spots
 from handeye_ros.results.truth_file import field_points
-from handeye_ros.targets.target import Target
 import numpy as np
 
 USED_VIEW_SHARE = 0.88  # share of the view for features: the rest is a margin for the operator

@@ -33,7 +33,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edge_shapes import rounding_of
+from handeye_ros.profiles.edge_rounding import rounding_of
 from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
@@ -340,7 +340,7 @@ def _edge_before_drop(end: FaceEnd, further: NDArray[np.intp], ground: Segment |
     Return the end of a plate before a drop, the further columns included.
 
     ground: the surface seen below, or None. The distance of a bent end from its edge is determined
-    later from all samples (see profiles/edge_shapes.py).
+    later from all samples (see sampling/edge_shapes.py).
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], further])
     u, v = end.outwards_and_below(plate)

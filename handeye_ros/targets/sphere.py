@@ -23,9 +23,10 @@ from handeye_ros.estimation.problem import (
     Problem,
 )
 from handeye_ros.estimation.search import shortlisted
+from handeye_ros.estimation.target import Conditions
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.starts import some_of
-from handeye_ros.targets.target import Conditions, ObservationRows, ProfileTarget, xyz
+from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

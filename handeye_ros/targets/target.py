@@ -1,27 +1,28 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-What a target has to say, and what all targets share.
+What targets share.
 
-A new target is a subclass in one file: the features of a profile that show it, the conditions of
-their points in the target's frame, which moves and measures of it are unknown, and a start. Here
-are all that the estimator asks of it (Target), its observations, the classes of targets, and the
-systematic errors that targets of faces have in common: set-back of faces, shapes of edges,
-flatness, range at grazing incidence.
+A new target is a subclass of Target (estimation/target.py) in one file: the features of a profile
+that show it, the conditions of their points in the target's frame, which moves and measures of it
+are unknown, and a start. Here are its observations, the classes of targets, and the systematic
+errors that targets of faces have in common: set-back of faces, shapes of edges, flatness, range at
+grazing incidence.
 """
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Array, EdgePoint, ENDINGS, FaceLine, Feature, rms, Sample
+from handeye_ros.data import Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
+from handeye_ros.estimation.problem import Linear, Observations
+from handeye_ros.estimation.target import Conditions, Target
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,116 +35,6 @@ FLATNESS_SHARES = {2: 0.8, 3: 0.5, 4: 0.3}
 GRAZING_COSINE = 0.64  # cosine of the incidence below which the range of a face may be wrong
 # exponents of the smallest cosine over that of a point
 STEEPNESS_EXPONENTS = np.array([8, 16, 32])
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Values g (m,) that should vanish, (1), and their derivatives by point and state."""
-
-    g: Array
-    dg_dp: Array
-    dg_dstate: Array
-
-
-class Target(ABC):
-    """
-    One target: what it shows, its conditions and its start; the solver is the same for all.
-
-    There are m observations of points p (..., m, 3) in the base, a state (..., s) of the target,
-    and k parameters of it. extract(points (n, 2), config): the features of one profile; raises
-    FeatureError without them.
-
-    kinds: names of the conditions
-    labels: names of the parameters
-    essential: kinds of which a station must use one, if it shows any
-    min_samples: fewest samples
-    free_shape: settings of the target with which its shape (the last parameter) is unknown, where
-        it has one
-    one_axis: what rotations about one axis alone leave undetermined, in words
-    face_count: how many straight lines of it one view has, 0 of a round target
-    """
-
-    name: str
-    extract: ClassVar[staticmethod[[Array, Config], tuple[Feature, ...]]]
-    kinds: tuple[str, ...]
-    labels: tuple[str, ...]
-    essential: tuple[str, ...] = ()
-    min_samples = 6
-    free_shape: ClassVar[Mapping[str, Any]] = {}
-    one_axis = 'the position along it is free'
-    face_count = 0
-
-    @property
-    def essential_kinds(self) -> list[int]:
-        """Return the essential kinds as indices into kinds."""
-        return [k for k, name in enumerate(self.kinds) if name in self.essential]
-
-    def seen_within(self, linear: Linear) -> tuple[str, float]:
-        """
-        Return the place of the view about which half a turn changes least, and m RMS off it.
-
-        Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
-        2 n (c - s) + r: where all lines go through c, all are as small as before.
-        """
-        n, s, r = linear.wrt_point, linear.problem.observations.points, linear.residuals
-        c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
-        return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
-
-    @abstractmethod
-    def observe(self, samples: Sequence[Sample]) -> Observations:
-        """Return the conditions of the features of samples."""
-
-    def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
-                 ) -> tuple[Array, NDArray[np.intp]]:
-        """Return all measured points (k, 2) and kinds for the used observations of a sample."""
-        return points, kind
-
-    @abstractmethod
-    def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Yield estimates to start from, best first, computed on demand."""
-
-    @abstractmethod
-    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
-                   ) -> Conditions:
-        """Return what should vanish for points of kinds (m,), and its derivatives."""
-
-    @abstractmethod
-    def retract(self, state: Array, delta: Array) -> Array:
-        """Return the state after a step (..., k)."""
-
-    def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
-        """Return value and 1 sigma of the parameters that are not free, by label."""
-        return {}
-
-    def is_free(self, config: Config) -> NDArray[np.bool_]:
-        """Return which parameters (k,) are unknown."""
-        stated = self.stated_values(config)
-        return np.array([label not in stated for label in self.labels])
-
-    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
-                 ) -> Observations:
-        """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
-        return observations
-
-    def ambiguous(self, observations: Observations) -> bool:
-        """Return whether they may be of alike surfaces, so that a wrong estimate may fit well."""
-        return False
-
-    @abstractmethod
-    def describe(self, state: Array, std: Array) -> dict[str, Any]:
-        """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
-
-    def blocks(self, linear: Linear) -> Iterable[ParameterBlock]:
-        """Return the blocks of nuisance parameters of its own (see blocks.py)."""
-        return ()
-
-    def feature_errors(self, linear: Linear) -> Array:
-        """
-        Return derivatives (m, 1) of the residuals by a unit-variance error of each feature.
-
-        They replace the blocks during the search.
-        """
-        return np.zeros((len(linear.residuals), 1))
 
 
 @dataclass

@@ -35,8 +35,8 @@ from handeye_ros.estimation.least_squares import (
 )
 from handeye_ros.estimation.noise import Noise, total_covariance, Whitening
 from handeye_ros.estimation.problem import Estimate, Linear, Observations, Problem
+from handeye_ros.estimation.target import Target
 from handeye_ros.frames import mount_frame, name_direction
-from handeye_ros.targets.target import Target
 import numpy as np
 from numpy.typing import NDArray
 import scipy.linalg

@@ -13,11 +13,11 @@ from handeye_ros.data import Array, Calibration, Profile, Sample, TimedPose
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.estimation.target import Target
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.sweep import problem_at_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
-from handeye_ros.targets.target import Target
 import numpy as np
 import pytest
 
