@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
 # Keys, or prefixes of keys, that affect the sample of a stop, or the answer from given stops.
-SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'noise.distortion', 'time_offset',
+SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'time_offset',
                'sampling.mode', 'sampling.min_points', 'sampling.settle_time',
                'sampling.max_pose_gap')
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',

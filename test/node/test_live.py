@@ -216,19 +216,6 @@ def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> 
     assert taken(state_of(live)) == len(live.copied().stops) / 2
 
 
-def test_a_sensor_that_is_said_to_distort_shows_more_arcs() -> None:
-    sphere = SCENARIOS['small_sphere']
-    sphere = replace(sphere, sensor=replace(sphere.sensor, distortion=2e-3))
-    made = simulate(sphere, np.random.default_rng(0))
-    live, counts = fed(settings_of(sphere, noise__distortion=2e-5), made), set()
-    for distortion in (5e-4, 2e-5):
-        changed(live, noise__distortion=distortion)
-        counts.add(taken(state_of(live)))
-        again = pipeline.gather(made.profiles, made.poses, live.config)
-        assert taken(state_of(live)) == len(again.samples)
-    assert len(counts) == 2
-
-
 def test_a_laser_almost_along_an_edge_is_reported_and_by_hand_refused() -> None:
     plate = recorded('plate')
     live = fed(plate.config, plate)
