@@ -99,9 +99,8 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     from handeye_ros.config import Config, load, with_assignments
     from handeye_ros.units import assignment_in_si
     base = base or Config()
-    given = [assignment_in_si(text) for text in assignments]
-    if angles:
-        given.append(f'target.angles={angles}')
+    given = [f'target.angles={angles}'] if angles else []
+    given += map(assignment_in_si, assignments)  # what is set wins
     if kinematics:
         from handeye_ros.arm import read_arm
         arm = read_arm(kinematics)
