@@ -133,8 +133,12 @@ class HandeyeNode(Node):
 
     # services, which the page calls too
 
-    def call_service(self, name: str) -> tuple[bool, str]:
-        """Return whether a service succeeds, and its message."""
+    def call_service(self, name: str, trouble: bool = True) -> tuple[bool, str]:
+        """
+        Return whether a service succeeds, and its message.
+
+        trouble: whether that of now is told with a success too, not only with a refusal.
+        """
         try:
             answer = self.live.ask(self._requests[name])
             text, success = answer.result() if isinstance(answer, Future) else answer, True
@@ -142,7 +146,8 @@ class HandeyeNode(Node):
             text, success = told(name, error), False
         if name == 'clear_samples' and success:
             self._streams.restart()
-        text = with_trouble(self.state, text, success, name)
+        if trouble or not success:
+            text = with_trouble(self.state, text, success, name)
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
             log.info(text) if success else log.warning(f'{name}: {text}')

@@ -65,7 +65,8 @@ class PageSource:
 def source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
     def service(name: str) -> Act:
-        return lambda values: node.call_service(name)
+        # the page shows the trouble of now: a message would keep it when it is over
+        return lambda values: node.call_service(name, trouble=False)
 
     actions: dict[str, Act] = {
         **{name: service(name) for name in PAGE_SERVICES},
@@ -84,7 +85,7 @@ def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, st
     last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
     if values.get('number', last) != last:
         return False, f'sample {last} has been taken since: look at it before you remove it'
-    return node.call_service('remove_last_sample')
+    return node.call_service('remove_last_sample', trouble=False)
 
 
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
