@@ -130,8 +130,9 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
     # what disturbs the node from outside comes first; of two publishers late stamps follow, and
     # clocks that seem to differ
     conflict = session.conflict
-    begin_anew = '; ~/clear_samples begins anew with the frame of now' if (
-        conflict and conflict.reason == 'two_frames') else ''
+    without = 'all samples are of the first; without them, ' if T else ''
+    begin_anew = (f'; {without}~/clear_samples begins anew with the frame of now' if
+                  conflict and conflict.reason == 'two_frames' else '')
     troubles = (trouble, f'{conflict or ""}{begin_anew}', late, str(session.unusable_poses or ''),
                 '' if trouble else _clocks(profiles, poses), session.unasked, *live.troubles)
     return {

@@ -147,9 +147,9 @@ class Session(Copyable):
         """
         Return all remaining stops, including the current one.
 
-        Raises InputError when messages of two frames came on one topic.
+        Raises InputError as require_stops does.
         """
-        self._require_one_frame()
+        self._require_samples_of_one_frame()
         self._take_poses(self._pose_stream.released(0, FOREVER))
         self._profiles.add(self._profile_stream.released(0, FOREVER))
         return self._current_and_waiting()
@@ -237,14 +237,25 @@ class Session(Copyable):
         if self.conflict:
             raise self.conflict
 
+    def _require_samples_of_one_frame(self) -> None:
+        """Raise the conflict of the streams, but of two frames only before the first sample."""
+        conflict = self.conflict  # what has another frame is dropped: samples are all of one
+        if conflict and not (conflict.reason == 'two_frames' and self._has_samples):
+            raise conflict
+
+    @property
+    def _has_samples(self) -> bool:
+        return any(stop.sample for stop in self._stops.values())
+
     def require_stops(self) -> None:
         """
         Refuse a recording in which the robot never stood still, or seldom long enough.
 
         Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops,
-        and InputError for messages of two frames, or of a light plane tilted in its frame.
+        and InputError for messages of two frames, unless there are samples, or of a light plane
+        tilted in its frame.
         """
-        self._require_one_frame()
+        self._require_samples_of_one_frame()
         poses, sampling, count = self._pose_stream, self.config.sampling, len(self._done)
         if sampling.mode == 'still' and self._finder.short_rests > count and (
                 0 < count < targets.target_for(self.config).min_samples):
@@ -310,7 +321,7 @@ class Session(Copyable):
     def frame_change(self) -> str:
         """Return in words that another frame replaced the first, which gave no sample; or ''."""
         for kind, stream in (('pose', self._pose_stream), ('profile', self._profile_stream)):
-            if stream.successor and not any(stop.sample for stop in self._stops.values()):
+            if stream.successor and not self._has_samples:
                 return (f'only {kind}s of frame "{stream.successor}" come now, and none of '
                         f'"{stream.frame}" gave a sample: the session begins anew')
         return ''
@@ -389,7 +400,7 @@ class Session(Copyable):
         """
         Return what all remaining stops give, including the current one.
 
-        Raises InputError when messages of two frames came on one topic.
+        Raises InputError as require_stops does.
         """
         return [self.add_stop(self.evaluated(stop, result_of(stop, self.config))).result
                 for stop in self.remaining()]

@@ -177,6 +177,23 @@ def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(k
         assert not any(sample['excluded'] for sample in state_of(live)['samples'])
 
 
+@pytest.mark.parametrize('kind', ['pose', 'profile'])
+def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str) -> None:
+    live, items = fed(), [*SPHERE.poses, *SPHERE.profiles]
+    count, before = taken(state_of(live)), computed(live)
+    end = max(item.stamp for item in items)
+    feed(live, [replace(pose, parent_frame='map', stamp=end + pose.stamp % 10**9) for pose in
+                SPHERE.poses[:90]] if kind == 'pose' else
+         [replace(p, frame_id='other', stamp=end + p.stamp % 10**9) for p in SPHERE.profiles[:90]])
+    trouble = state_of(live)['session']['trouble']
+    assert 'two frames' in trouble and 'all samples are of the first' in trouble
+    changed(live, noise__sensor=2e-5)
+    changed(live, noise__sensor=SPHERE.config.noise.sensor)
+    assert computed(live) == before and taken(state_of(live)) == count
+    with pytest.raises(InputError, match='two frames'):
+        live.ask(live.take_sample)
+
+
 def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -> None:
     live, wide = fed(), fed()
     wide.answer.seen = np.array([[-0.5, 0.5], [0.5, 0.5]])  # by another sensor
