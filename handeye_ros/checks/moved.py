@@ -43,6 +43,7 @@ SENSOR, TARGET = range(2)  # a body that moves: the first index of gains, deriva
 POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOMENTS_TRIED = 40  # possible moments of a small move
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
+TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on it, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 STRONG_EVIDENCE = 5.0
@@ -137,7 +138,9 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         return agreed, ''
     body, k, moved = _likeliest(agreed, moments, first)
     unmoved = reestimated(conservative)
-    evidence = unmoved.deviance - moved.deviance
+    others = [reestimated(conservative, (block,)) for block in
+              _wrong_times(conservative, int(moments[k]))]
+    evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
     smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
     least = LEAST_MOVE_SIGMAS * smooth  # a smaller move may be part of the robot's smooth error
@@ -206,6 +209,21 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
     return tuple(ParameterBlock(name, columns[:, axes], float(MOVE_STD[axes][0]),
                                 largest_variance=1.0)
                  for name, axes in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
+
+
+def _wrong_times(solution: Solution, station: int) -> tuple[ParameterBlock, ...]:
+    """
+    Return the errors of the times of a sweep that may look like a move; none of stops.
+
+    A clock that jumps before a station, and profiles whose points are taken one after the other.
+    """
+    problem, rows = solution.problem, solution.problem.observations
+    if problem.pose_model is None:
+        return ()
+    by_time = solution.linear.wrt_twists(problem.pose_twists[:, :, :1])
+    jump, along = rows.station[:, None] >= station, rows.points[:, :1]
+    return (ParameterBlock('times', np.hstack([by_time * jump, by_time * along / rms(along)])
+                           * TIME_STD, TIME_STD, largest_variance=1.0),)
 
 
 def _wrt_moves(solution: Solution) -> Array:
