@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 import math
 
 from cells import settings_of, squared_error
@@ -143,6 +144,19 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     with pytest.raises(DataError) as caught:
         pipeline.calibrate(made.profiles, moved, config)
     assert caught.value.reason == 'moved'
+
+
+def test_wrong_times_are_no_move() -> None:
+    scenario = SCENARIOS['plate_sweep']
+    made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
+    last = made.poses[int(0.9 * len(made.poses))].stamp
+    late = [replace(p, stamp=p.stamp + (15_000_000 if p.stamp > last else 0)) for p in made.poses]
+    middle = len(made.profiles[0].points) // 2
+    halves = [replace(one, points=np.concatenate([one.points[:middle], other.points[middle:]]))
+              for one, other in pairwise(made.profiles)]  # taken one after the other
+    for profiles, poses in ((made.profiles, late), (halves, made.poses)):
+        found = pipeline.calibrate(profiles, poses, config)
+        assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
 
 
 @pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.thorough)])
