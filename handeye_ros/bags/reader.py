@@ -153,8 +153,8 @@ class Reader:
                                       partial(self._from_chunk, path, start, index))
                 start = stream.tell()
         if damaged or not complete:
-            self.warnings.append(f'{name} is cut off or damaged: read {count} messages, left out '
-                                 f'{damaged} damaged chunk(s)')
+            left_out = f', left out {damaged} damaged chunk(s)' if damaged else ''
+            self.warnings.append(f'{name} is cut off or damaged: read {count} messages{left_out}')
 
     def _from_chunk(self, path: Path, start: int, index: int) -> bytes:
         """Return a message of an .mcap file again: one record in that at a position."""
