@@ -41,10 +41,10 @@ class OtherSurfaceError(DataError):
     """
 
     def __init__(self, stops: Iterable[Stop], height: float) -> None:
-        """Build the sentence; height (m) over the target."""
+        """Build the sentence; height (m) over the target, towards the sensor."""
         self.stamps = {stop.result.stamp for stop in stops}
-        self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above or below that of '
-                    'the others, such as a clamp, a second plate or the table')
+        self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above that of the '
+                    'others, such as a clamp or a second plate')
         shown = f'the {_numbers(stops)} show {self.why}'
         self.warning = f'{shown}: they are left out'
         super().__init__(f'{shown}: {ALONE}', reason='surface')
@@ -82,11 +82,12 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         if both.sum() < FEWEST_STOPS:
             continue
         several |= bool(alike.sum() >= FEWEST_STOPS)
-        # as few as they may be: it is the plane that tells the surfaces apart
-        if explanation_of_results([stop.sample for stop in stops[alike]], config,
-                                  all_starts=True).agrees:
-            away = np.nanmedian(np.abs(height[~alike] - middle))
-            raise OtherSurfaceError(stops[~alike], float(away))
+        above = float(np.nanmedian(height[~alike] - middle))
+        # The others may be few: it is the plane that tells the surfaces apart. Only wrong axes
+        # or a wrong sign let stops take the ground beneath the target for its face.
+        if above > 0 and explanation_of_results([stop.sample for stop in stops[alike]], config,
+                                                all_starts=True).agrees:
+            raise OtherSurfaceError(stops[~alike], above)
     why = ''
     if refusal.reason in ('misfit', 'edges') and several:
         told = '; '.join(f'{(middle - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[alike])}'
