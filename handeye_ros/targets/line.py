@@ -39,6 +39,7 @@ CANDIDATE_COUNT = 24
 MIN_SAMPLES = 7  # samples
 NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
+CONDITIONS_OF_EDGE = 2  # of one edge point
 # of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
 
@@ -91,25 +92,37 @@ def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
 
 def one_end(problem: Problem) -> Iterator[list[Problem]]:
     """
-    Yield problems with the ends of one kind, then the one with all.
+    Yield problems with one end of a face per station, chosen in several ways.
 
     If a face has several visible ends, it is unknown which one is the edge. Nearly all stations
     see a corner as a corner, whatever else ends a face (the sensor's reach, a step): first there
-    are problems with one kind of end each, the most frequent first.
+    are problems with one kind of end each, the most frequent first, then those with all. If a
+    station shows several of them, those of either side of the face follow.
     """
-    obs = problem.observations
-    group = np.where(obs.kind == FACE, 0, END_GROUPS[obs.ending])
+    obs, n = problem.observations, len(problem.poses)
+    face = obs.kind == FACE
+    group = np.where(face, 0, END_GROUPS[obs.ending])
+    total, count = (np.bincount(obs.station[face], weights, n)
+                    for weights in (obs.points[face, 0], None))
+    left = obs.points[:, 0] < (total / np.maximum(count, 1))[obs.station]
     stations = [len(np.unique(obs.station[group == k])) for k in range(END_GROUPS.max() + 1)]
     present = [k for k in np.argsort(stations)[::-1].tolist() if k and stations[k]]
-    if len(present) > 1:
-        yield [_part(problem, group == k) for k in present if stations[k] >= MIN_SAMPLES]
-    yield [_part(problem, group > 0)]
+    for choices in ([group == k for k in present] if len(present) > 1 else [], [~face]):
+        parts = []
+        for chosen in choices:
+            several = face.any() and (
+                np.bincount(obs.station[chosen]).max(initial=0) > CONDITIONS_OF_EDGE)
+            parts += [_part(problem, chosen & side)
+                      for side in ((True, left, ~left) if several else (True,))]
+        yield [part for part in parts if part is not None]
 
 
-def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem:
-    """Return the problem of chosen observations (m,), of the stations that have any."""
+def _part(problem: Problem, chosen: NDArray[np.bool_]) -> Problem | None:
+    """Return the problem of chosen observations (m,), None if too few stations have any."""
     part = replace(problem, observations=problem.observations.select(chosen))
-    return part.subset(np.unique(part.observations.station))
+    stations = np.unique(part.observations.station)
+    everything = chosen[problem.observations.kind != FACE].all()
+    return part.subset(stations) if len(stations) >= MIN_SAMPLES or everything else None
 
 
 class Line(FaceTarget):

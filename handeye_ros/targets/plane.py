@@ -39,12 +39,20 @@ from numpy.typing import NDArray
 
 NORMAL_COUNT = 400
 CANDIDATE_COUNT = 10
+NEAR_SHARE = 0.7  # of the stations
+AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
 TINY = 1e-30  # m^2
 
 
-def nearest_surface(problem: Problem) -> Problem:
-    """Return the problem with one surface per station, the nearest."""
+def one_surface(problem: Problem) -> list[Problem]:
+    """
+    Return problems with one surface per station: the nearest, longest, or farthest.
+
+    Only the problem itself if no station shows several surfaces.
+    """
     obs = problem.observations
+    if not PLANE.ambiguous(obs):
+        return [problem]
     surface, (x, z) = PLANE.pieces(obs), obs.points.T
     n, x, z, xx, xz = (sums_by_piece(obs, surface, values)
                        for values in (np.ones_like(x), x, z, x * x, x * z))
@@ -52,7 +60,19 @@ def nearest_surface(problem: Problem) -> Problem:
     slope = ((xz - x * z / some) / np.maximum(xx - x * x / some, TINY))[:, :1]
     # of tilted surfaces, the nearer one lies above the extended line of the longest
     depth = problem.config.profile.range_sign * (z / some - slope * x / some)
-    return with_one_piece(problem, surface, [(depth, n > 0)])[0]
+    order = np.broadcast_to(np.arange(n.shape[1], dtype=float), n.shape)
+    return with_one_piece(problem, surface, [(rank, n > 0) for rank in (depth, order, -depth)])
+
+
+def _typical_distance(problem: Problem, estimate: Estimate) -> float:
+    """Return the distance (m) from the plane within which most stations have a surface."""
+    p = problem.points_in_base(estimate.X)
+    labelled = PLANE.reassign(problem.observations, p, estimate.state, problem.config)
+    used = labelled.kind != UNUSED
+    station, n = labelled.station[used], len(problem.poses)
+    away = PLANE.conditions(p[used], labelled.kind[used], estimate.state, problem.config).g
+    count = np.maximum(np.bincount(station, minlength=n), 1)
+    return float(np.quantile(np.bincount(station, away ** 2, n) / count, NEAR_SHARE) ** 0.5)
 
 
 def plane_candidates(problem: Problem, more: int = 1) -> list[Estimate]:
@@ -73,20 +93,18 @@ class Plane(FaceTarget):
                 'all of the position and part of the rotation')
 
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """
-        Yield starts, best first; of few stations, which fit in many wrong ways, then all.
-
-        Of several surfaces of a station the nearest is used.
-        """
+        """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
         problem = some_of(replace(whole, target=PLANE), rng)
-        if self.ambiguous(problem.observations):
-            problem = nearest_surface(problem)
         candidates: list[Estimate] = []
         for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,):
             known = len(candidates)
-            candidates += shortlisted(problem, plane_candidates(problem, more), more)
-            yield from (candidates[i] for i in distinct(np.array([e.X for e in candidates]))
-                        if i >= known)
+            for of_surface in one_surface(problem):
+                candidates += shortlisted(of_surface, plane_candidates(of_surface, more), more)
+            fresh = [i for i in distinct(np.array([e.X for e in candidates])) if i >= known]
+            if self.ambiguous(problem.observations):
+                away = {i: _typical_distance(problem, candidates[i]) for i in fresh}
+                fresh.sort(key=lambda i: away[i] > AS_NEAR * min(away.values()))
+            yield from (candidates[i] for i in fresh)
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
