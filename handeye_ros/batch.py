@@ -65,7 +65,8 @@ class Job:
 
     def fingerprint(self) -> list[Any]:
         """Return what the result depends on: version, command, and size and time of all files."""
-        paths = (Path(self.bag), *(Path(word.rpartition('=')[2]) for word in self.words))
+        words = (word.rpartition('=')[2] for word in self.words)
+        paths = (Path(self.bag), *(Path(word) for word in words if word and os.path.exists(word)))
         return [__version__, self.command(Path()), *(
             [str(file), file.stat().st_size, file.stat().st_mtime_ns]
             for path in paths for file in files_below(path))]
@@ -192,6 +193,9 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         if folder.exists() and not (folder / JOB_FILE).is_file():
             raise InputError(f'{folder} is there and holds no result of batch, so it is not '
                              'replaced: name another folder with --out')
+        if above := [one for one in folder.parents if (one / JOB_FILE).is_file()]:
+            raise InputError(f'{folder} would be inside the result {above[0]}, and be lost with '
+                             'it: name another folder with --out')
     for job in jobs:
         if row := unchanged(job, out):
             yield row

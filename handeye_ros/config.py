@@ -505,11 +505,13 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
 
 
 def from_provenance(values: Any) -> Config:
-    """Return the configuration of a calibration file; keys of other versions are ignored."""
-    known = {p.key for p in parameters()}
-    return with_values(Config(), {
-        key: value for key, value in (values.items() if isinstance(values, Mapping) else ())
-        if key in known or str(key).startswith(RECORD_PREFIX)}, 'the calibration')
+    """Return the configuration of a calibration file; what other versions know is ignored."""
+    known, config = {p.key for p in parameters()}, Config()
+    for key, value in values.items() if isinstance(values, Mapping) else ():
+        if key in known or str(key).startswith(RECORD_PREFIX):
+            with suppress(BadValueError):
+                config = with_values(config, {key: value})
+    return config
 
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
@@ -578,19 +580,22 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
     Return the dotted values of our node in a parameter file; raises InputError without any.
 
-    The sections are the patterns for every node, and our node's name in any namespace; in a file
-    without either, the only one, as in the dump of a renamed node.
+    The sections are the patterns for every node, and our node's name in any namespace. A node may
+    have been renamed: the dump of one has nearly all keys, unlike the section of another node.
     """
-    sections = dict(_sections(content, ''))
+    sections, known = dict(_sections(content, '')), {p.key for p in parameters()}
     general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
-    named = [name for name in sections if name.split('/')[-1] == NODE_NAME] or (
-        [] if general else list(sections))
+    named = [name for name in sections if name.split('/')[-1] == NODE_NAME] or [
+        name for name, keys in sections.items() if 2 * len(known & keys.keys()) > len(known)]
     if not sections:
         raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
                          'parameter file: "/**:", below it "ros__parameters:", below it the keys')
-    if len(named) > 1:
-        raise InputError(f'{path} holds the parameters of {", ".join(named)}: keep those of one '
-                         f'"{NODE_NAME}", or give the calibration the section "/**"')
+    if len(named) > 1 or not named and not general:
+        names = ', '.join(named or sections)
+        raise InputError(f'{path} holds the parameters of {names}' + (
+            f': keep those of one "{NODE_NAME}"' if named else
+            f', and none of them is "{NODE_NAME}": give the calibration a section of that name, '
+            'or "/**"'))
     values: dict[str, Any] = {}
     for name in dict.fromkeys([*general, *named]):
         values |= sections[name]

@@ -10,7 +10,7 @@ that answer.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handeye_ros import targets
@@ -133,8 +133,9 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
 def answer_session(session: Session, config: Config) -> Answer:
     """Return the answer of a session; raises DataError when it holds no stops."""
     session.require_stops()
-    return answer_samples(session.samples, session.rejects, session.config_with_base,
-                          session.frame_id, session)
+    if not config.robot_base_frame:
+        config = replace(config, robot_base_frame=session.base_frame)
+    return answer_samples(session.samples, session.rejects, config, session.frame_id, session)
 
 
 def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str

@@ -125,6 +125,10 @@ def test_recordings_and_foreign_files_are_never_replaced_by_results(tmp_path, mo
     with pytest.raises(InputError, match='holds no result of batch'):
         list(results_of(jobs, tmp_path / 'nights', pretended))
     assert (tmp_path / 'nights/plate/notes.txt').read_text() == 'kept'
+    out = tmp_path / 'out'
+    run(replace(jobs[0], label='a'), out, pretended)
+    with pytest.raises(InputError, match='out/a/b would be inside the result '):
+        list(results_of([replace(jobs[0], label='a/b')], out, pretended))
     monkeypatch.chdir(tmp_path / 'nights')
     assert [job.label for job in jobs_of(['.'], SOLVE)] == ['plate']
     (tmp_path / 'nights/metadata.yaml').touch()

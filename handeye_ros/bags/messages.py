@@ -270,13 +270,23 @@ def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
     if len(across):
         out_of_plane = float(np.nan_to_num(across.mean()))
     _require_axes(points[good, :2], config)
-    points[~good, 1] = np.nan
-    if not without_order(np.diff(points[good, 0])):  # else it has a place along the line
-        points[~good, 0] = np.nan
-    ordered = replace(_empty(cloud, config), points=np.ascontiguousarray(points[:, :2]),
-                      out_of_plane=out_of_plane).read()
-    ordered.points[np.isnan(ordered.points[:, 1])] = np.nan
-    return ordered
+    if without_order(np.diff(points[good, 0])):
+        line = _sorted(points, good)
+    else:
+        line = np.where(good[:, None], points[:, :2], np.nan)
+    return replace(_empty(cloud, config), points=line, out_of_plane=out_of_plane)
+
+
+def _sorted(points: Array, good: NDArray[np.bool_]) -> Array:
+    """Return points (n, 2) sorted by the first column; points with equal values are averaged."""
+    with np.errstate(invalid='ignore'):
+        placed = np.abs(points[:, 0]) <= LARGEST_COORDINATE
+    x, group = np.unique(points[placed, 0], return_inverse=True)
+    good = good[placed]
+    count = np.bincount(group[good], minlength=len(x))
+    total = np.bincount(group[good], points[placed, 1][good], minlength=len(x))
+    with np.errstate(invalid='ignore'):  # 0 / 0 where there is no return
+        return np.column_stack([np.where(count > 0, x, np.nan), total / count])
 
 
 def _empty(cloud: Cloud, config: ProfileConfig) -> Profile:

@@ -269,7 +269,11 @@ def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
 
 def _expanded(record: McapRecord) -> list[McapRecord]:
     """Return a record, or those in a chunk; raises any kind of error for a damaged one."""
-    return breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+    if not isinstance(record, Chunk):
+        return [record]
+    if record.uncompressed_size > LARGEST_RECORD:
+        raise ValueError(f'a chunk of {record.uncompressed_size} bytes')
+    return breakup_chunk(record, validate_crc=True)
 
 
 def _records_at(path: Path, start: int) -> list[McapRecord]:

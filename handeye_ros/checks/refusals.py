@@ -214,12 +214,16 @@ def missing_motion(solution: Solution, config: Config) -> str:
     if arm is not None and worst_translation(reported - arm)[0] < whole / 2:
         return ('most of that comes from the corrected arm: correct it again with more samples '
                 '(handeye kinematics), in configurations like those of these')
+    problem, frame = solution.problem, mount_frame(config)
+    known = worst_rotation(solution.reported_covariance)[0] <= config.limits.rotation
+    if known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
+        return views_alike
     turns, axes = turning(solution.full_problem.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
         return ALL_OF_THE_VIEW
-    axis = name_direction(axes[1], mount_frame(config))
-    return (f'the poses turn by only {degrees(turns[1])} RMS about {axis}; tilt the tool about '
-            'this axis by 15 degrees or more to both sides')
+    return (f'the poses turn by only {degrees(turns[1])} RMS about '
+            f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
+            'more to both sides')
 
 
 def require_edges(solution: Solution) -> None:

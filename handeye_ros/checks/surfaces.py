@@ -95,11 +95,12 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         why = f'they show edges at several heights ({told}), as of a clamp or a second plate'
     elif refusal.reason == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
-               'or the target moved in its plane, or is not as target.type and target.size state')
+               'the target moved in its plane or is not as target.type and target.size state, '
+               'or poses or clocks are wrong along this plane')
     if why:
         raise DataError(
-            f'{fit.fitting} of {len(stops)} stops agree on one plane, so that poses and clocks '
-            f'are right, but not on the edges of the target: {why}: {ALONE}', reason='surface')
+            f'{fit.fitting} of {len(stops)} stops agree on one plane, but not on the edges of the '
+            f'target: {why}: {ALONE}', reason='surface')
 
 
 def _numbers(stops: Iterable[Stop]) -> str:

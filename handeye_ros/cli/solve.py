@@ -147,8 +147,10 @@ def report(
     from handeye_ros.review import solved_recording
     if out:
         html_file(out)
-    page, text = path.with_suffix('.html'), protocol_of(path) if path.is_file() else None
-    if text is None:
+    text = protocol_of(path) if path.is_file() else None
+    if text is not None:
+        page = path.with_suffix('.html')
+    else:
         file = file_of(path)
         page, calibration = file.parent / exports.REPORT_FILE, read_calibration(file)
         with progress_bar('finding the stops'):

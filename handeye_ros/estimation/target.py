@@ -71,6 +71,10 @@ class Target(ABC):
         c = np.linalg.lstsq(n, (n * s).sum(axis=1) - r, rcond=None)[0]
         return 'at one point', rms(r + ((c - s) * n).sum(axis=1))
 
+    def views_alike(self, problem: Problem, estimate: Estimate) -> str:
+        """Return in words how the views of the target are too much alike, '' if they are not."""
+        return ''
+
     @abstractmethod
     def observe(self, samples: Sequence[Sample]) -> Observations:
         """Return the conditions of the features of samples."""

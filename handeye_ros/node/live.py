@@ -419,7 +419,10 @@ class LiveSession:
             with self.lock:
                 stop = self.session.current_stop()
             if self.verification.routine:
-                return self.verification.add_stop(stop)
+                try:
+                    return self.verification.add_stop(stop)
+                finally:
+                    self._end(stop)
             stop, objection = self._with_result(stop)
             if stop.final_reason:
                 raise DataError(f'{stop.final_reason}: move on, and turn the tool')

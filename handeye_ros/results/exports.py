@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
-from itertools import chain
+from itertools import chain, count
 import json
 import math
 from pathlib import Path
@@ -313,9 +313,10 @@ def write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
     """
     files = tuple(folder / name for name in texts)
     there = {name for name in aside - {REPORT_FILE} if (folder / name).is_file()}
-    if there == set(texts) and all(file.read_bytes() == text.encode()
-                                   for file, text in zip(files, texts.values(), strict=True)):
-        return Saved(files, unchanged=True)
+    with write_errors_for(folder):
+        if there == set(texts) and all(file.read_bytes() == text.encode()
+                                       for file, text in zip(files, texts.values(), strict=True)):
+            return Saved(files, unchanged=True)
     previous = _set_aside(folder, sorted(aside), set(texts))
     for file, text in zip(files, texts.values(), strict=True):
         write_atomically(file, text)
@@ -334,7 +335,9 @@ def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path |
         return None
     with write_errors_for(folder / HISTORY_FOLDER):
         newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
-        history = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%S.%fZ')
+        first = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%S.%fZ')
+        others = (first.with_name(f'{first.name}-{k}') for k in count(2))
+        history = next(path for path in chain([first], others) if not path.exists())
         history.mkdir(parents=True)
         for file in files:
             shutil.copy2(file, history / file.name)

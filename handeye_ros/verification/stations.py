@@ -25,7 +25,7 @@ from handeye_ros.data import (
     ROTATION_LAG,
     Sample,
 )
-from handeye_ros.errors import DataError
+from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.problem import Observations
 from handeye_ros.frames import mount_poses, mount_poses_of, sensor_axes
 from handeye_ros.sampling.stops import evenly, evenly_chosen
@@ -38,6 +38,7 @@ from handeye_ros.verification.routines import Routine
 import numpy as np
 
 SWEEP_SAMPLES = 60  # samples of a sweep
+KNOWN_OFFSET_STD = 1e-3  # s: a time offset stated less exactly is none
 SAME_SURFACE = 1.5e-3  # m: pieces this near to a plane are one surface, or
 FAR_RATIO = 4.0  # times the median distance of the stops' nearest pieces: the calibration is wrong
 LEAST_SEEN = 0.5  # of the stops must see the nearest surface
@@ -213,8 +214,16 @@ def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
 
 def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, config: Config
                         ) -> list[Sample]:
-    """Return some samples of a moving robot, with the poses at the calibration's time offset."""
+    """
+    Return some samples of a moving robot, with the poses at the calibration's time offset.
+
+    Raises InputError where neither the calibration nor the settings know it.
+    """
     samples, offset = evenly(passes_expanded(samples), SWEEP_SAMPLES), calibration.time_offset
+    if offset is None and config.time_offset_std > KNOWN_OFFSET_STD:
+        raise InputError('the calibration has no time offset, which a sweep needs: verify with '
+                         'stops, calibrate with a sweep, or state time_offset and time_offset_std '
+                         f'({KNOWN_OFFSET_STD * 1e3:g} ms or less)')
     at = ClockedPoses.of(samples).at(offset.value - config.time_offset if offset else 0.0,
                                      float(calibration.target.get(ROTATION_LAG, 0.0)))
     return [replace(sample, T_base_flange=T, trajectory=None)

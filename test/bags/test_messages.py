@@ -274,6 +274,16 @@ def test_wrong_axes_are_named(columns: tuple, axes: tuple[str, str], advice: str
         points(layered(x + 0, z + 1e-12, y), ProfileConfig(axes=axes))
 
 
+def test_several_profiles_in_one_organised_cloud_are_one() -> None:
+    z = EDGE + np.random.default_rng(3).normal(0, 3e-5, (5, 200))
+    z[:, 20:30] = np.nan
+    z[0, 40] = np.nan
+    got = points(layered(np.tile(LINE, 5), z.ravel(), height=5))
+    want = np.nanmean(z[:, [*range(20), *range(30, 200)]], axis=0)
+    np.testing.assert_allclose(got[~np.isnan(got[:, 1]), 1], want, rtol=1e-6)
+    assert len(got) == 200 and np.isnan(got[20:30]).all()
+
+
 def test_what_lost_points_hold_does_not_matter() -> None:
     lost = np.isnan(LOST)
     empty = layered(LINE, LOST)

@@ -330,7 +330,7 @@ def test_heights_of_edges_are_named_where_too_few_stops_show_the_target(
     scenario = replace(SCENARIOS['line'], scene='clamped')
     made = simulate(scenario, np.random.default_rng(2))
     config = with_values(Config(), settings(scenario) | {'target.type': 'line'}, 'the test')
-    with pytest.raises(DataError, match='so that poses and clocks are right') as caught:
+    with pytest.raises(DataError, match='agree on one plane, but not on the edges') as caught:
         pipeline.calibrate(made.profiles, made.poses, config)
     told = re.findall(r'(\d+\.\d) mm: stops ([\d, ]+)', str(caught.value))
     assert caught.value.reason == 'surface'

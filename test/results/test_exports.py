@@ -9,6 +9,7 @@ from functools import partial
 import json
 from pathlib import Path
 import re
+import shutil
 from types import SimpleNamespace
 from typing import Any
 
@@ -164,6 +165,16 @@ def test_a_former_result_is_kept_whole(tmp_path: Path) -> None:
     (tmp_path / 'another.calib').write_text('of another sensor')
     exports.save_all(moved, tmp_path, ['easy_handeye2'])
     assert (tmp_path / 'another.calib').read_text() == 'of another sensor'
+
+
+def test_a_former_result_that_is_brought_back_is_kept_once_more(tmp_path: Path) -> None:
+    first, second = (replace(CALIBRATION, name=name) for name in ('first', 'second'))
+    exports.save_all(first, tmp_path, ('yaml',))
+    kept = exports.save_all(second, tmp_path, ('yaml',)).previous
+    assert kept is not None
+    shutil.copy2(kept / 'calibration.yaml', tmp_path)  # with its time
+    exports.save_all(second, tmp_path, ('yaml',))
+    assert len(list((tmp_path / 'history').iterdir())) == 2
 
 
 def test_an_export_keeps_what_was_there(tmp_path: Path) -> None:

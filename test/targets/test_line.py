@@ -123,3 +123,17 @@ def test_solved_as_a_plate_it_says_that_no_sample_shows_the_other_edge() -> None
     made = cell(LINE, 0, target__type='plate')
     note = pipeline.solve(made.samples, [], made.config, 'laser').target['note']
     assert re.match('no sample shows edge [pq] of the target: cross it too', note)
+
+
+@pytest.mark.parametrize('use_face', [True, False])
+def test_an_end_of_the_same_kind_on_the_other_side_of_the_face_is_no_edge(use_face: bool) -> None:
+    """The other ends do not lie on one line."""
+    made = cell(replace(SCENARIOS['line'], stations=(9, 0)), 0, target__use_face=use_face)
+    rng, samples = np.random.default_rng(5), []
+    for sample in made.samples:
+        edge = next(f for f in sample.features if isinstance(f, EdgePoint))
+        other = replace(edge, direction=-edge.direction,
+                        point=edge.point - edge.direction * rng.uniform(0.012, 0.05))
+        samples.append(replace(sample, features=(*sample.features, other)))
+    found = pipeline.solve(samples, [], made.config, 'laser')
+    assert made.error(found.T_flange_sensor) < 1.5e-3
