@@ -70,7 +70,7 @@ class Parameter:
     @property
     def unit(self) -> str:
         """Return the unit that the description names, empty if none."""
-        match = re.search(r'\((m|rad|s)\)|\bin (m|s)\b', self.description)
+        match = re.search(r'\((m|rad|s)[,)]|\bin (m|s)\b', self.description)
         return '' if match is None else match[1] or match[2]
 
     def checked(self, value: Any) -> Any:

@@ -229,6 +229,8 @@ def test_a_bad_assignment_is_refused(text: str) -> None:
 @pytest.mark.parametrize(('text', 'words'), [
     ('noise.sensor=.nan', 'a number from 1e-09 to 0.01 m'),
     ('time_offset=12mm', 'a number from -10 to 10 s'),
+    ('time_offset_std=2', 'a number from 1e-06 to 1 s'),
+    ('verify.reference=[60, 0, 0]', 'a number from -50 to 50 m'),
     ('page.port=8765.5', 'a whole number from 0 to 65535'),
     ('verify.tolerance=0.3', 'a number from 1e-09 to 0.02 m'),  # mm are meant
     ('verify.angle_tolerance=0.1', 'a number from 1e-09 to 0.05 rad')])

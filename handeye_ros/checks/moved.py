@@ -131,7 +131,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
     if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
         return agreed, ''
-    margin = 2 if agreed.problem.pose_model is None else n // MOMENTS_TRIED  # sweep: many samples
+    margin = 2 if agreed.problem.pose_model is None else max(2, n // MOMENTS_TRIED)  # of a sweep
     moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
     first = _MoveSums.of(conservative, moments).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move

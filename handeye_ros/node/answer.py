@@ -195,8 +195,7 @@ class LiveAnswer:
             self.seen = extremes(np.concatenate([self.seen, current.points]))
         if asked:
             self.asked_settings = values_of(config, ANSWER_KEYS)
-        # the messages of the streams stay here
-        session = Session(config, now.stops, now.last_number, now.frames)
+        session = live.copied().without_messages(config)
         sampled = {stop.stamp for stop in now.stops if stop.sample}
         failed_poses = [T for stamp, T in live.failed_poses.items() if stamp not in sampled]
         made_from = self._made_from()

@@ -48,7 +48,8 @@ REQUEST_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 SLOW_SERVICES = ('compute_calibration', 'verify_result')  # no other service waits for these
 # Keys that cannot change while the node runs.
 FIXED_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
-EXCLUDE = 'samples.exclude'
+# Keys that a new session, and the class of the robot, set.
+FOLLOWING_KEYS = ('samples.exclude', 'noise.robot_smooth')
 # Keys of targets that are solved from files alone.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
@@ -102,11 +103,12 @@ class HandeyeNode(Node):
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _show_changes(self) -> None:
-        """Publish what the worker has changed; a session that it began excludes other samples."""
+        """Publish what the worker has changed, parameters that follow from others too."""
         self._outputs.show()
-        exclude = {EXCLUDE: list(self.live.config.samples.exclude)}
-        if _values([self.get_parameter(EXCLUDE)]) != exclude:
-            self.set_values(exclude)
+        values = configuration.flatten(self.live.config)
+        if changed := {key: values[key] for key in FOLLOWING_KEYS
+                       if _values([self.get_parameter(key)])[key] != values[key]}:
+            self.set_values(changed)
 
     def stop(self) -> None:
         """Publish nothing more: the process ends, and what computes with it."""

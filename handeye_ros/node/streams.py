@@ -204,13 +204,19 @@ class Streams:
     def _drain_all(self) -> None:
         """Read all topics repeatedly until the end."""
         looked = 0.0
-        # a node that ends destroys what is read
-        with suppress(InvalidHandle, RCLError):
+        with suppress(InvalidHandle):  # a node that ends destroys what is read
             while self._node.context.ok() and not self._ended.is_set():
-                most = max(map(self._drain, self._topics))
-                if time.monotonic() - looked > LOOK_PERIOD:
-                    looked = time.monotonic()
-                    self._match_reliability()
+                most = 0
+                try:
+                    most = max(map(self._drain, self._topics))
+                    if time.monotonic() - looked > LOOK_PERIOD:
+                        looked = time.monotonic()
+                        self._match_reliability()
+                except RCLError as error:  # also at its end
+                    if self._node.context.ok():
+                        self._node.get_logger().warning(
+                            f'the topics cannot be read now: {error}',
+                            throttle_duration_sec=WARNING_PERIOD)
                 if most < MOST_AT_ONCE:
                     time.sleep(READ_PERIOD)
 

@@ -93,6 +93,13 @@ class Session(Copyable):
             self._finder = StopFinder(config.sampling)
         self.config, self._finder.sampling = config, config.sampling
 
+    def without_messages(self, config: Config) -> Session:
+        """Return a copy with other settings, without the messages that wait: they are many."""
+        other = self.copied()
+        other.config, other._finder, other._waiting = config, StopFinder(config.sampling), []
+        other._profiles.keep(FOREVER, FOREVER, FOREVER)
+        return other
+
     def add_pose(self, pose: TimedPose) -> None:
         """Take a pose of the flange; one that cannot be used is dropped with a warning."""
         self._take_poses(self._pose_stream.add(pose, pose.parent_frame))
@@ -356,7 +363,8 @@ class Session(Copyable):
     @property
     def is_standing(self) -> bool:
         """Return whether the robot has stood still long enough for a sample."""
-        return self._finder.current() is not None
+        motion = self.motion
+        return motion is not None and motion.still >= self.config.sampling.still_time
 
     @property
     def unasked(self) -> str:

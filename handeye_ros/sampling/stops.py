@@ -161,7 +161,7 @@ def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
 
 @dataclass(frozen=True)
 class Motion:
-    """Speed (m/s), angular speed (rad/s), and the time since the robot stopped (s)."""
+    """Speed (m/s), angular speed (rad/s), and how long the robot has been where it is (s)."""
 
     speed: float
     turning: float
@@ -181,8 +181,8 @@ class StopFinder(Copyable):
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
     stamp: of the current stop
-    longest_rest: time that the robot stood still so far (ns)
-    short_rests: number of times that it did so for SHORT_REST, but not for sampling.still_time
+    longest_rest: of those that are over (ns)
+    short_rests: number of stops that lasted SHORT_REST, but not sampling.still_time
     """
 
     def __init__(self, sampling: SamplingConfig) -> None:
@@ -190,6 +190,7 @@ class StopFinder(Copyable):
         self.sampling = sampling
         self._poses: deque[TimedPose] = deque()  # of the current stop
         self._recent: deque[TimedPose] = deque()  # poses of the last MOTION_TIME
+        self._rest: TimedPose | None = None  # first pose near which the robot still is
         self.stamp = self._latest = -1
         self.longest_rest = self.short_rests = 0
 
@@ -200,6 +201,10 @@ class StopFinder(Copyable):
                or len(self._recent) > MOST_POSES):
             self._recent.popleft()
         continues = bool(self._poses) and self._continues(pose)
+        if not self._rest or not self._rests(self._rest, pose):
+            if self._rest:
+                self.longest_rest = max(self.longest_rest, self._latest - self._rest.stamp)
+            self._rest = pose
         self._latest = pose.stamp
         if continues:
             self._extend(pose)
@@ -207,7 +212,6 @@ class StopFinder(Copyable):
         ended = self.current()
         if self._poses:
             stood = self._poses[-1].stamp - self._poses[0].stamp
-            self.longest_rest = max(self.longest_rest, stood)
             self.short_rests += ended is None and stood >= SHORT_REST
         self._poses, self.stamp = deque([pose]), pose.stamp
         return ended
@@ -225,13 +229,13 @@ class StopFinder(Copyable):
 
     def motion(self) -> Motion | None:
         """Return the current motion of the robot, None with fewer than two poses."""
-        if len(self._recent) < 2:
+        if len(self._recent) < 2 or not self._rest:
             return None
         first, last = self._recent[0], self._recent[-1]
         seconds = (last.stamp - first.stamp) / NS
         return Motion(float(np.linalg.norm(last.translation - first.translation)) / seconds,
                       _angle_between(first, last) / seconds,
-                      (last.stamp - self._poses[0].stamp) / NS)
+                      (last.stamp - self._rest.stamp) / NS)
 
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
@@ -241,14 +245,22 @@ class StopFinder(Copyable):
         return self._poses[0].stamp, self._poses[0].stamp + LONGEST_STOP if limited else FOREVER
 
     def _continues(self, pose: TimedPose) -> bool:
-        first, limits = self._poses[0], self.sampling
-        if pose.stamp - self._latest > limits.max_pose_gap * NS:
-            return False
-        if limits.moving and pose.stamp - first.stamp <= PASS_TIME:
+        first = self._poses[0]
+        if (self.sampling.moving and pose.stamp - first.stamp <= PASS_TIME
+                and not self._is_gap(pose)):
             return True
         # a rest is one pass, too: a robot at rest shows nothing new
-        return (math.dist(pose.translation, first.translation) <= limits.still_translation
+        return self._rests(first, pose)
+
+    def _rests(self, first: TimedPose, pose: TimedPose) -> bool:
+        """Return whether the robot still is where it was, seen without a gap."""
+        limits = self.sampling
+        return (not self._is_gap(pose)
+                and math.dist(pose.translation, first.translation) <= limits.still_translation
                 and _angle_between(first, pose) <= limits.still_rotation)
+
+    def _is_gap(self, pose: TimedPose) -> bool:
+        return pose.stamp - self._latest > self.sampling.max_pose_gap * NS
 
     def _extend(self, pose: TimedPose) -> None:
         """Add a pose to a stop; a long one keeps its first seconds, on request its last."""

@@ -64,7 +64,7 @@ def _header(suffix: str, names: Sequence[str], count: int, comment: str) -> byte
                  f'TYPE{" F" * len(names)}', f'COUNT{" 1" * len(names)}',
                  f'WIDTH {count}', 'HEIGHT 1', 'VIEWPOINT 0 0 0 1 0 0 0',
                  f'POINTS {count}', 'DATA binary']
-    return '\n'.join([*lines, '']).encode('ascii')
+    return '\n'.join([*lines, '']).encode('ascii', 'backslashreplace')  # a frame in any script
 
 
 def read_cloud(path: Path) -> Array:

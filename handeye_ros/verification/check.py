@@ -15,6 +15,7 @@ have shown.
 """
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -84,9 +85,11 @@ class Check:
     target_moved (m), target_turned (rad): the most likely move if the target is the cause
     sensor_moved, sensor_turned: the same for the sensor in the flange
     points_off: the largest error of points in this case, and its std (m)
-    target_shows, sensor_shows: smallest detectable shifts along their axes (in the base, in the
-        flange), m; nan: not detectable
+    target_shows, sensor_shows: smallest detectable shifts along target_axes, sensor_axes (m); nan:
+        not detectable. The axes of the target in the base, of the sensor in the flange; with
+        eye_on_base the other way round
     rms: of the residuals (m)
+    left_out: numbers of the stops, of a sweep of the passes, with what contradicts the others
     time_offset_changed: of a sweep, and its 1 sigma (s)
     """
 
@@ -133,17 +136,19 @@ def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
     offset, solution = answer.require_calibration().time_offset, answer.require_solution()
     used = [answer.samples[i] for i in solution.used]
     some = [replace(sample, trajectory=None) for sample in evenly(used, KEPT_SAMPLES)]
-    result = check(some, calibration, config, session.rejects)
+    result = check(some, calibration, config, session.rejects,
+                   [stop.stamp for stop in session.stops])
     return _with_offset(result, offset, calibration) if offset else result
 
 
 def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
-          others: Sequence[Reject] = ()) -> Check:
+          others: Sequence[Reject] = (), passes: Sequence[int] = ()) -> Check:
     """
     Return the check of a calibration by samples of the same target.
 
-    others: the stops that gave no sample. Raises DataError, and InputError for a calibration
-    without a target to compare with.
+    others: the stops that gave no sample; passes: stamps (ns) of those of a sweep, of which the
+    samples are single profiles. Raises DataError, and InputError for a calibration without a
+    target to compare with.
     """
     comparison_of_all = _comparison(samples, calibration, config, others)
 
@@ -178,10 +183,11 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     else:
         likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
         verdict, sentence = _change_found(likeliest, odds)
-    all_stamps = sorted([sample.stamp for sample in samples] + [reject.stamp for reject in others])
-    left_out = [all_stamps.index(samples[k].stamp) + 1 for k in left_out]
+    starts = passes or sorted(item.stamp for item in (*samples, *others))
+    left_out = sorted({bisect_right(starts, samples[k].stamp) for k in left_out})
     if left_out:
-        sentence += f'. Left out, as they contradict the others: stops {left_out}'
+        what = 'profiles of the passes' if passes else 'stops'
+        sentence += f'. Left out, as they contradict the others: {what} {left_out}'
     target, sensor, _ = causes
     return Check(
         samples[0].stamp, verdict, sentence, len(comparison.problem.poses),

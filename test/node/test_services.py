@@ -227,6 +227,8 @@ def test_parameters_at_run_time(client: Client, node: subprocess.Popen[str]) -> 
     assert set_parameter(client, 'limits.residual', 0.002).successful
     assert set_parameter(client, 'target.radius', 1).successful, 'an int where a float is meant'
     assert set_parameter(client, 'target.radius', 0.04).successful
+    assert set_parameter(client, 'noise.robot_class', 'calibrated').successful
+    client.until(lambda: parameter(client, 'noise.robot_smooth') == 5e-5, 'a dump shows it')
     for name, value, reason in (
             ('limits.residual', 3.0, 'Max: 1.0'),
             ('noise.sensor', 'loud', "noise.sensor is 'loud', expected a number from 1e-09"),

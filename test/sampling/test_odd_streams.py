@@ -260,6 +260,18 @@ def test_one_wild_stamp_changes_nothing_but_that_message(
     assert len(session.warnings) == (0 if place == 0 and jump < 0 else 1)
 
 
+def test_of_a_sweep_it_is_told_whether_the_robot_moves() -> None:
+    session = Session(with_values(CONFIG, {'sampling.mode': 'moving'}, 'test'))
+    for t in np.arange(0.0, 5.0, 0.02):
+        session.add_pose(pose(t, x=0.1 * min(t, 3.0)))
+        if t > 0.5:
+            stood = max(t - 3.0, 0.0)
+            assert session.is_standing == (stood > 0.49), t
+            moves = session.motion.sentence.startswith('it moves by 100.0 mm/s')
+            assert moves or stood, session.motion.sentence
+    assert session.motion.sentence == 'it has stood still for 2.0 s'
+
+
 def test_profiles_of_a_pass_beyond_its_poses_are_not_used() -> None:
     # as in a stored sweep after time_offset was changed
     config = with_values(CONFIG, {'sampling.mode': 'moving'}, 'test')

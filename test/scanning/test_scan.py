@@ -144,7 +144,7 @@ def test_other_libraries_read_the_clouds(tmp_path, count):
     for name in FIELDS.names:
         cloud[name] = rng.normal(size=count)
     for name in ('c.ply', 'c.pcd'):
-        write_cloud(tmp_path / name, np.array_split(cloud, 3), 'frame base')
+        write_cloud(tmp_path / name, np.array_split(cloud, 3), 'frame süd')
     ply = PlyData.read(tmp_path / 'c.ply')['vertex']
     pcd = pypcd4.PointCloud.from_path(tmp_path / 'c.pcd')
     assert ply.count == pcd.points == count

@@ -61,6 +61,9 @@ def test_a_stop_that_is_left_out_has_its_number_among_all_stops(calibrated):
     samples[8] = replace(samples[8], T_base_flange=wrong)
     others = [Reject(sample.stamp, 'no edge') for sample in samples[:2]]
     assert check(samples[2:], solved, config, others).left_out == [9]
+    passes = [sample.stamp for sample in samples[::4]]  # of a sweep, with four profiles in each
+    found = check(samples[2:], solved, config, others, passes)
+    assert found.left_out == [3] and found.sentence.endswith('profiles of the passes [3]')
 
 
 def test_a_change_is_measured(calibrated):
