@@ -273,8 +273,8 @@ class Sample:
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for
     trajectory: trajectory of a moving robot (sampling.trajectory)
-    clock_values: from the stamp to the time of its pose, of the rotation behind the position (s),
-        and drift (sampling.sweep)
+    clock_values: offset and lag (s), and drift of the clocks, by which a moving robot has this
+        pose at the stamp (sampling.sweep); 0 before they are known
     per_profile: samples of the single profiles of a pass, whose middle one this sample repeats
     centroid: mean of the points of the first profile used, (3,): across its plane, along the line,
         and range (metres); None where it is unknown
@@ -286,7 +286,7 @@ class Sample:
     profiles: int = 1
     flipped: tuple[Feature, ...] | None = None
     trajectory: Any = None
-    clock_values: tuple[float, ...] = (0.0,)
+    clock_values: tuple[float, ...] = (0.0, 0.0, 0.0)
     per_profile: tuple[Sample, ...] = ()
     centroid: Array | None = None
 

@@ -21,7 +21,7 @@ for both.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 
 from handeye_ros.checks.refusals import LARGEST_DROPPED_SHARE
@@ -152,14 +152,15 @@ def explanation_of_results(results: Sequence[Sample | Reject | None], config: Co
     """
     number = {r.stamp: k for k, r in enumerate(results) if isinstance(r, Sample)}
     ordered = with_common_shape([r for r in results if isinstance(r, Sample)])
-    explanation = Explanation.nothing(len(results))
+    nothing = Explanation.nothing(len(results))
     if len(ordered) < target_for(config).min_samples:
-        return explanation
+        return nothing
     if clocks:
         ordered = synchronised(ordered, config).samples
     fit = explanation_of_problem(problem_at_poses(ordered, config), all_starts)
-    explanation.squares[:, [number[sample.stamp] for sample in ordered]] = fit.squares
-    return replace(explanation, parts=fit.parts)
+    squares = nothing.squares.copy()
+    squares[:, [number[sample.stamp] for sample in ordered]] = fit.squares
+    return Explanation(fit.parts, squares)
 
 
 def deviance(q: Array, conditions: int) -> float:

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-MANY_STATIONS = 200  # of more, a part tells noise and prior scales
+# Of more stations, a single wrong one matters less: (10) fades, and no solve without outliers
+# begins anew; only so many count as redundancy. From twice as many on, (10) is left out, and a part
+# of them tells noise and prior scales.
+MANY_STATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)

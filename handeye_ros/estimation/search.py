@@ -228,7 +228,7 @@ def shortlisted(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> 
     """
     Return the estimates reached from the starts, best first; poor ones are given up early.
 
-    more: factor on the number of starts that continue.
+    more: factor on the number of starts that continue; 20 are returned at most.
     """
     def linear(states: States) -> tuple[Array, Array]:
         at = linearise(problem, Estimate(*states))
@@ -240,7 +240,8 @@ def shortlisted(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> 
 
     states: States = (np.array([start.X for start in starts]),
                       np.array([start.state for start in starts]))
-    for iterations, kept in ((2, 6), (3, 3), (10, 2)):  # iterations, and starts kept after them
+    # iterations, and starts kept after them: two tell the poor ones, 15 in all nearly converge
+    for iterations, kept in ((2, 6), (3, 3), (10, 2)):
         kept = max(more * kept, 6 if problem.needs_more_starts else 0)
         states, cost = many_least_squares(linear, retract, states, iterations)
         order = np.argsort(cost, kind='stable')

@@ -25,7 +25,7 @@ import yaml
 Kind = TypeVar('Kind')
 
 FORMAT = 'handeye_ros/calibration/'
-NEWEST = 1  # number of each format
+NEWEST = 1  # number of each format that is read again
 NAME = 'calibration.yaml'
 
 HEADER = """\
@@ -64,7 +64,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
     T, offset = calibration.T_flange_sensor, calibration.time_offset
     provenance = _plain(calibration.provenance)
     return {
-        'format': f'{FORMAT}1',
+        'format': f'{FORMAT}{NEWEST}',
         'name': calibration.name, 'method': calibration.method,
         'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
         'transform': se3.transform_values(T), 'rpy': _plain(se3.rpy(T)),

@@ -33,9 +33,9 @@ class Agreement:
     RMS distances of a sample's points to the target of an answer, in metres.
 
     residual: from the answer
-    left_out: from the answer without this sample
-    used: whether the answer uses it. Both are the same for a sample that it does not use, and for
-        the only one that it uses.
+    left_out: from the answer without this sample; the same as residual for a sample that the
+        answer does not use, and for the only one that it uses
+    used: whether the answer uses it
     """
 
     residual: float

@@ -15,8 +15,9 @@ combined (sampling/features.py); passes_expanded takes it apart, with one trajec
 synchronised finds the clocks, on which the poses of the parts depend (problem_of). What follows
 from that elsewhere asks Sample.moving or sampling.moving: a pass is never a duplicate, nor taken
 early (session.py); other settings and clocks are not asked (checks/causes.py), and a move must be
-larger than the smooth error of the robot (checks/moved.py); a pass agrees if most of its profiles
-do (review.py); advice is to sweep on (guidance/advice.py); a gauge is measured in passes
+larger than the smooth error of the robot (checks/moved.py); edges may scatter (require_edges in
+checks/refusals.py), and profiles dropped at one end tell of no move (parted_by_outliers in
+calibration.py); a pass agrees if most of its profiles do (review.py); advice is to sweep on (guidance/advice.py); a gauge is measured in passes
 (verification/stations.py), and a sweep checks a calibration too (verification/check.py).
 """
 from __future__ import annotations
@@ -138,7 +139,7 @@ def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
         (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    known = (*next(s.clock_values for s in samples if s.moving), 0.0, 0.0)
+    known = next(s.clock_values for s in samples if s.moving)
     return replace(problem, pose_model=model, pose_values=np.array([known[k] for k in unknown]))
 
 

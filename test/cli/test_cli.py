@@ -159,6 +159,8 @@ def test_a_terminal_is_told_what_is_done_and_lacking_letters_loses_no_answer(tmp
     ('verify.angle_tolerance=0.5deg', math.pi / 360), ('verify.near=[-300mm, 0, 1e2 mm, 0.2m]',
                                                        (-0.3, 0.0, 0.1, 0.2)),
     ('target.radius=20000um', 0.02), ('profile.exposure=20ms', 0.02),
+    ('time_offset_std=5ms', 0.005), ('rotation_lag_std=1ms', 0.001),
+    ('verify.reference=[500mm, 0, 2cm]', (0.5, 0.0, 0.02)),
     ('record.note=20mm', '20mm'), ('name=3mm', '3mm')])
 def test_set_takes_numbers_with_a_unit(given, meant):
     config = with_assignments(Config(), [assignment_in_si(given)])

@@ -11,12 +11,16 @@ import re
 import signal
 import subprocess
 import sys
+from unittest.mock import MagicMock
 
+from handeye_ros.config import Config
 import pytest
 
 pytest.importorskip('rclpy', reason='needs rclpy')
 from command import PATIENCE, running  # noqa: E402, I100
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from handeye_ros.node.streams import Streams  # noqa: E402
+from rclpy._rclpy_pybind11 import RCLError  # noqa: E402
 from ros_helpers import (  # noqa: E402
     Client,
     LATCHED,
@@ -82,6 +86,28 @@ def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(
         assert 'clock' not in answer.message, 'which is not the cause'
         client.node.destroy_publisher(other)
         client.until(lambda: words not in client.state()['message'], 'one publisher is left')
+
+
+def test_topics_are_read_on_after_a_fault(
+        client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    receiver, faults, look = MagicMock(config=Config()), [], client.node.get_publishers_info_by_topic
+
+    def fails_once(*args: object) -> object:
+        if not faults:
+            faults.append(True)
+            raise RCLError('no memory')
+        return look(*args)
+    monkeypatch.setattr(client.node, 'get_publishers_info_by_topic', fails_once)
+    streams = Streams(client.node, receiver)
+    streams.start()
+    client.until(lambda: faults, 'it looks for publishers')
+    client.until(lambda: client.poses.get_subscription_count(), 'it subscribes')
+
+    def heard() -> bool:
+        client.poses.publish(pose_message(START))
+        return receiver.add_poses.called
+    client.until(heard, 'it reads a pose')
+    streams.stop()
 
 
 @pytest.mark.thorough

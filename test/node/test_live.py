@@ -97,6 +97,15 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
     assert status['state'] == 'current' and len(status['std']) == 6
 
 
+def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
+    live = new(SPHERE.config)
+    feed(live, [*SPHERE.poses, SPHERE.poses[9], *SPHERE.profiles])
+    computed(live)
+    warnings = live.answer.calibration.provenance['warnings']
+    assert [text for text in warnings if text.startswith('dropped a pose whose stamp')], warnings
+    assert warnings == list(dict.fromkeys(warnings))
+
+
 @pytest.mark.thorough
 def test_a_robot_that_moves_gives_passes_and_the_answer_of_the_recording() -> None:
     made = simulate(SCENARIOS['small_plate_sweep'], np.random.default_rng(3))
