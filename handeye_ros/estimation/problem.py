@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-# Of more stations, a single wrong one matters less: (10) fades, and no solve without outliers
-# begins anew; only so many count as redundancy. From twice as many on, (10) is left out, and a part
-# of them tells noise and prior scales.
+# Of more stations, a single one matters less: (10) fades, each solve without one more outlier
+# starts from the one before, and the others count as no redundancy. From twice as many on, there is
+# no (10), and a part of them tells noise and prior scales.
 MANY_STATIONS = 200
 
 

@@ -91,8 +91,8 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
     assert arm.covariance is not None
     assert arm.configurations is not None
     return {
-        'format': f'{FORMAT}{NEWEST}', 'name': calibration.name, 'base': arm.base, 'flange': arm.flange,
-        'joints': answer.joints, 'end': se3.transform_values(arm.end),
+        'format': f'{FORMAT}{NEWEST}', 'name': calibration.name, 'base': arm.base,
+        'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),
         'zero_offsets_degrees': {
             joint.name: round(math.degrees(offset), 5)
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)

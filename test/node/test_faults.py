@@ -90,7 +90,8 @@ def test_streams_that_fall_silent_and_two_publishers_with_two_clocks(
 
 def test_topics_are_read_on_after_a_fault(
         client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    receiver, faults, look = MagicMock(config=Config()), [], client.node.get_publishers_info_by_topic
+    receiver, faults = MagicMock(config=Config()), []
+    look = client.node.get_publishers_info_by_topic
 
     def fails_once(*args: object) -> object:
         if not faults:
