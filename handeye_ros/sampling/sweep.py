@@ -18,8 +18,8 @@ early (session.py); other settings and clocks are not asked (checks/causes.py), 
 larger than the smooth error of the robot (checks/moved.py); edges may scatter (require_edges in
 checks/refusals.py), and profiles dropped at one end tell of no move (parted_by_outliers in
 calibration.py); a pass agrees if most of its profiles do (review.py); advice is to sweep on
-(guidance/advice.py); a gauge is measured in passes (verification/stations.py), and a sweep checks a
-calibration too (verification/check.py).
+(guidance/advice.py); a gauge is measured in passes (verification/stations.py), and a sweep checks
+a calibration too (verification/check.py).
 """
 from __future__ import annotations
 
