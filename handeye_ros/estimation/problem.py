@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 UNUSED = -1  # the kind of an observation that is not part of the target
 # Of more stations, a single one matters less: (10) fades, each solve without one more outlier
-# starts from the one before, and the others count as no redundancy. From twice as many on, there is
-# no (10), and a part of them tells noise and prior scales.
+# starts from the one before, and the others count as no redundancy. From twice as many on, (10) is
+# left out, and a part of them tells noise and prior scales.
 MANY_STATIONS = 200
 
 
