@@ -183,7 +183,7 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     else:
         likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
         verdict, sentence = _change_found(likeliest, odds)
-    starts = passes or sorted(item.stamp for item in (*samples, *others))
+    starts = passes or sorted([*(one.stamp for one in samples), *(one.stamp for one in others)])
     left_out = sorted({bisect_right(starts, samples[k].stamp) for k in left_out})
     if left_out:
         what = 'profiles of the passes' if passes else 'stops'
