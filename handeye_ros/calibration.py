@@ -29,7 +29,7 @@ from handeye_ros.data import (
 from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.frames import mount_frame, name_direction, sensor_axes
+from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,13 +54,13 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     """
     problem = solution.problem
     used = [samples[i] for i in solution.used]
-    measured, residuals, predicted = tested_points(used, solution)
+    measured, residuals, predicted = residuals_and_left_out(used, solution)
     reports = [*_used_reports(used, problem, rms_by(measured.station, residuals, len(used))),
                *_dropped_reports(samples, solution),
                *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
     return assemble_calibration(
         config, problem.target.name, frame_id or 'laser',
-        solution.estimate.X @ se3.inverse(sensor_axes(config)), solution.transform_covariance,
+        solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
         rms(residuals), rms(predicted), _described_target(solution, config),
         sorted(reports, key=lambda report: report.stamp),
         {'warnings': list(warnings)} if warnings else {}, time_offset_of(solution))
@@ -141,8 +141,9 @@ def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[Samp
             for i, square in solution.dropped_squares.items()]
 
 
-def tested_points(used: Sequence[Sample], solution: Solution, fold: NDArray[np.intp] | None = None
-                  ) -> tuple[MeasuredPoints, Array, Array]:
+def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
+                           fold: NDArray[np.intp] | None = None
+                           ) -> tuple[MeasuredPoints, Array, Array]:
     """
     Return the measured points of used samples, their residuals (k,) and those left out (k,).
 
@@ -364,7 +365,7 @@ def _edge_notes(solution: Solution) -> Iterator[str]:
                'line if the target has one edge only')
 
 
-def parted_by_outliers(solution: Solution) -> str:
+def outliers_at_one_end(solution: Solution) -> str:
     """
     Return in words that all stations that were dropped are the first, or the last, ones.
 

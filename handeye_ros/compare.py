@@ -24,7 +24,7 @@ from handeye_ros.errors import DataError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_estimate
-from handeye_ros.frames import sensor_axes
+from handeye_ros.frames import T_sensor_plane
 from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zheng2018
 from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth_file import errors_against, field_points, FIELD_TEXT
@@ -77,7 +77,7 @@ class ComparedStations:
     @property
     def axes(self) -> Array:
         """Return T_sensor_plane (4, 4), of the sensor plane in which X and field are."""
-        return sensor_axes(self.config)
+        return T_sensor_plane(self.config)
 
     def field(self) -> Array:
         """Return points (k, 3) in the sensor plane over which errors are reported."""

@@ -46,7 +46,7 @@ class InputError(HandeyeError):
     exit_code = 2
 
 
-def told(what: str, error: Exception) -> str:
+def sentence_and_log(what: str, error: Exception) -> str:
     """Return the sentence of an exception; of one that is no refusal the log shows where."""
     if isinstance(error, HandeyeError):
         return str(error)

@@ -35,7 +35,7 @@ def mount_poses(T_base_flange: Array, config: Config) -> Array:
     return T_base_flange if config.in_hand else se3.inverse(T_base_flange)
 
 
-def sensor_axes(config: Config) -> Array:
+def T_sensor_plane(config: Config) -> Array:
     """
     Return T_sensor_plane (4, 4): the frame with x along the laser line and z along the range.
 

@@ -31,10 +31,10 @@ from handeye_ros.checks.refusals import (
     require_distinct_frame,
     require_edges,
     require_left_out,
+    require_no_half_turn_twin,
     require_rotations,
     require_samples,
     require_tested,
-    require_unturned,
 )
 from handeye_ros.checks.surfaces import OtherSurfaceError
 from handeye_ros.config import Config
@@ -55,7 +55,7 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_of, synchronised
+from handeye_ros.sampling.sweep import problem_with_clocks, with_estimated_clocks
 import numpy as np
 
 SEED = 0  # of the random searches: the same samples give the same answer
@@ -174,10 +174,10 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_samples(ordered, rejects, target)
         require_rotations(mount_poses_of(ordered, config), mount_frame(config), target.one_axis)
         # 3. Of a sweep, find the offset between the clocks: it gives each profile its pose.
-        synced = synchronised(ordered, config)
+        synced = with_estimated_clocks(ordered, config)
         ordered, rejects = synced.samples, [*rejects, *synced.rejects]
         # 4. Linear starts, graduated non-convexity, and outliers dropped one by one.
-        problem = problem_of(ordered, config)
+        problem = problem_with_clocks(ordered, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Estimate a stated shape of the target where only this makes the samples agree.
         solution = with_free_shape_if_needed(problem, solution, rng)
@@ -194,7 +194,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
             solution = with_arm_errors(solution, Path(config.kinematics))
         # 8. Refuse an answer that cannot be tested, is uncertain or ignores what was seen.
         require_tested(solution)
-        require_unturned(solution)
+        require_no_half_turn_twin(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
         require_certain(solution.reported_covariance, config, missing_motion(solution, config))
         require_certain_points(solution, config)

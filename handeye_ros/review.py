@@ -16,7 +16,7 @@ from pathlib import Path
 from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
-from handeye_ros.calibration import edges_used, measured_points, rms_by, tested_points
+from handeye_ros.calibration import edges_used, measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import UnusableMessageError
@@ -30,7 +30,7 @@ from handeye_ros.results.scene import Agreement, StopSnapshot
 from handeye_ros.results.table import figures_table
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
-from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_at_poses
+from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_of_known_poses
 import numpy as np
 from rich.table import Table
 
@@ -146,7 +146,7 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
     by_answer = 2 * np.bincount(of_used, minlength=n) >= np.maximum(
         np.bincount(stations, minlength=n), 1)
     fold = np.unique(of_used, return_inverse=True)[1].reshape(-1)
-    measured, *both = tested_points(used, solution, fold)
+    measured, *both = residuals_and_left_out(used, solution, fold)
     residual, predicted = (rms_by(of_used[measured.station], r, n) for r in both)
     if not fold.any():
         predicted = residual.copy()
@@ -169,7 +169,7 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
         number = number[at.inside]
     if not ones:
         return np.full(len(samples), np.nan)
-    problem = reassigned(problem_at_poses(ones, config), solution.estimate)
+    problem = reassigned(problem_of_known_poses(ones, config), solution.estimate)
     measured = measured_points(ones, problem)
     return rms_by(number[measured.station], measured.residuals(problem, solution.estimate),
                   len(samples))
@@ -179,7 +179,7 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
     """Return a sentence if the laser is on an edge at too small a crossing angle, else ''."""
     def edges(smallest: float) -> str:
         sampling = replace(config.sampling, min_crossing_angle=smallest)
-        problem = problem_at_poses([sample], replace(config, sampling=sampling))
+        problem = problem_of_known_poses([sample], replace(config, sampling=sampling))
         return edges_used(reassigned(problem, solution.estimate))[0]
 
     smallest = config.sampling.min_crossing_angle

@@ -10,7 +10,7 @@ from cells import Cell, cell, exact, settings_of
 from command import assert_refused, handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.compare import compare, Comparison, ESTIMATORS, Row
-from handeye_ros.frames import sensor_axes
+from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.simulate import SCENARIOS
 from handeye_ros.targets import TARGETS
@@ -101,7 +101,7 @@ def test_axes_other_than_x_z_turn_every_answer(only) -> None:
     made = nearly_exact('plate')
     turned = replace(made.config, profile=settings_of(SCENARIOS['plate_y_along_line']).profile)
     assert turned.profile.axes == ('y', 'z')
-    T_true = made.truth.T_flange_sensor @ se3.inverse(sensor_axes(turned))
+    T_true = made.truth.T_flange_sensor @ se3.inverse(T_sensor_plane(turned))
     for row in compare(made.samples, (), turned, T_true, folds=0).rows:
         assert row.T_flange_sensor is not None, row.failure
         np.testing.assert_allclose(row.T_flange_sensor, T_true, rtol=0, atol=5e-5)

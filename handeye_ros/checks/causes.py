@@ -21,7 +21,7 @@ from handeye_ros.checks.refusals import (
     contradiction,
     missing_motion,
     require_certain,
-    turning,
+    rms_turns_and_axes,
     UnexplainedError,
 )
 from handeye_ros.checks.settings import require_settings, require_sign
@@ -33,7 +33,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.session import Session
 
-SIGN_TRIED = 0.6  # variance factor, with lumped blocks, above which the other range sign is tried
+SIGN_TRIED = 0.6  # variance factor, blocks as noise, above which the other range sign is tried
 FEW_TURNS = 0.12  # rad RMS about the second axis: less may look like a move
 MISFIT_FACTOR = 9.0  # variance factor (3 sigma) above which other causes than noise are tested
 
@@ -58,7 +58,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
         require_convention(samples, problem, stated)
     if refusal:
         _require_ordered_orientations(problem, solution)
-        if turning(problem.poses)[0][1] < FEW_TURNS:
+        if rms_turns_and_axes(problem.poses)[0][1] < FEW_TURNS:
             require_certain(solution.reported_covariance, problem.config,
                             missing_motion(solution, problem.config))
     moves = move_hypotheses(problem) if refusal else []

@@ -69,7 +69,7 @@ def require_steady_clocks(solution: Solution) -> None:
 def require_same_clock(session: Session, config: Config) -> None:
     """Raise DataError (clocks_differ) where the samples fit poses of another time better."""
     stops = [(stop, part) for stop in session.stops if not stop.final_reason
-             and not session.excludes(stop) and (part := _profiles(stop, config))]
+             and not session.excludes(stop) and (part := _profiles_pose_span(stop, config))]
     seen = [part for _, part in stops]
     if len(seen) < targets.target_for(config).min_samples:
         return
@@ -80,11 +80,11 @@ def require_same_clock(session: Session, config: Config) -> None:
     stated = explanation_of_results([
         stop.sample for (stop, _), still in zip(stops, stills, strict=True) if still.sample],
         config)
-    refuse_better(stated, [_late(stills, behind, config) for behind in (0, 1, -1)
-                           if abs(_offset(stills, behind)) > SMALLEST_OFFSET])
+    refuse_better(stated, [_late(stills, stops_earlier, config) for stops_earlier in (0, 1, -1)
+                           if abs(_offset(stills, stops_earlier)) > SMALLEST_OFFSET])
 
 
-def _profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
+def _profiles_pose_span(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
     """Return some profiles of a stop, its pose (4, 4), start and end (2,) in s; None: too few."""
     seen, profiles = stop.load(config), list[Profile]()
     for profile in seen.profiles:
@@ -130,14 +130,15 @@ def _still(profiles: list[Profile], pose: Array, stop: Array, limit: float, conf
     return _Still(sample, pose, stop, np.where([opened, closed], rest, np.nan))
 
 
-def _offset(stills: Sequence[_Still], behind: int) -> float:
+def _offset(stills: Sequence[_Still], stops_earlier: int) -> float:
     """
     Return the delay of the profiles (s) if they belong a given number of stops earlier.
 
     Where the clocks differ, most stops show it, and rests begin and end to the same side of the
     stops; a few stops without rest prove nothing.
     """
-    pairs = list(zip(stills[max(behind, 0):], stills[max(-behind, 0):], strict=False))
+    pairs = list(zip(stills[max(stops_earlier, 0):], stills[max(-stops_earlier, 0):],
+                     strict=False))
     offsets = np.array([still.rest - other.stop for still, other in pairs])
     offsets = offsets[np.isfinite(offsets)]
     about = [still.stop[0] - other.stop[0] for still, other in pairs]
@@ -146,15 +147,16 @@ def _offset(stills: Sequence[_Still], behind: int) -> float:
     return float(np.median(offsets if 2 * len(offsets) > len(about) else about))
 
 
-def _late(stills: Sequence[_Still], behind: int, config: Config) -> Hypothesis:
+def _late(stills: Sequence[_Still], stops_earlier: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
     def refit() -> Explanation:
-        return explanation_of_results([replace(still.sample, T_base_flange=stills[k - behind].pose)
-                                       if 0 <= k - behind < len(stills) else None
-                                       for k, still in enumerate(stills) if still.sample], config)
+        return explanation_of_results([
+            replace(still.sample, T_base_flange=stills[k - stops_earlier].pose)
+            if 0 <= k - stops_earlier < len(stills) else None
+            for k, still in enumerate(stills) if still.sample], config)
 
     def refusal(fit: Explanation) -> DataError:
-        late = _offset(stills, behind)
+        late = _offset(stills, stops_earlier)
         return DataError(
             'the samples do not fit the poses of their time, but as if the profiles were '
             f'{abs(late):.1f} s {"late" if late > 0 else "early"}: the clocks of sensor and robot '

@@ -32,7 +32,7 @@ from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.sampling.edge_shapes import with_common_shape
-from handeye_ros.sampling.sweep import problem_at_poses, synchronised
+from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
 from handeye_ros.targets import target_for
 import numpy as np
 
@@ -156,8 +156,8 @@ def explanation_of_results(results: Sequence[Sample | Reject | None], config: Co
     if len(ordered) < target_for(config).min_samples:
         return nothing
     if clocks:
-        ordered = synchronised(ordered, config).samples
-    fit = explanation_of_problem(problem_at_poses(ordered, config), all_starts)
+        ordered = with_estimated_clocks(ordered, config).samples
+    fit = explanation_of_problem(problem_of_known_poses(ordered, config), all_starts)
     squares = nothing.squares.copy()
     squares[:, [number[sample.stamp] for sample in ordered]] = fit.squares
     return Explanation(fit.parts, squares)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from handeye_ros import se3
-from handeye_ros.calibration import parted_by_outliers
+from handeye_ros.calibration import outliers_at_one_end
 from handeye_ros.checks.hypotheses import (
     DECISIVE_EVIDENCE,
     Explanation,
@@ -26,14 +26,14 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.blocks import ParameterBlock
 from handeye_ros.estimation.least_squares import chi2_isf
-from handeye_ros.estimation.noise import LUMPED, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, whitening
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import quick_solution, reassigned
 from handeye_ros.estimation.solve import (
-    reestimated,
+    cover,
     Solution,
     solution_at,
-    upper_bound,
+    with_noise_reestimated,
 )
 from handeye_ros.frames import mount_frame, target_frame
 import numpy as np
@@ -106,7 +106,7 @@ def _same_target(first: Solution, second: Solution) -> bool:
     if any(np.linalg.eigvalsh(part.covariance)[-1] > 1.0 for part in (first, second)):  # m, rad
         return True
     near = Estimate(second.estimate.X, first.estimate.state)
-    after = solution_at(reassigned(second.problem, near), near, LUMPED)
+    after = solution_at(reassigned(second.problem, near), near, BLOCKS_AS_NOISE)
     # both parts in one fit: two transforms, and the target in common
     own, other = first.white_jacobian, after.white_jacobian
     J = np.vstack([np.insert(own, [6] * 6, 0.0, axis=1), np.insert(other, [0] * 6, 0.0, axis=1)])
@@ -126,7 +126,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
     where the evidence is decisive.
     """
-    if parted := parted_by_outliers(agreed):
+    if parted := outliers_at_one_end(agreed):
         return agreed, parted
     n, conservative, config = len(agreed.used), agreed.conservative, agreed.full_problem.config
     if n < agreed.problem.target.min_samples + 4:  # too few to tell a move from an outlier
@@ -137,8 +137,8 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
     body, k, moved = _likeliest(agreed, moments, first)
-    unmoved = reestimated(conservative)
-    others = [reestimated(conservative, (block,)) for block in
+    unmoved = with_noise_reestimated(conservative)
+    others = [with_noise_reestimated(conservative, (block,)) for block in
               _wrong_times(conservative, int(moments[k]))]
     evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
@@ -162,7 +162,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         raise DataError(sentence, reason='moved')
     away = se3.difference(moved.estimate.X, unmoved.estimate.X)
     with_move = moved.covariance[:6, :6] + np.outer(away, away)
-    more = upper_bound(agreed.transform_covariance, with_move) - agreed.transform_covariance
+    more = cover(agreed.transform_covariance, with_move) - agreed.transform_covariance
     added = {**agreed.added_covariances, POSSIBLE_MOVE: more}
     return replace(agreed, added_covariances=added), sentence
 
@@ -178,7 +178,7 @@ def _likeliest(agreed: Solution, moments: NDArray[np.intp], first: Array
     for body, gains in zip((SENSOR, TARGET), first, strict=True):
         while (move := (body, int(np.argmax(gains)))) not in tried:
             further = _blocks_of_move(conservative, body, int(moments[move[1]]))
-            tried[move] = reestimated(conservative, further)
+            tried[move] = with_noise_reestimated(conservative, further)
             # noise and scales estimated with the move do not absorb it: its time is clearer
             gains = _move_sums(agreed, tried[move], moments).gains()[body]
     (body, k), moved = min(tried.items(), key=lambda move: move[1].deviance)

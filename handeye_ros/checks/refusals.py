@@ -77,7 +77,7 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
 
     frame: the mount frame, in which the axis is reported; lost: what one axis leaves unknown.
     """
-    turns, axes = turning(poses)
+    turns, axes = rms_turns_and_axes(poses)
     if turns[0] < SMALLEST_TURN:
         raise DataError(
             f'all poses share one orientation (within {np.degrees(turns[0]):.2f} degrees): the '
@@ -90,7 +90,7 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
             f'degrees or more about {other_axes(axes[0], frame)}', reason='one_axis')
 
 
-def turning(poses: Array) -> tuple[Array, Array]:
+def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:
     """
     Return the RMS rotations (3,) of poses (n, 4, 4) in rad, and their principal axes (3, 3).
 
@@ -159,9 +159,9 @@ def require_tested(solution: Solution) -> None:
             reason='outlier')
 
 
-def require_unturned(solution: Solution) -> None:
+def require_no_half_turn_twin(solution: Solution) -> None:
     """Raise DataError for views so much alike that a sensor turned by half would see the same."""
-    place, off = solution.problem.target.seen_within(solution.linear)
+    place, off = solution.problem.target.half_turn_misfit(solution.linear)
     allowed = solution.full_problem.config.limits.residual  # a larger one has other causes
     if 2 * off < TURNED_TIMES * min(solution.residual_rms, allowed):
         raise DataError(
@@ -218,7 +218,7 @@ def missing_motion(solution: Solution, config: Config) -> str:
     known = worst_rotation(solution.reported_covariance)[0] <= config.limits.rotation
     if known and (views_alike := problem.target.views_alike(problem, solution.estimate)):
         return views_alike
-    turns, axes = turning(solution.full_problem.poses)
+    turns, axes = rms_turns_and_axes(solution.full_problem.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
         return ALL_OF_THE_VIEW
     return (f'the poses turn by only {degrees(turns[1])} RMS about '

@@ -132,7 +132,7 @@ def robot_smooth(linear: Linear) -> Blocks:
     problem, size = linear.problem, linear.problem.config.noise.robot_smooth
     if not size:
         return
-    n, smooth = len(problem.poses), problem.smooth
+    n, smooth = len(problem.poses), problem.smooth_error_basis
     axes = np.diag(np.repeat([1.0, 1 / TURN_LENGTH], 3))
     twists = np.einsum('xa,nk->nxak', axes, smooth).reshape(n, 6, -1)
     columns = wrt_smooth(linear.wrt_pose, smooth[problem.observations.station])
@@ -145,7 +145,7 @@ def _motions_of_smooth(linear: Linear) -> Array:
     motions = motions_by_poses(problem.poses, linear.estimate.X, field,
                                problem.config.in_hand)
     motions[..., 3:] /= TURN_LENGTH
-    return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth).reshape(6, -1))
+    return np.asarray(np.einsum('xna,nk->xak', motions, problem.smooth_error_basis).reshape(6, -1))
 
 
 def points_on_target(linear: Linear) -> Array:

@@ -29,7 +29,7 @@ SURE_ODDS = 100.0  # posterior odds of one station being wrong, from which it is
 SMALLEST_P = 0.2  # p-value of the other squares below which more than one is wrong
 
 
-def with_contamination(solution: Solution, dropped: int) -> Solution:
+def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
@@ -87,7 +87,7 @@ def budget(solution: Solution) -> Budget:
     for block, columns in slices(conservative.blocks, conservative.unknowns):
         gain = conservative.covariance[:6, columns]
         parts[block.name] = gain @ gain.T
-    away = solution.shift_of_report
+    away = solution.conservative_shift
     parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
     parts['best-fit transform'] = (
         solution.transform_covariance - conservative.covariance[:6, :6] - np.outer(away, away)

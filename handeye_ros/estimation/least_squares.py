@@ -104,7 +104,7 @@ class System(Generic[S]):
             whiten, r, J = whitened_at(rows)
         return state
 
-    def reweighted(self, state: S, weights: Array) -> S:
+    def few_weighted_steps(self, state: S, weights: Array) -> S:
         """Return the state after a few steps towards the least squares with unit weights (n,)."""
         return self.least_squares(state, weights, iterations=4, converged=1e-3)
 
@@ -226,25 +226,25 @@ def shared_variance_factor(mean_squares: Array, freedom: NDArray[np.intp] | int)
 
 def drop_outliers(used: NDArray[np.intp], total: int, fewest: int,
                   fitted: Callable[[F | None, NDArray[np.intp]], F],
-                  judged: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
-                  wrong: Callable[[F], int | None] = lambda fit: None
+                  left_out_squares: Callable[[F], tuple[Array, NDArray[np.intp] | int]],
+                  surely_wrong: Callable[[F], int | None] = lambda fit: None
                   ) -> tuple[F, NDArray[np.intp], dict[int, float]]:
     """
     Return the fit of the items that agree, these items, and the squares of those dropped.
 
     One that the others do not predict is dropped here; what is off by much more was left out of
     `used` before. used: the items to begin with, of `total`; fewest: fewest that remain;
-    fitted(the fit before or None, used): the fit of some items; judged(fit): of each item the
-    mean squared left-out residual, (12), and its degrees of freedom; wrong(fit): an item that is
-    wrong though none of these is too large, None without one.
+    fitted(the fit before or None, used): the fit of some items; left_out_squares(fit): of each
+    item the mean squared left-out residual, (12), and its degrees of freedom; surely_wrong(fit):
+    an item that is wrong though none of these is too large, None without one.
     """
     fit, dropped = fitted(None, used), dict[int, float]()
     while True:
-        squares, freedom = judged(fit)
+        squares, freedom = left_out_squares(fit)
         worst = outliers(squares, freedom, total, len(used) - fewest)
-        other = wrong(fit) if not len(worst) and len(used) > fewest else None
-        if other is not None:
-            worst = np.array([other])
+        sure = surely_wrong(fit) if not len(worst) and len(used) > fewest else None
+        if sure is not None:
+            worst = np.array([sure])
         if not len(worst):
             return fit, used, dropped
         dropped |= {int(used[k]): float(squares[k]) for k in worst}
@@ -286,25 +286,25 @@ def adjust(system: System[S], start: S, fewest: int) -> Adjusted[S]:
     def fitted(before: Adjusted[S] | None, used: NDArray[np.intp]) -> Adjusted[S]:
         good = np.isin(np.arange(n), used)
         state = system.least_squares(before.state if before else start_near, good.astype(float))
-        at = system.rows(state)
-        whiten = at.whitener()
-        r, J, kept = whiten(at.residuals), whiten(at.jacobian()), good[system.item]
+        rows = system.rows(state)
+        whiten = rows.whitener()
+        r, J, kept = whiten(rows.residuals), whiten(rows.jacobian()), good[system.item]
         covariance = covariance_of(J[kept])
         left_out = leave_one_out(r[kept], J[kept], covariance, system.item[kept])
         variance = float(r[kept] @ r[kept] / max(kept.sum() - J.shape[1], 1))
         return Adjusted(state, used, r.reshape(n, -1), left_out.reshape(len(used), -1),
                         covariance * max(1.0, variance), variance)
 
-    def judged(fit: Adjusted[S]) -> tuple[Array, int]:
+    def left_out_squares(fit: Adjusted[S]) -> tuple[Array, int]:
         statistic = (fit.residuals[fit.used] * fit.left_out).mean(axis=1)
         freedom = fit.residuals.shape[1]
         return statistic / shared_variance_factor(statistic, freedom), freedom
 
-    start_near = graduated(start, squares, system.reweighted)
+    start_near = graduated(start, squares, system.few_weighted_steps)
     current = squares(start_near)
     good = np.flatnonzero(current <= max(GROSS_SQUARE * max(1.0, typical_square(current)),
                                          np.sort(current)[:fewest][-1]))
-    return drop_outliers(good, n, fewest, fitted, judged)[0]
+    return drop_outliers(good, n, fewest, fitted, left_out_squares)[0]
 
 
 def covariance_of(J: Array) -> Array:

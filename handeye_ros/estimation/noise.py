@@ -50,15 +50,15 @@ class Noise:
         distortion that differs between stations; of the pose noise; of the white errors of the
         pose values, such as time
     block_variances: tau^2 of each block by name
-    lumped: whether blocks count as errors of each station
+    blocks_as_noise: whether blocks count as errors of each station
     """
 
     variance_factors: Array = field(default_factory=lambda: np.ones(5))
     block_variances: Mapping[str, float] = field(default_factory=dict)
-    lumped: bool = False
+    blocks_as_noise: bool = False
 
 
-LUMPED = Noise(lumped=True)  # as configured, blocks as errors of each station: of the search
+BLOCKS_AS_NOISE = Noise(blocks_as_noise=True)  # and all else as configured: of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Whitening:
         return whitened
 
 
-def covariance_parts(linear: Linear, at: StationGroup) -> Array:
+def covariance_parts(linear: Linear, group: StationGroup) -> Array:
     """
     Return the parts of the covariance, (3), as (p, stations, c, c), for variance factors of 1.
 
@@ -91,26 +91,27 @@ def covariance_parts(linear: Linear, at: StationGroup) -> Array:
     local = (0.6 * noise.distortion) ** 2  # the share that differs, as speckle does
     pose = np.repeat([noise.robot_translation ** 2, noise.robot_rotation ** 2], 3)
     # no covariance between the components, so that any factors keep the sum positive
-    features = _outer(linear.wrt_feature[at.rows]) * at.shared
-    features += 1e-9 ** 2 * np.eye(at.rows.shape[1])  # m; without noise its weight is infinite
-    parts = [*features * at.components, at.correlation * _outer(linear.wrt_point[at.rows], local),
-             _outer(linear.wrt_pose[at.rows], pose)]
+    features = _outer(linear.wrt_feature[group.rows]) * group.shared
+    features += 1e-9 ** 2 * np.eye(group.rows.shape[1])  # m; without noise its weight is infinite
+    parts = [*features * group.components,
+             group.correlation * _outer(linear.wrt_point[group.rows], local),
+             _outer(linear.wrt_pose[group.rows], pose)]
     if linear.wrt_jitter is not None:
-        parts.append(_outer(linear.wrt_jitter[at.rows]))
+        parts.append(_outer(linear.wrt_jitter[group.rows]))
     return np.array(parts)
 
 
-def total_covariance(linear: Linear, at: StationGroup, noise: Noise) -> Array:
-    """Return the covariance (stations, c, c), (3), including the blocks if they are lumped."""
+def total_covariance(linear: Linear, group: StationGroup, noise: Noise) -> Array:
+    """Return the covariance (stations, c, c), (3), with the blocks if they count as noise."""
     problem, config = linear.problem, linear.problem.config.noise
-    parts = covariance_parts(linear, at)
+    parts = covariance_parts(linear, group)
     total = np.asarray(np.tensordot(noise.variance_factors[:len(parts)], parts, 1))
-    if noise.lumped:  # the sensor's distortion, the robot's smooth error, and the target's own
+    if noise.blocks_as_noise:  # distortion, the robot's smooth error, and the target's own
         axes = np.repeat([1.0, TURN_LENGTH ** -2], 3)
-        total += at.correlation * _outer(linear.wrt_point[at.rows], config.distortion ** 2)
-        total += _outer(linear.wrt_pose[at.rows], config.robot_smooth ** 2 * axes)
+        total += group.correlation * _outer(linear.wrt_point[group.rows], config.distortion ** 2)
+        total += _outer(linear.wrt_pose[group.rows], config.robot_smooth ** 2 * axes)
         feature_errors = problem.target.feature_errors(linear)
-        total += _outer(feature_errors[at.rows]) * at.shared
+        total += _outer(feature_errors[group.rows]) * group.shared
     return total
 
 
@@ -123,8 +124,8 @@ def _outer(factor: Array, variances: Array | float = 1.0) -> Array:
 def whitening(linear: Linear, noise: Noise) -> Whitening:
     """Return the map that whitens residuals to unit covariance."""
     groups = linear.problem.station_groups
-    return Whitening(tuple(at.rows for at in groups), tuple(
-        inverse_roots(total_covariance(linear, at, noise)) for at in groups))
+    return Whitening(tuple(group.rows for group in groups), tuple(
+        inverse_roots(total_covariance(linear, group, noise)) for group in groups))
 
 
 def prior_variances(covariance: Array, value: Array, first: NDArray[np.intp], before: Array,

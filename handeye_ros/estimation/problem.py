@@ -238,7 +238,7 @@ class Problem:
         return self.pose_model.at(self.pose_values)[1]
 
     @cached_property
-    def smooth(self) -> Array:
+    def smooth_error_basis(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
         return smooth_basis(self.robot_poses, self.long_errors)
 

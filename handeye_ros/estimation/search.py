@@ -8,7 +8,7 @@ from the solution these say more than whitened ones. One start is then refined r
 that do not fit lose weight, (11). The first one that explains nearly all stations is taken.
 Otherwise further starts, and those of random subsets, compete by how well all stations are
 explained. Then stations are dropped one by one, worst first, (12): with the errors that stations
-share lumped into each, and again with all nuisance parameters.
+share as noise of each, and again with all nuisance parameters.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from itertools import chain, islice
 
 from handeye_ros.data import Array
 from handeye_ros.errors import HandeyeError
-from handeye_ros.estimation.covariance import with_contamination
+from handeye_ros.estimation.covariance import with_possibly_wrong_station
 from handeye_ros.estimation.least_squares import (
     drop_outliers,
     graduated,
@@ -31,7 +31,7 @@ from handeye_ros.estimation.least_squares import (
     System,
     typical_square,
 )
-from handeye_ros.estimation.noise import LUMPED, Noise, Whitening, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, Whitening, whitening
 from handeye_ros.estimation.problem import (
     Estimate,
     Linear,
@@ -45,8 +45,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SUBSET_COUNT = 40  # of six stations: if a third are wrong, one subset has no wrong one with p 0.97
-# Limits of squared whitened residuals: of a good estimate, with lumped blocks (4: 2 sigma); of one
-# that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
+# Limits of squared whitened residuals: of a good estimate, with blocks as noise (4: 2 sigma); of
+# one that no other can beat; of a station far from it, over the typical one (16: 4 sigma).
 # SMALL_SQUARE is added in the loss: as the robot is seldom as inaccurate as configured, fits to a
 # fifth of a sigma are distinguished from fits to a half.
 CONVINCING_SQUARE, UNRIVALLED_SQUARE, LARGEST_SQUARE, SMALL_SQUARE = 4.0, 0.1, 16.0, 0.03
@@ -94,14 +94,15 @@ def without_outliers(robust: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = robust.problem.subset(used)
-        return solution_at(kept, least_squares_estimate(kept, (before or robust).estimate), LUMPED)
+        start = (before or robust).estimate
+        return solution_at(kept, least_squares_estimate(kept, start), BLOCKS_AS_NOISE)
 
-    def judged(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
+    def left_out_squares(solution: Solution) -> tuple[Array, NDArray[np.intp]]:
         squares, freedom = solution.left_out_squares()
         return squares / shared_variance_factor(squares, freedom), freedom
 
     solution, used, dropped = drop_outliers(np.flatnonzero(good), len(problem.poses),
-                                            problem.target.min_samples, fitted, judged)
+                                            problem.target.min_samples, fitted, left_out_squares)
     return replace(solution, full_problem=problem, used=used, dropped_squares=gross | dropped)
 
 
@@ -122,7 +123,7 @@ def with_systematic_errors(agreed: Solution) -> Solution:
             start, noise = conservative.estimate, conservative.noise
             kept = kept.with_pose_values(conservative.problem.pose_values)
         solution = map_solution(kept, start, noise)
-        return with_contamination(solution, len(problem.poses) - len(used))
+        return with_possibly_wrong_station(solution, len(problem.poses) - len(used))
 
     solution, used, dropped = drop_outliers(
         agreed.used, len(problem.poses), problem.target.min_samples, fitted,
@@ -134,21 +135,21 @@ def with_systematic_errors(agreed: Solution) -> Solution:
 def refined_robustly(problem: Problem, estimate: Estimate) -> Solution:
     """Return the solution that graduated non-convexity reaches from a start."""
     fit = graduated_fit(problem, estimate,
-                        lambda at, weights: _system(at.problem).reweighted(at, weights))
-    return replace(Solution.of_linear(fit, LUMPED), full_problem=problem)
+                        lambda fit, weights: _system(fit.problem).few_weighted_steps(fit, weights))
+    return replace(Solution.of_linear(fit, BLOCKS_AS_NOISE), full_problem=problem)
 
 
 def graduated_fit(problem: Problem, start: Estimate,
-                  reweighted: Callable[[Linear, Array], Linear]) -> Linear:
+                  few_steps: Callable[[Linear, Array], Linear]) -> Linear:
     """
     Return the fit that graduated non-convexity reaches from a start, with labels of its own.
 
-    reweighted(fit, weights (n,)): the fit after a few steps with the labels it has. The weights
+    few_steps(fit, weights (n,)): the fit after a few steps with the labels it has. The weights
     come from residuals with these labels, so observations are assigned again only after the steps,
     and the next weights come from the new labels.
     """
     def refit(before: Linear, weights: Array) -> Linear:
-        after = reweighted(before, weights)
+        after = few_steps(before, weights)
         every = replace(after.problem, observations=problem.observations)
         labelled = reassigned(every, after.estimate, after.problem)
         return after if labelled is after.problem else linearise(labelled, after.estimate)
@@ -231,8 +232,8 @@ def shortlisted(problem: Problem, starts: Sequence[Estimate], more: int = 1) -> 
     more: factor on the number of starts that continue; 20 are returned at most.
     """
     def linear(states: States) -> tuple[Array, Array]:
-        at = linearise(problem, Estimate(*states))
-        return at.residuals, at.jacobian[..., problem.free_columns]
+        fit = linearise(problem, Estimate(*states))
+        return fit.residuals, fit.jacobian[..., problem.free_columns]
 
     def retract(states: States, steps: Array) -> States:
         moved = problem.retracted(Estimate(*states), steps)
@@ -261,29 +262,30 @@ def distinct(X: Array) -> list[int]:
 
 
 @lru_cache(maxsize=4)  # residuals at an estimate, then the step from there
-def whitening_at(linear: Linear, noise: Noise = LUMPED) -> Whitening:
+def whitening_at(linear: Linear, noise: Noise = BLOCKS_AS_NOISE) -> Whitening:
     """Return the map that whitens the residuals of a problem."""
     return whitening(linear, noise)
 
 
 def mean_squares(linear: Linear) -> Array:
-    """Return the mean squared whitened residuals (n,) of the stations, blocks lumped."""
+    """Return the mean squared whitened residuals (n,) of the stations, blocks as noise."""
     station, n = linear.problem.observations.station, len(linear.problem.poses)
     squares = np.bincount(station, whitening_at(linear)(linear.residuals) ** 2, minlength=n)
     return np.asarray(squares / np.maximum(np.bincount(station, minlength=n), 1))
 
 
-def _system(problem: Problem, noise: Noise = LUMPED) -> System[Linear]:
+def _system(problem: Problem, noise: Noise = BLOCKS_AS_NOISE) -> System[Linear]:
     """Return the least-squares system of a problem; each station is an item."""
-    def rows(at: Linear) -> Rows:
-        return Rows(at.residuals, lambda: at.jacobian[:, problem.free_columns],
-                    lambda: whitening_at(at, noise))
+    def rows(linear: Linear) -> Rows:
+        return Rows(linear.residuals, lambda: linear.jacobian[:, problem.free_columns],
+                    lambda: whitening_at(linear, noise))
 
-    def retracted(at: Linear, step: Array) -> Linear:
-        return linearise(problem, problem.retracted(at.estimate, step))
+    def retracted(linear: Linear, step: Array) -> Linear:
+        return linearise(problem, problem.retracted(linear.estimate, step))
     return System(rows, retracted, problem.observations.station)
 
 
-def least_squares_estimate(problem: Problem, start: Estimate, noise: Noise = LUMPED) -> Estimate:
+def least_squares_estimate(problem: Problem, start: Estimate, noise: Noise = BLOCKS_AS_NOISE
+                           ) -> Estimate:
     """Return the estimate with the least squared whitened residuals."""
     return _system(problem, noise).least_squares(linearise(problem, start)).estimate

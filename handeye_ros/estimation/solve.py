@@ -36,8 +36,8 @@ from handeye_ros.estimation.least_squares import (
     left_out_residuals,
 )
 from handeye_ros.estimation.noise import (
+    BLOCKS_AS_NOISE,
     covariance_parts,
-    LUMPED,
     Noise,
     PRIOR_FREEDOM,
     prior_variances,
@@ -74,8 +74,8 @@ class Solution:
     surely_wrong: the station that almost surely is
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
-    for_report: of a solution for the estimate, the one at the conservative scales: its estimate
-        moves too far, its covariance is realistic
+    at_conservative_scales: of a solution for the estimate, the one at the conservative scales: its
+        estimate moves too far, its covariance is realistic
     """
 
     linear: Linear
@@ -91,14 +91,14 @@ class Solution:
     probability_wrong: float = 0.0
     added_covariances: Mapping[str, Array] = field(default_factory=dict)
     surely_wrong: int | None = None
-    for_report: Solution | None = None
+    at_conservative_scales: Solution | None = None
 
     @classmethod
     def of_linear(cls, linear: Linear, noise: Noise,
                   blocks: tuple[ParameterBlock, ...] | None = None) -> Solution:
         """Return the solution of a linearised problem; blocks: by default all of the problem."""
         if blocks is None:
-            blocks = () if noise.lumped else blocks_at(linear)
+            blocks = () if noise.blocks_as_noise else blocks_at(linear)
         residuals = linear.residuals
         for block in blocks:
             if block.value is not None:  # they are in the estimate or the poses
@@ -146,14 +146,14 @@ class Solution:
     @cached_property
     def covariance(self) -> Array:
         """Return C (u + q, u + q) of (5), in present sigmas of the nuisance parameters."""
-        if self.noise.lumped:
+        if self.noise.blocks_as_noise:
             return covariance_of(self.white_jacobian)
         return bounded_inverse(self.information)
 
     @cached_property
     def _step(self) -> Array:
         """Return the step of all parameters (u + q,) to the minimum."""
-        if self.noise.lumped:  # the search ends where no step is left
+        if self.noise.blocks_as_noise:  # the search ends where no step is left
             return np.zeros(self.unknowns)
         gradient = self.scales * (self.white_jacobian.T @ self.prefit_residuals)
         return np.asarray(-self.covariance @ gradient)
@@ -177,7 +177,7 @@ class Solution:
     @cached_property
     def estimate(self) -> Estimate:
         """Return the estimate after the last step, which is close to the minimum."""
-        if self.noise.lumped:
+        if self.noise.blocks_as_noise:
             return self.linear.estimate
         return self.problem.retracted(self.linear.estimate, self._step[:self.unknowns])
 
@@ -205,11 +205,11 @@ class Solution:
     def estimated_factors(self, stated: Array | float = 1.0) -> Array:
         """Return the variance factors (5,) from residuals, and a prior at stated, (7)."""
         sums = np.zeros((len(MAP_PRIOR_FACTORS), 2))
-        for at, root in zip(self.problem.station_groups, self.whitening.roots, strict=True):
-            V = covariance_parts(self.linear, at)
+        for group, root in zip(self.problem.station_groups, self.whitening.roots, strict=True):
+            V = covariance_parts(self.linear, group)
             W = (root @ V @ np.swapaxes(root, 1, 2)).reshape(len(V), -1)
-            r = self.postfit_residuals[at.rows]
-            left = np.eye(r.shape[1]) - self.predicted_covariance(at.rows)
+            r = self.postfit_residuals[group.rows]
+            left = np.eye(r.shape[1]) - self.predicted_covariance(group.rows)
             both = r[:, :, None] * r[:, None]
             sums[:len(V)] += W @ np.column_stack([both.ravel(), left.ravel()])
         before = self.noise.variance_factors
@@ -236,7 +236,7 @@ class Solution:
         noise = replace(self.noise, variance_factors=factors)
         return Solution.of_linear(self.linear, noise, self.configured_blocks)
 
-    def rescaled(self, steps: int) -> Solution:
+    def with_conservative_scales(self, steps: int) -> Solution:
         """
         Return the solution at estimated conservative prior scales, itself if these stay the same.
 
@@ -253,7 +253,7 @@ class Solution:
     @property
     def conservative(self) -> Solution:
         """Return the solution at the conservative scales, itself where it is that."""
-        return self.for_report or self
+        return self.at_conservative_scales or self
 
     @cached_property
     def reported_covariance(self) -> Array:
@@ -263,10 +263,10 @@ class Solution:
         It covers the errors of both the mount's transform and the best-fit transform.
         """
         reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
-        if self.for_report is None:
+        if self.at_conservative_scales is None:
             return reported
-        away = self.shift_of_report
-        reported[:6, :6] = upper_bound(reported[:6, :6] + np.outer(away, away), self._best_fit)
+        away = self.conservative_shift
+        reported[:6, :6] = cover(reported[:6, :6] + np.outer(away, away), self._best_fit)
         reported[:6, :6] += sum(self.added_covariances.values())
         return reported
 
@@ -276,7 +276,7 @@ class Solution:
         return self.reported_covariance[:6, :6]
 
     @property
-    def shift_of_report(self) -> Array:
+    def conservative_shift(self) -> Array:
         """Return d (6,): how far the conservative scales would move the estimate, (8)."""
         return se3.difference(self.conservative.estimate.X, self.estimate.X)
 
@@ -286,7 +286,7 @@ class Solution:
         conservative = self.conservative
         moving = best_fit_motions(conservative.linear, conservative.blocks)
         columns = np.hstack([np.eye(6, conservative.unknowns), moving])
-        away = self.shift_of_report + moving @ conservative.nuisance
+        away = self.conservative_shift + moving @ conservative.nuisance
         return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))
 
     @cached_property
@@ -307,10 +307,10 @@ class Solution:
         ranks = np.zeros(len(self.problem.poses), dtype=np.intp)
         J = self.white_jacobian[:, :self.unknowns]
         J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-        for at in self.problem.station_groups:
-            s = np.linalg.svd(J[at.rows], compute_uv=False)
+        for group in self.problem.station_groups:
+            s = np.linalg.svd(J[group.rows], compute_uv=False)
             # smaller singular values are repeated information with other noise
-            ranks[station[at.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
+            ranks[station[group.rows[:, 0]]] = (s > 1e-3 * s[:, :1]).sum(axis=1)
         return ranks
 
     @property
@@ -358,8 +358,9 @@ class Solution:
     @property
     def expected_rms(self) -> float:
         """Return the expected RMS (m) of residuals for configured noise and nuisances."""
-        total = sum(float(np.einsum('nii->', total_covariance(self.linear, at, LUMPED)))
-                    for at in self.problem.station_groups)
+        covariances = (total_covariance(self.linear, group, BLOCKS_AS_NOISE)
+                       for group in self.problem.station_groups)
+        total = sum(float(np.einsum('nii->', covariance)) for covariance in covariances)
         return float((total / len(self.linear.residuals)) ** 0.5)
 
     @property
@@ -413,19 +414,19 @@ class Solution:
         """
         station, n = self.problem.observations.station, len(self.problem.poses)
         statistic, count = np.zeros(n), np.bincount(station, minlength=n)
-        for at in self.problem.station_groups:
-            r = self.postfit_residuals[at.rows]
-            left_out = left_out_residuals(self.predicted_covariance(at.rows), r)
-            statistic[station[at.rows[:, 0]]] = (r * left_out).sum(axis=1)
+        for group in self.problem.station_groups:
+            r = self.postfit_residuals[group.rows]
+            left_out = left_out_residuals(self.predicted_covariance(group.rows), r)
+            statistic[station[group.rows[:, 0]]] = (r * left_out).sum(axis=1)
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
     def is_indispensable(self) -> NDArray[np.bool_]:
         """Return which stations (n,) determine something that no other one shows."""
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
-        for at in self.problem.station_groups:
-            share = np.linalg.eigvalsh(self.predicted_covariance(at.rows))[:, -1]
-            alone[station[at.rows[:, 0]]] = share > 1 - ALONE_REST
+        for group in self.problem.station_groups:
+            share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
+            alone[station[group.rows[:, 0]]] = share > 1 - ALONE_REST
         return alone
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
@@ -450,7 +451,7 @@ class Solution:
                 self.corrected_poses(self.nuisance + steps[fold, u:]))
 
 
-def upper_bound(first: Array, second: Array) -> Array:
+def cover(first: Array, second: Array) -> Array:
     """Return the smallest covariance (k, k) not below either of two in any direction, (8)."""
     std = np.sqrt(np.diag(first))
     values, vectors = np.linalg.eigh(first / np.outer(std, std))
@@ -475,13 +476,13 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         near = solution_at(problem, of_part.linear.estimate, of_part.noise)
         for_estimate = Solution.of_linear(near.relinearise(), near.noise)
         return _with_conservative(for_estimate, of_part.conservative.noise, 0)
-    reached, diverged = _iterated(solution_at(problem, start, noise))
+    reached, diverged = _until_converged(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
         return _with_conservative(reached, reached.noise, LAST_STEPS)
     return _with_final_scales(reached)
 
 
-def _iterated(start: Solution) -> tuple[Solution, bool]:
+def _until_converged(start: Solution) -> tuple[Solution, bool]:
     """
     Return the solution after some steps and False, or the best before divergence and True.
 
@@ -500,7 +501,7 @@ def _iterated(start: Solution) -> tuple[Solution, bool]:
         factors, before = current.estimated_factors(), current.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
-        current = Solution.of_linear(current.relinearise(), noise).rescaled(1)
+        current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
         if size < CONVERGED_SIGMAS and steady:
             break
     return current, False
@@ -515,7 +516,7 @@ def _with_final_scales(converged: Solution) -> Solution:
     """
     for_estimate, noise_of_report = converged, converged.noise
     if converged.configured_blocks:
-        conservative = converged.rescaled(LAST_STEPS - 1)
+        conservative = converged.with_conservative_scales(LAST_STEPS - 1)
         map_variances, conservative_variances = conservative.prior_variances()
         for_estimate = converged.with_variances(map_variances)
         noise_of_report = converged.with_variances(conservative_variances).noise
@@ -529,8 +530,8 @@ def _with_final_scales(converged: Solution) -> Solution:
 def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:
     """Return a solution together with that for the report: at the conservative scales of noise."""
     long_errors = replace(for_estimate.problem, long_errors=True)
-    for_report = solution_at(long_errors, for_estimate.linear.estimate, noise).rescaled(steps)
-    return replace(for_estimate, for_report=for_report)
+    start = solution_at(long_errors, for_estimate.linear.estimate, noise)
+    return replace(for_estimate, at_conservative_scales=start.with_conservative_scales(steps))
 
 
 def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
@@ -538,10 +539,12 @@ def solution_at(problem: Problem, estimate: Estimate, noise: Noise) -> Solution:
     return Solution.of_linear(linearise(problem, estimate), noise)
 
 
-def reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()) -> Solution:
+def with_noise_reestimated(solution: Solution, further: tuple[ParameterBlock, ...] = ()
+                           ) -> Solution:
     """Return a solution with noise and prior scales estimated again, and further blocks."""
     linear = linearise(solution.problem, solution.estimate)
     estimated = Solution.of_linear(linear, solution.noise, (*further, *blocks_at(linear)))
     for _ in range(LAST_STEPS):
-        estimated = estimated.with_factors(estimated.estimated_factors()).rescaled(2)
+        of_noise = estimated.with_factors(estimated.estimated_factors())
+        estimated = of_noise.with_conservative_scales(2)
     return estimated

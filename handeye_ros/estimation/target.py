@@ -60,7 +60,7 @@ class Target(ABC):
         """Return the essential kinds as indices into kinds."""
         return [k for k, name in enumerate(self.kinds) if name in self.essential]
 
-    def seen_within(self, linear: Linear) -> tuple[str, float]:
+    def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
         Return the place of the view about which half a turn changes least, and m RMS off it.
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros import se3, targets
-from handeye_ros.calibration import offset_notes, parted_by_outliers
+from handeye_ros.calibration import offset_notes, outliers_at_one_end
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.covariance import budget, CORRECTED_ARM
@@ -126,7 +126,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     enough, why = enough_and_why(sigmas[-1].std, sigmas[-1].limit,
                                  proposal.std if proposal else None, largest_cause(solution),
                                  len(samples))
-    if refused := parted_by_outliers(solution) or str(found.refusal or ''):
+    if refused := outliers_at_one_end(solution) or str(found.refusal or ''):
         enough, why = False, refused
     sentences = [why, *offset_notes(solution)]
     if not enough:

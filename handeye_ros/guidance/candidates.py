@@ -251,7 +251,7 @@ def with_one_more(solution: Solution, seen: Problem) -> Array:
 
     seen: equally many observations at each. The blocks count as errors of the station.
     """
-    C, noise = solution.reported_covariance, replace(solution.noise, lumped=True)
+    C, noise = solution.reported_covariance, replace(solution.noise, blocks_as_noise=True)
     A = Solution.of_linear(linearise(seen, solution.estimate), noise).jacobian
     A = A.reshape(len(seen.poses), -1, len(C))
     # (N + A'A)^-1 = C - C A' (1 + A C A')^-1 A C inverts only a small matrix

@@ -20,7 +20,7 @@ from handeye_ros.bags.session_files import (
     Stored,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
-from handeye_ros.errors import InputError, told, UnknownKeyError
+from handeye_ros.errors import InputError, sentence_and_log, UnknownKeyError
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
@@ -145,7 +145,7 @@ class HandeyeNode(Node):
             answer = self.live.ask(self._requests[name])
             text, success = answer.result() if isinstance(answer, Future) else answer, True
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
-            text, success = told(name, error), False
+            text, success = sentence_and_log(name, error), False
         if name == 'clear_samples' and success:
             self._streams.restart()
         if trouble or not success:
@@ -197,7 +197,7 @@ class HandeyeNode(Node):
             if self._with(values) != self.live.config:
                 self.live.ask(partial(self._apply, values))
         except Exception as error:  # noqa: BLE001 - whoever sets it wants to know
-            reason = told('the change', error)
+            reason = sentence_and_log('the change', error)
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _with(self, values: Mapping[str, Any]) -> Config:

@@ -25,7 +25,7 @@ import sys
 import threading
 from typing import Any, TypeVar
 
-from handeye_ros.errors import HandeyeError, told
+from handeye_ros.errors import HandeyeError, sentence_and_log
 
 PROCESS_COUNT = 2  # a stop is evaluated while the calibration is computed
 NICE_VALUE = 5  # nice value of the processes: the streams come first
@@ -72,7 +72,7 @@ class Worker(ThreadPoolExecutor):
             self._changed()
             self.failure = ''
         except Exception as error:  # noqa: BLE001 - the thread must go on
-            self.failure = told('the work on the samples', error)
+            self.failure = sentence_and_log('the work on the samples', error)
 
 
 class Pool:

@@ -21,7 +21,7 @@ from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import NS, RawProfile, TimedPose
-from handeye_ros.errors import InputError, INSTALL_TF2, told
+from handeye_ros.errors import InputError, INSTALL_TF2, sentence_and_log
 from handeye_ros.node.state import MessageCount
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError  # rclpy has them there alone
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -247,7 +247,7 @@ class Streams:
                 try:
                     topic.receive(data)
                 except Exception as error:  # noqa: BLE001 - the streams must continue
-                    reason = told(f'the reading of {topic.name}', error)
+                    reason = sentence_and_log(f'the reading of {topic.name}', error)
                     topic.messages.add_malformed(reason)
                     log.warning(reason, throttle_duration_sec=WARNING_PERIOD)
         return MOST_AT_ONCE

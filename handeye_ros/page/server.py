@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from aiohttp import web
-from handeye_ros.errors import HandeyeError, InputError, told
+from handeye_ros.errors import HandeyeError, InputError, sentence_and_log
 from handeye_ros.page.contents import PageSource, plain, source
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class PageServer:
         try:
             return json.dumps(plain(self._source.state()), allow_nan=False)
         except Exception as error:  # noqa: BLE001 - the page must go on
-            return json.dumps({'error': told('this', error)})
+            return json.dumps({'error': sentence_and_log('this', error)})
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -155,7 +155,7 @@ class PageServer:
         except ConnectionError:  # closed before the request was complete
             return _sentence(400, 'the connection is closed')
         except Exception as error:  # noqa: BLE001 - whoever asks wants to know
-            return _sentence(500, told('this', error))
+            return _sentence(500, sentence_and_log('this', error))
 
     def _is_ours(self, host: str) -> bool:
         """Return whether a Host names this machine; other names may be of another site."""

@@ -14,12 +14,12 @@ The sensor looks down on a face (===) that ends at its right:
          |               |              .
          |_____          |              ._____
     step: the      roof: a wall   shadow: a step whose       gap: nothing is
-    next surface   or face goes   foot the sensor or its     seen behind it
+    next surface   or face goes   foot the sensor or its     seen beyond it
     is lower       down in sight  own light does not reach
 
 The edge is where the plane of the face meets the plane of the wall below it. A wall in sight
 gives it as the crossing of two lines, whatever lies between them. Otherwise the plate ends at its
-last point before the drop, the bent end included. What lies behind the end is searched in the
+last point before the drop, the bent end included. What lies beyond the end is searched in the
 frame of the face, on the continuation of its surface.
 """
 from __future__ import annotations
@@ -38,16 +38,16 @@ from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFA
 import numpy as np
 from numpy.typing import NDArray
 
-GAP_COLUMNS = 3  # missing returns behind a face that make its end an edge
+GAP_COLUMNS = 3  # missing returns beyond a face that make its end an edge
 VIEW_MARGIN = 1e-3  # smallest distance of an edge from the end of the view (m)
 ROOF_ANGLE = 0.15  # two pieces that meet at a smaller angle (rad) are one bent face
 ROOF_REACH = 8.0  # they meet when their ends are this many columns from the crossing
 MIN_STEP_SIGMAS = 8.0
-SHADOW_SLOPE = 2.0  # largest width hidden behind a step, over its height
+SHADOW_SLOPE = 2.0  # largest width hidden beyond a step, over its height
 LARGEST_BEVEL = 2.5e-3  # of a bevel between a face and its wall; a larger piece is a face (m)
 LOST_BETWEEN = 4  # largest number of columns between neighbouring points of the plate
 SLACK_SIGMAS = 6.0  # of the range difference between two neighbours on a surface
-FURTHER_COLUMNS = 80  # columns behind a face that may still be its bent end or its wall
+FURTHER_COLUMNS = 80  # columns beyond a face that may still be its bent end or its wall
 WALL_SLOPE = 0.45  # largest |tangent| between a wall in the profile and the face's normal
 SMALLEST_WALL = 1.2e-3  # smallest depth of a visible wall below the face (m)
 WALL_POINTS = 4
@@ -84,7 +84,7 @@ class FaceEnd:
     near_sign: int
 
     @cached_property
-    def behind(self) -> list[Segment]:
+    def beyond(self) -> list[Segment]:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
         return [other for other in self.segments if other.last > self.column]
 
@@ -174,17 +174,17 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     Return the edge at the end of a face; raises NoEdgeError where it is none.
 
     The face ends in an edge where a wall is seen (roof), where the next surface is lower (step, or
-    shadow if its foot is hidden), or where nothing is seen behind it (gap, or open if the driver
+    shadow if its foot is hidden), or where nothing is seen beyond it (gap, or open if the driver
     does not say).
     """
-    further, size = _further_columns(end), len(end.points)
-    other = next((s for s in end.behind
-                  if s is not end.behind[0] or not _is_bevel(end, s, further)), None)
+    end_columns, size = _end_columns(end), len(end.points)
+    next_surface = next((s for s in end.beyond
+                         if s is not end.beyond[0] or not _is_bevel(end, s, end_columns)), None)
     # a driver that leaves lost points out does not say where the field of view ends
     marks_lost = len(end.returns) < size
-    if other:
-        further = further[further < other.first]
-        ending = _ending_before(end, other, further)
+    if next_surface:
+        end_columns = end_columns[end_columns < next_surface.first]
+        ending = _ending_before(end, next_surface, end_columns)
     elif not marks_lost:
         ending = 'open'
     elif end.lost(end.column + 1, size) >= GAP_COLUMNS:
@@ -196,25 +196,26 @@ def edge_at(end: FaceEnd) -> EdgePoint:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
             f'it {VIEW_MARGIN * 1e3:.0f} mm or more into the view)')
-    if other and ending == 'roof':
-        return _corner(end, other)
-    wall = _wall(end, further)
+    if next_surface and ending == 'roof':
+        return _corner(end, next_surface)
+    wall = _wall(end, end_columns)
     if wall:
         return end.edge(*wall, 'roof')
-    return _edge_before_drop(end, further, other if ending in ('step', 'shadow') else None, ending)
+    ground = next_surface if ending in ('step', 'shadow') else None
+    return _edge_before_drop(end, end_columns, ground, ending)
 
 
-def _ending_before(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> str:
+def _ending_before(end: FaceEnd, next_surface: Segment, end_columns: NDArray[np.intp]) -> str:
     """Return how a face ends before another surface; raises NoEdgeError where it does not."""
-    start, least = other.first, smallest_step(end, other)
-    if _meet_in_a_corner(end, other, further):
+    start, least = next_surface.first, smallest_step(end, next_surface)
+    if _meet_in_a_corner(end, next_surface, end_columns):
         # a surface that turns away from the sensor leaves the line over its whole length
-        if end.rise_of(other.last) <= 0:
+        if end.rise_of(next_surface.last) <= 0:
             return 'roof'
         raise NoEdgeError('at something nearer')
     rise = end.rise_of(start)
     if rise < -least:
-        last = int(further[-1]) if len(further) else end.column
+        last = int(end_columns[-1]) if len(end_columns) else end.column
         return 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
@@ -228,16 +229,16 @@ def smallest_step(end: FaceEnd, other: Segment) -> float:
     return MIN_STEP_SIGMAS * max(end.segment.noise, other.noise)
 
 
-def _is_bevel(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> bool:
+def _is_bevel(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> bool:
     """Return whether the next piece is a bevel of the same plate, not a wall or face."""
-    if other.first not in further:
+    if other.first not in end_columns:
         return False
     u, v = end.outwards_and_below(other.columns[[0, -1]])
     size, down = math.hypot(u[1] - u[0], v[1] - v[0]), float(v[1] - v[0])
     return size <= LARGEST_BEVEL and down > 0 and abs(u[1] - u[0]) > WALL_SLOPE * down
 
 
-def _meet_in_a_corner(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -> bool:
+def _meet_in_a_corner(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> bool:
     """Return whether two pieces end in a common corner."""
     a, b = end.segment, other
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
@@ -245,7 +246,7 @@ def _meet_in_a_corner(end: FaceEnd, other: Segment, further: NDArray[np.intp]) -
     x = a.crossing(b)
     x_end, x_start = end.points[end.column, 0], end.points[other.first, 0]
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
-    bent = len(further) > 0 and other.first - further[-1] <= LOST_BETWEEN
+    bent = len(end_columns) > 0 and other.first - end_columns[-1] <= LOST_BETWEEN
     reach = max(ROOF_REACH * end.column_pitch, LARGEST_BEVEL if bent else 0.0)
     return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
                 and abs(x_start - x_end) <= 2 * reach)
@@ -270,9 +271,9 @@ def _std_at(segment: Segment, x: float, points: Array) -> float:
     return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
 
 
-def _further_columns(end: FaceEnd) -> NDArray[np.intp]:
+def _end_columns(end: FaceEnd) -> NDArray[np.intp]:
     """
-    Return the further columns: behind the end of a face, but of its surface, outwards.
+    Return the end columns: beyond the end of a face, but of its surface, outwards.
 
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
@@ -302,15 +303,15 @@ def _follows(end: FaceEnd, column: int, after: int) -> bool:
             and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
-def _wall(end: FaceEnd, further: NDArray[np.intp]) -> tuple[float, float] | None:
+def _wall(end: FaceEnd, end_columns: NDArray[np.intp]) -> tuple[float, float] | None:
     """
-    Return position and 1 sigma (m) where a wall in the further columns meets the face line.
+    Return position and 1 sigma (m) where a wall in the end columns meets the face line.
 
     The position is along the face from its last point. None without a visible wall.
     """
-    if len(further) < WALL_POINTS:
+    if len(end_columns) < WALL_POINTS:
         return None
-    all_u, all_v = u, v = end.outwards_and_below(further)
+    all_u, all_v = u, v = end.outwards_and_below(end_columns)
     lowest = float(v.max())
     low = (v > 0.5 * lowest) & (v < 0.97 * lowest)
     if lowest < SMALLEST_WALL or np.count_nonzero(low) < WALL_POINTS:
@@ -334,19 +335,19 @@ def _end_of_face(end: FaceEnd, u: Array, v: Array) -> float:
     return float(u[flat - 1]) if flat else 0.0
 
 
-def _edge_before_drop(end: FaceEnd, further: NDArray[np.intp], ground: Segment | None, ending: str
-                      ) -> EdgePoint:
+def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segment | None,
+                      ending: str) -> EdgePoint:
     """
-    Return the end of a plate before a drop, the further columns included.
+    Return the end of a plate before a drop, the end columns included.
 
     ground: the surface seen below, or None. The distance of a bent end from its edge is determined
     later from all samples (see sampling/edge_shapes.py).
     """
-    plate = np.concatenate([end.segment.columns[-LAST_POINTS:], further])
+    plate = np.concatenate([end.segment.columns[-LAST_POINTS:], end_columns])
     u, v = end.outwards_and_below(plate)
     pitch, noise = end.pitch, end.segment.noise
     step = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1)
-    step = min(max(step, 0.0), pitch) if len(further) else pitch
+    step = min(max(step, 0.0), pitch) if len(end_columns) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
     mixed_columns, ramp_columns = _transition(end, int(plate[-1]), ground)
@@ -357,8 +358,8 @@ def _edge_before_drop(end: FaceEnd, further: NDArray[np.intp], ground: Segment |
     if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
     # the end is bent: its last points are the worst
-    before = end.segment.columns[-max(2 * len(further), SHORTEST_ROUNDING):]
-    inner = further[:len(further) - min(len(further) // RIM_SHARE, LONGEST_RIM)]
+    before = end.segment.columns[-max(2 * len(end_columns), SHORTEST_ROUNDING):]
+    inner = end_columns[:len(end_columns) - min(len(end_columns) // RIM_SHARE, LONGEST_RIM)]
     bend = rounding_of(*end.outwards_and_below(np.concatenate([before, inner])), place, pitch,
                        noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall

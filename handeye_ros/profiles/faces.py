@@ -4,7 +4,7 @@
 Which straight pieces of a profile are the target, and their edges.
 
 The face of a plate is the surface nearer to the sensor. It ends at a step down, at a gap (nothing
-behind it) or at a roof edge (it turns away). Points between the ends of two faces of a corner
+beyond it) or at a roof edge (it turns away). Points between the ends of two faces of a corner
 (bevel, rounding, weld) belong to neither.
 """
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 
 SURE_EDGE = 1.5  # weight of a face with a sure edge
 # weight of a surface beside a nearer one: all profiles should choose the same
-BEHIND_WEIGHT = 0.02
+BESIDE_NEARER_WEIGHT = 0.02
 WIDEST_GAP = 0.014  # largest gap (m) between adjacent surfaces, without what the nearer one hides
 HIDDEN_PER_HEIGHT = 0.4  # width that a nearer surface hides, over its height
 LARGEST_SPLINTER = 0.002  # largest piece that is no surface (m)
@@ -67,9 +67,9 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
             except NoEdgeError as reason:
                 reasons.append(str(reason))
         sure = any(edge.ending in ('step', 'shadow', 'roof') for edge in of_segment)
-        behind = any(_is_above(end, other) for end in ends for other in end.behind)
+        beside_nearer = any(_is_above(end, other) for end in ends for other in end.beyond)
         likely = len(segment.columns) * (SURE_EDGE if sure else 1.0) * (
-            BEHIND_WEIGHT if behind else 1.0)
+            BESIDE_NEARER_WEIGHT if beside_nearer else 1.0)
         if of_segment and (likely > best or (likely == best and segment.first < face.first)):
             best, face, edges = likely, segment, of_segment
     if not edges:
@@ -81,7 +81,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
 
 
 def _is_above(end: FaceEnd, other: Segment) -> bool:
-    """Return whether the adjacent surface, behind a gap or a wall, is nearer."""
+    """Return whether the adjacent surface, beyond a gap or a wall, is nearer."""
     rise = end.rise_of(other.columns.item(len(other.columns) // 2))
     if rise / math.hypot(1.0, end.segment.slope) <= smallest_step(end, other):
         return False

@@ -14,7 +14,7 @@ from typing import Any
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Feature
-from handeye_ros.frames import sensor_axes, target_frame
+from handeye_ros.frames import T_sensor_plane, target_frame
 import numpy as np
 
 FLANGE_COLOUR, SENSOR_COLOUR = '#555555', '#6a1b9a'
@@ -107,7 +107,7 @@ def _parts(calibration: Calibration, stops: Sequence[StopSnapshot], config: Conf
 
 def in_sensor(plane: Array, config: Config) -> Array:
     """Return points (n, 2) of the sensor plane as (n, 3) of the sensor frame."""
-    return np.asarray(plane @ sensor_axes(config)[:3, [0, 2]].T)
+    return np.asarray(plane @ T_sensor_plane(config)[:3, [0, 2]].T)
 
 
 def rounded(values: Array | Sequence[float]) -> Any:

@@ -32,7 +32,7 @@ from handeye_ros.estimation.least_squares import (
     Rows,
     System,
 )
-from handeye_ros.estimation.noise import LUMPED, prior_variances, whitening
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, prior_variances, whitening
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.frames import mount_poses
 import numpy as np
@@ -93,7 +93,7 @@ class ArmProfiles:
         problem = replace(self.problem, poses=mount_poses(T_base_flange, self.problem.config))
         linear = linearise(problem, Estimate(X, target))
         return Residuals(linear.residuals, linear.jacobian[:, problem.free_columns],
-                         linear.wrt_pose, whitening(linear, LUMPED))
+                         linear.wrt_pose, whitening(linear, BLOCKS_AS_NOISE))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
@@ -364,12 +364,12 @@ def without_outliers(fit: ArmFit) -> ArmFit:
     def fitted_to(before: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
         return estimate_weights(replace(before or fit, used=np.isin(every, used)))
 
-    def judged(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
+    def left_out_squares(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
         _, item = np.unique(found.stops.station[found.rows], return_inverse=True)
         (r, J), freedom = found.linear, np.bincount(item)
         left_out = leave_one_out(r, J, found.covariance, item)
         return np.bincount(item, r * left_out) / freedom, freedom
-    return drop_outliers(every[fit.used], len(every), MINIMUM, fitted_to, judged)[0]
+    return drop_outliers(every[fit.used], len(every), MINIMUM, fitted_to, left_out_squares)[0]
 
 
 def first_fit(stops: ArmStops, state: ArmState, used: NDArray[np.bool_], noise: float = 1.0

@@ -15,14 +15,14 @@ from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
-from handeye_ros.estimation.solve import upper_bound
-from handeye_ros.frames import mount_poses, sensor_axes
+from handeye_ros.estimation.solve import cover
+from handeye_ros.frames import mount_poses, T_sensor_plane
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmProfiles, ArmState, ArmStops, first_fit, lengths
 from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.sweep import problem_at_poses, synchronised
+from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
@@ -63,8 +63,8 @@ def source_of(session: Session, read: Recording, arm: Arm, config: Config,
     assert read.joints is not None
     # as pipeline.answer_samples prepares them, none dropped
     samples = with_common_shape(sorted(session.samples, key=lambda sample: sample.stamp))
-    samples = synchronised(samples, config).samples
-    problem = problem_at_poses(samples, config)
+    samples = with_estimated_clocks(samples, config).samples
+    problem = problem_of_known_poses(samples, config)
     q = _joints_at(samples, read, read.joints)
     warnings = (*read.warnings, *session.warnings, *joint_notes(arm, read.joints))
     return Source(session, samples, replace(problem, poses=mount_poses(arm.forward(q), config)), q,
@@ -142,10 +142,10 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     calibrations = [_calibrated(source, outcome.arm) for source in sources]
     first, covariance = calibrations[0], outcome.covariance[:6, :6]
     if len(calibrations) == 1:
-        calibration = replace(first, covariance=upper_bound(first.covariance, covariance))
+        calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:
         calibration = _combined(calibrations, outcome.chosen.fit.state.X @ se3.inverse(
-            sensor_axes(sources[0].problem.config)), covariance)
+            T_sensor_plane(sources[0].problem.config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
     warnings = dict.fromkeys(words for source in sources for words in source.warnings)
     return ArmAnswer(outcome, replace(calibration, provenance={

@@ -151,12 +151,13 @@ def combined_features(profiles: Sequence[Profile], config: Config
                     1 if target.essential else len(target.kinds)))
 
 
-def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Feature, ...]:
+def combine(found: Sequence[tuple[Feature, ...]], lines_per_group: int = 1) -> tuple[Feature, ...]:
     """
     Return the features of a stop from those of its profiles (one tuple each).
 
-    Features are matched by kind, place and facing direction; together: number of consecutive lines
-    that are used only together. Raises FeatureError when the profiles of the stop do not agree.
+    Features are matched by kind, place and facing direction; lines_per_group: number of
+    consecutive lines that are used only together. Raises FeatureError when the profiles of the
+    stop do not agree.
     """
     if len(found) == 1:
         return found[0]
@@ -165,7 +166,7 @@ def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Fe
         return (_combined_arc(arcs),)
     edges = [f for features in found for f in features if isinstance(f, EdgePoint)]
     lines = _combined_lines([[f for f in features if isinstance(f, FaceLine)]
-                             for features in found], together)
+                             for features in found], lines_per_group)
     combined: list[Feature] = list(lines)
     for sign in (-1.0, 1.0):
         same = [e for e in edges if np.sign(e.direction[0]) == sign]
@@ -178,7 +179,7 @@ def combine(found: Sequence[tuple[Feature, ...]], together: int = 1) -> tuple[Fe
     return tuple(combined)
 
 
-def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[FaceLine]:
+def _combined_lines(seen: Sequence[Sequence[FaceLine]], lines_per_group: int) -> list[FaceLine]:
     """
     Return one line for each surface that most of the profiles show.
 
@@ -188,11 +189,11 @@ def _combined_lines(seen: Sequence[Sequence[FaceLine]], together: int) -> list[F
     lines = next(lines for lines in seen if len(lines) == usual)
     combined: list[FaceLine] = []
     failed = None
-    for first in range(0, usual, together):
+    for first in range(0, usual, lines_per_group):
         try:
             combined += [_combined_line([min(others, key=partial(_line_distance, line))
                                          for others in seen if others])
-                         for line in lines[first:first + together]]
+                         for line in lines[first:first + lines_per_group]]
         except FeatureError as error:
             failed = failed or error
     if failed and len(combined) < min(map(len, seen)):

@@ -132,7 +132,7 @@ class Session(Copyable):
         self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
         over = [s for s in self._waiting if self._profile_stream.latest > s.end]
         self._waiting = [s for s in self._waiting if s not in over]
-        stops = self._returned(over)
+        stops = self._not_returned_before(over)
         # only what stops that wait, the current one, and those to come, can use is kept
         first, last = self._finder.window()
         self._profiles.keep(min([first, *(s.start for s in self._waiting)]),
@@ -164,9 +164,9 @@ class Session(Copyable):
     def _current_and_waiting(self) -> list[Stop]:
         current = self._finder.current() if self.config.sampling.by_itself else None
         stops, self._waiting = [*self._waiting, *([current] if current else [])], []
-        return self._returned(stops)
+        return self._not_returned_before(stops)
 
-    def _returned(self, stops: Sequence[Stop]) -> list[Stop]:
+    def _not_returned_before(self, stops: Sequence[Stop]) -> list[Stop]:
         """Return stops with their profiles, without those that were returned before."""
         new = [stop for stop in stops if stop.stamp not in self._done]
         self._done |= {stop.stamp for stop in new}

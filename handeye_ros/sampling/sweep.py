@@ -12,14 +12,14 @@ sweep is, MOST_SAMPLES of its profiles make the answer.
 
 How a sweep differs from stops: a pass is cut by time (StopFinder), and its profiles are not
 combined (sampling/features.py); passes_expanded takes it apart, with one trajectory for all parts;
-synchronised finds the clocks, on which the poses of the parts depend (problem_of). What follows
-from that elsewhere asks Sample.moving or sampling.moving: a pass is never a duplicate, nor taken
-early (session.py); other settings and clocks are not asked (checks/causes.py), and a move must be
-larger than the smooth error of the robot (checks/moved.py); edges may scatter (require_edges in
-checks/refusals.py), and profiles dropped at one end tell of no move (parted_by_outliers in
-calibration.py); a pass agrees if most of its profiles do (review.py); advice is to sweep on
-(guidance/advice.py); a gauge is measured in passes (verification/stations.py), and a sweep checks
-a calibration too (verification/check.py).
+with_estimated_clocks finds the clocks, on which the poses of the parts depend
+(problem_with_clocks). What follows from that elsewhere asks Sample.moving or sampling.moving: a
+pass is never a duplicate, nor taken early (session.py); other settings and clocks are not asked
+(checks/causes.py), and a move must be larger than the smooth error of the robot (checks/moved.py);
+edges may scatter (require_edges in checks/refusals.py), and profiles dropped at one end tell of no
+move (outliers_at_one_end in calibration.py); a pass agrees if most of its profiles do (review.py);
+advice is to sweep on (guidance/advice.py); a gauge is measured in passes
+(verification/stations.py), and a sweep checks a calibration too (verification/check.py).
 """
 from __future__ import annotations
 
@@ -122,15 +122,15 @@ def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
     return tuple(unknown.tolist()), stds[unknown]
 
 
-def problem_at_poses(samples: Sequence[Sample], config: Config) -> Problem:
+def problem_of_known_poses(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples whose poses are known, as those of stops are."""
     target = targets.target_for(config)
     return Problem(target, mount_poses_of(samples, config), target.observe(samples), config)
 
 
-def problem_of(samples: Sequence[Sample], config: Config) -> Problem:
+def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
     """Return the problem of samples; for a moving robot with the clocks among the unknowns."""
-    problem = problem_at_poses(samples, config)
+    problem = problem_of_known_poses(samples, config)
     if not any(sample.moving for sample in samples):
         return problem
     clocked = ClockedPoses.of(samples)
@@ -179,7 +179,7 @@ class Synchronised:
     estimate: Estimate | None = None
 
 
-def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
+def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> Synchronised:
     """
     Return samples of a moving robot with the poses at the most likely times.
 
@@ -189,20 +189,20 @@ def synchronised(samples: Sequence[Sample], config: Config) -> Synchronised:
     if not any(sample.moving for sample in samples):
         return Synchronised(list(samples), [])
     samples = evenly(samples, MOST_SAMPLES)
-    problem = problem_of(samples, config)
+    problem = problem_with_clocks(samples, config)
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))
     fit = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
-    values, at = _poses_at(samples, fit)
-    if not at.inside.all():  # profiles in gaps between the poses pull the offset
-        inner = problem.subset(np.flatnonzero(at.inside))
+    values, instants = _poses_at(samples, fit)
+    if not instants.inside.all():  # profiles in gaps between the poses pull the offset
+        inner = problem.subset(np.flatnonzero(instants.inside))
         fit = _refined(inner.with_pose_values(fit.problem.pose_values), fit.estimate)
-        values, at = _poses_at(samples, fit)
+        values, instants = _poses_at(samples, fit)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
-              for sample, T, inside in zip(samples, at.T_base_flange, at.inside, strict=True)
-              if inside]
+              for sample, T, inside in zip(
+                  samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
-               for sample, inside in zip(samples, at.inside, strict=True) if not inside]
+               for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
     return Synchronised(paired, rejects, fit.estimate)
 
 
@@ -231,8 +231,10 @@ def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
 
 def _refined(problem: Problem, start: Estimate) -> Linear:
     """Return the fit with the clocks among the unknowns that a start leads to."""
-    return graduated_fit(problem, start, lambda at, weights: _system(at.problem).reweighted(
-        at, np.append(weights, 1.0)))  # the priors of the clocks keep theirs
+    def few_steps(fit: Linear, weights: Array) -> Linear:
+        of_all = np.append(weights, 1.0)  # the priors of the clocks keep theirs
+        return _system(fit.problem).few_weighted_steps(fit, of_all)
+    return graduated_fit(problem, start, few_steps)
 
 
 def _system(problem: Problem) -> System[Linear]:
@@ -240,18 +242,18 @@ def _system(problem: Problem) -> System[Linear]:
     (_, stds), n = _unknown(problem.config), len(problem.poses)
     k = len(stds)
 
-    def rows(at: Linear) -> Rows:
+    def rows(linear: Linear) -> Rows:
         def jacobian() -> Array:
-            J = np.hstack([at.jacobian[:, at.problem.free_columns],
-                           at.wrt_twists(at.problem.pose_twists)])
+            J = np.hstack([linear.jacobian[:, linear.problem.free_columns],
+                           linear.wrt_twists(linear.problem.pose_twists)])
             return np.vstack([J, np.eye(J.shape[1])[-k:] / stds[:, None]])
 
         def whiten(values: Array) -> Array:
-            return np.concatenate([whitening_at(at)(values[:-k]), values[-k:]])
-        return Rows(np.append(at.residuals, at.problem.pose_values / stds), jacobian,
+            return np.concatenate([whitening_at(linear)(values[:-k]), values[-k:]])
+        return Rows(np.append(linear.residuals, linear.problem.pose_values / stds), jacobian,
                     lambda: whiten)
 
-    def retracted(at: Linear, step: Array) -> Linear:
-        moved = at.problem.with_pose_values(at.problem.pose_values + step[-k:])
-        return linearise(moved, moved.retracted(at.estimate, step[:-k]))
+    def retracted(linear: Linear, step: Array) -> Linear:
+        moved = linear.problem.with_pose_values(linear.problem.pose_values + step[-k:])
+        return linearise(moved, moved.retracted(linear.estimate, step[:-k]))
     return System(rows, retracted, np.append(problem.observations.station, np.full(k, n)))

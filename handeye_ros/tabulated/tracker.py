@@ -29,7 +29,7 @@ from handeye_ros.errors import (
     InputError,
     UnusableMessageError,
 )
-from handeye_ros.frames import sensor_axes
+from handeye_ros.frames import T_sensor_plane
 from handeye_ros.profiles.arcs import arc_features
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.published import jing2020
@@ -108,7 +108,7 @@ class TrackerSession(Values):
     @property
     def axes(self) -> Array:
         """Return T_sensor_plane (4, 4)."""
-        return sensor_axes(self.config)
+        return T_sensor_plane(self.config)
 
     def subset(self, samples: Index) -> TrackerSession:
         return replace(self, pieces=[self.pieces[i] for i in samples])

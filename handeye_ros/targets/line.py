@@ -26,7 +26,12 @@ from handeye_ros.estimation.problem import (
 )
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import face_features
-from handeye_ros.targets.starts import frames_along, hemisphere, linear_candidates, some_of
+from handeye_ros.targets.starts import (
+    frames_along,
+    hemisphere,
+    linear_candidates,
+    with_few_stations,
+)
 from handeye_ros.targets.target import FACE, FaceTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
@@ -140,7 +145,7 @@ class Line(FaceTarget):
         """Yield starts, best first, from a sweep of the direction of the line."""
         target = whole.config.target
         alone = replace(whole.config, target=replace(target, use_face=False))
-        problem = some_of(replace(whole, config=alone), rng)
+        problem = with_few_stations(replace(whole, config=alone), rng)
         for parts in one_end(problem):
             starts = (e for half in parts for e in shortlisted(half, line_candidates(half)))
             for e in sorted(starts, key=lambda estimate: _typical_distance(problem, estimate)):

@@ -29,8 +29,8 @@ from handeye_ros.targets.starts import (
     hemisphere,
     linear_candidates,
     nearest_piece,
-    some_of,
     sums_by_piece,
+    with_few_stations,
     with_one_piece,
 )
 from handeye_ros.targets.target import FaceTarget
@@ -95,7 +95,7 @@ class Plane(FaceTarget):
 
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts, best first; of few stations, which fit in many wrong ways, then all."""
-        problem = some_of(replace(whole, target=PLANE), rng)
+        problem = with_few_stations(replace(whole, target=PLANE), rng)
         candidates: list[Estimate] = []
         for more in (1, NORMAL_COUNT // CANDIDATE_COUNT) if whole.needs_more_starts else (1,):
             known = len(candidates)

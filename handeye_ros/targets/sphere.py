@@ -25,7 +25,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.estimation.target import Conditions
 from handeye_ros.profiles.arcs import arc_features, fit_circle
-from handeye_ros.targets.starts import some_of
+from handeye_ros.targets.starts import with_few_stations
 from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
@@ -152,11 +152,11 @@ class Sphere(ProfileTarget):
         For a given rotation, the centre's coordinates in the sensor plane are linear in the other
         unknowns, on whichever side of the plane the centre lies.
         """
-        problem = some_of(whole, rng)
+        problem = with_few_stations(whole, rng)
         some = replace(problem, observations=_fewer(problem.observations))
         yield from shortlisted(some, _candidates(problem, problem.config.target.radius))
 
-    def seen_within(self, linear: Linear) -> tuple[str, float]:
+    def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
         Return the line of the view about which half a turn changes least, and m RMS off it.
 

@@ -16,7 +16,7 @@ GUESS_STATIONS = 40  # more only take longer
 SAME_SURFACE = 3e-4  # m: largest distance between pieces of one surface
 
 
-def some_of(problem: Problem, rng: np.random.Generator) -> Problem:
+def with_few_stations(problem: Problem, rng: np.random.Generator) -> Problem:
     """Return the problem with at most GUESS_STATIONS stations, to search for a start."""
     return problem.subset(some_stations(len(problem.poses), GUESS_STATIONS, rng))
 

@@ -28,7 +28,12 @@ from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
 from handeye_ros.targets import plane
-from handeye_ros.targets.starts import nearest_piece, some_of, sums_by_piece, with_one_piece
+from handeye_ros.targets.starts import (
+    nearest_piece,
+    sums_by_piece,
+    with_few_stations,
+    with_one_piece,
+)
 from handeye_ros.targets.target import FaceTarget, ObservationRows, xyz
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +163,7 @@ class Wedge(FaceTarget):
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""
-        choices = [_guess(part) for part in one_corner(some_of(problem, rng))]
+        choices = [_guess(part) for part in one_corner(with_few_stations(problem, rng))]
         while choices:
             for choice in tuple(choices):
                 if (start := next(choice, None)) is None:

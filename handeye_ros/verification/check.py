@@ -263,7 +263,8 @@ class _Comparison:
         ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
         setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
         # what all stops share was part of the calibration too
-        smooth = (problem.smooth - problem.smooth.mean(axis=0))[obs.station] * self.smooth
+        basis = problem.smooth_error_basis
+        smooth = (basis - basis.mean(axis=0))[obs.station] * self.smooth
         lever = obs.in_base(problem.poses, at.X) - self.middle
         return _Residuals(
             linear.residuals,
@@ -288,7 +289,7 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
             'with: the target with its covariance. Solve its recording again with this version, '
             f'as one of {", ".join(TARGETS)}, or measure a known object with "handeye verify"'
             ) from error
-    X = calibration.T_flange_sensor @ frames.sensor_axes(config)
+    X = calibration.T_flange_sensor @ frames.T_sensor_plane(config)
     # the error of the sensor's field differs from stop to stop, as that of the pose does
     noise = replace(config.noise, distortion=0.0, robot_translation=math.hypot(
         config.noise.robot_translation, config.noise.distortion))

@@ -312,16 +312,17 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
                      lambda q: whitening(covariances_at(shape.linear(X, q))))
     linear = shape.linear(X, q)
     covariances, distances, lever = covariances_at(linear), linear.residuals, linear.lever
-    robot = wrt_smooth(linear.wrt_pose, problem.smooth[problem.observations.station] * smooth_std)
+    basis = problem.smooth_error_basis[problem.observations.station]
+    robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
     r, E, J = np.split(whitening(covariances)(np.column_stack([
         distances, linear.jacobian[:, :6], robot, linear.jacobian[:, 6:]])),
         [1, 7 + robot.shape[1]], axis=1)
-    at = _Whitened(r[:, 0], J, E, np.asarray(np.linalg.pinv(J), dtype=float))
+    whitened = _Whitened(r[:, 0], J, E, np.asarray(np.linalg.pinv(J), dtype=float))
     root = np.eye(E.shape[1])  # of the covariance of the errors
     root[:6, :6] = root_of(C)
-    measured = _measured(shape, at, q, root)
+    measured = _measured(shape, whitened, q, root)
 
-    likeliest = _likeliest_errors(at, measured)
+    likeliest = _likeliest_errors(whitened, measured)
     error, known = likeliest.error, len(measured.deviation)
     scale = max(likeliest.left / likeliest.freedom, 1.0)
     smallest_error, weakest_direction = _weakest(likeliest.information, lever,
@@ -334,13 +335,13 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
-        quantities=measured.quantities, scatter=_scatter(at, root, distances),
+        quantities=measured.quantities, scatter=_scatter(whitened, root, distances),
         smallest_error=smallest_error, weakest_direction=weakest_direction, distances=distances,
         distance_std=np.sqrt(variances), region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
         error=error, p_error=float(chi2_sf(likeliest.left, likeliest.freedom)),
         p_no_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
-        largest_error=largest_error, largest_error_std=largest_error_std, residuals=at.r,
+        largest_error=largest_error, largest_error_std=largest_error_std, residuals=whitened.r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
@@ -362,16 +363,16 @@ class _Errors:
     freedom: int
 
 
-def _likeliest_errors(at: _Whitened, measured: _Measured) -> _Errors:
+def _likeliest_errors(whitened: _Whitened, measured: _Measured) -> _Errors:
     """Return the errors of the calibration; those of the robot have their variance as prior."""
-    A = np.vstack([at.remainder(at.E), -measured.wrt_error])
-    b = np.append(at.remainder(at.r), measured.deviation)
-    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(at.E.shape[1] - 6))
+    A = np.vstack([whitened.remainder(whitened.E), -measured.wrt_error])
+    b = np.append(whitened.remainder(whitened.r), measured.deviation)
+    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(whitened.E.shape[1] - 6))
     covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
     error, of_calibration = (covariance @ A.T @ b)[:6], covariance[:6, :6]
     left, without = (_squares(A[:, first:], b, prior[first:]) for first in (0, 6))
     left -= float(error ** 2 @ prior[:6])
-    m, k = at.J.shape
+    m, k = whitened.J.shape
     information = np.asarray(np.linalg.inv(of_calibration), dtype=float) - np.diag(prior[:6])
     freedom = max(max(m - k, 1) + len(measured.deviation) - 6, 1)
     return _Errors(error, information, of_calibration, left, without, freedom)
@@ -383,11 +384,11 @@ def _squares(A: Array, b: Array, prior: Array) -> float:
     return float(b @ b - explained @ np.linalg.solve(A.T @ A + np.diag(prior), explained))
 
 
-def _scatter(at: _Whitened, root: Array, distances: Array) -> Scatter:
+def _scatter(whitened: _Whitened, root: Array, distances: Array) -> Scatter:
     """Return whether distances (m,) agree with the noise and with what the calibration claims."""
-    wrt_error = at.remainder(at.E) @ root
-    square = _squares(wrt_error, at.remainder(at.r), np.ones(len(root)))
-    m, k = at.J.shape
+    wrt_error = whitened.remainder(whitened.E) @ root
+    square = _squares(wrt_error, whitened.remainder(whitened.r), np.ones(len(root)))
+    m, k = whitened.J.shape
     size = np.abs(distances)
     return Scatter(m, float(size.mean()), float(size.std()), rms(size), float(size.max()),
                    float(chi2_sf(square, max(m - k, 1))))
@@ -408,14 +409,14 @@ class _Measured:
     wrt_error: Array
 
 
-def _measured(shape: Shape, at: _Whitened, q: Array, root: Array) -> _Measured:
+def _measured(shape: Shape, whitened: _Whitened, q: Array, root: Array) -> _Measured:
     """Return the values of a shape q (k,)."""
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
     values, F = shape.values(q), derivatives(shape.values, q)
-    wrt_error = F @ at.gain @ at.E
+    wrt_error = F @ whitened.gain @ whitened.E
     wrt_claim, wrt_smooth = np.split(wrt_error @ root, [6], axis=1)
-    covariance, claimed = F @ at.gain @ at.gain.T @ F.T, wrt_claim @ wrt_claim.T
-    unseen = np.abs(F - F @ at.gain @ at.J).max(axis=1, initial=0.0) > OPEN_CHANGE
+    covariance, claimed = F @ whitened.gain @ whitened.gain.T @ F.T, wrt_claim @ wrt_claim.T
+    unseen = np.abs(F - F @ whitened.gain @ whitened.J).max(axis=1, initial=0.0) > OPEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])

@@ -27,7 +27,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.problem import Observations
-from handeye_ros.frames import mount_poses, mount_poses_of, sensor_axes
+from handeye_ros.frames import mount_poses, mount_poses_of, T_sensor_plane
 from handeye_ros.sampling.stops import evenly, evenly_chosen
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
@@ -54,7 +54,7 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
 
     Of several surfaces in sight the nearest one takes part; verify.near limits the region.
     """
-    X = calibration.T_flange_sensor @ sensor_axes(config)
+    X = calibration.T_flange_sensor @ T_sensor_plane(config)
     shown, choices = zip(*(_shown(routine, samples, X, calibration, config)
                            for samples in recordings), strict=True)
     samples = [sample for one in shown for sample in one]

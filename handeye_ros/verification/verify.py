@@ -21,7 +21,7 @@ from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.least_squares import FALSE_ALARM
-from handeye_ros.frames import sensor_axes
+from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.verification_file import (
     CONFORMS,
@@ -138,7 +138,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     if len(np.unique(stops, axis=0)) < len(stops):
         raise InputError('two recordings hold the same stops: give one recording of each face, '
                          'ball or pass')
-    X = calibration.T_flange_sensor @ sensor_axes(config)
+    X = calibration.T_flange_sensor @ T_sensor_plane(config)
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
 
     def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:

@@ -9,7 +9,7 @@ import re
 
 from cells import Cell, cell, every_method, exact_cell, scenario_of, settings_of
 from handeye_ros import pipeline, se3
-from handeye_ros.checks.refusals import turning
+from handeye_ros.checks.refusals import rms_turns_and_axes
 from handeye_ros.data import Arc, Array, EdgePoint, FaceLine, Reject, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.frames import name_direction
@@ -96,7 +96,7 @@ def test_tilts_of_one_degree_are_too_uncertain(name: str, where: str, frame: str
     assert error.reason in ('uncertain', 'one_axis', 'one_orientation')
     assert re.search(rf'\b{frame}\b', str(error)) and 'degrees' in str(error)
     if error.reason == 'uncertain':
-        turns, axes = turning(made.problem.poses)
+        turns, axes = rms_turns_and_axes(made.problem.poses)
         assert f'turn by only {np.degrees(turns[1]):.3g} degrees RMS about' in str(error)
         assert_names(str(error).split('RMS about')[1], axes[1], frame)
 

@@ -22,7 +22,7 @@ from handeye_ros.checks.settings import require_settings, thinned
 from handeye_ros.config import Config, flipped_range
 from handeye_ros.data import Array, Calibration, EdgePoint, NS, Profile
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.sampling.sweep import problem_at_poses
+from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import (
     FAULTS,
     Scenario,
@@ -200,7 +200,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
         samples = [replace(s, features=tuple(
             replace(f, point=f.point + rng.normal(0, error) * f.direction, std=stated)
             if isinstance(f, EdgePoint) else f for f in s.features)) for s in made.samples]
-        return explanation_of_problem(problem_at_poses(samples, made.config))
+        return explanation_of_problem(problem_of_known_poses(samples, made.config))
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor

@@ -25,9 +25,9 @@ from handeye_ros.calibration import measured_points
 from handeye_ros.config import with_values
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.covariance import budget
-from handeye_ros.estimation.noise import covariance_parts, LUMPED
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, covariance_parts
 from handeye_ros.estimation.search import least_squares_estimate
-from handeye_ros.estimation.solve import solution_at, upper_bound
+from handeye_ros.estimation.solve import cover, solution_at
 from handeye_ros.simulate import FAULTS, simulate_samples
 import numpy as np
 import pytest
@@ -113,7 +113,7 @@ def test_observations_of_a_station_share_the_error_of_its_pose() -> None:
     sigma = made.config.noise.robot_translation
     normal = solution.estimate.state[:16].reshape(4, 4)[:3, 2]
     moved[3] = se3.perturb(moved[3], np.append(sigma * normal, np.zeros(3)))
-    there = solution_at(replace(solution.problem, poses=moved), solution.estimate, LUMPED)
+    there = solution_at(replace(solution.problem, poses=moved), solution.estimate, BLOCKS_AS_NOISE)
     mine = there.problem.observations.station == 3
     assert (there.postfit_residuals[mine] ** 2).sum() == pytest.approx(1, abs=0.15)
     assert np.allclose(there.postfit_residuals[~mine], 0, atol=1e-3)
@@ -157,11 +157,11 @@ def test_a_covariance_that_covers_two_has_neither_less() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         first, second = (root @ root.T for root in rng.normal(size=(2, 6, 6)))
-        least = upper_bound(first, second)
+        least = cover(first, second)
         for given in (first, second):
             assert np.linalg.eigvalsh(least - given).min() > -1e-9 * least.max()
-        assert np.allclose(upper_bound(first, 0.5 * first), first)
-        assert np.allclose(upper_bound(first, 2 * first), 2 * first)
+        assert np.allclose(cover(first, 0.5 * first), first)
+        assert np.allclose(cover(first, 2 * first), 2 * first)
 
 
 @pytest.mark.thorough

@@ -10,7 +10,7 @@ from cells import Cell, cell, every_method, scenario_of, settings_of, squared_er
 from handeye_ros import pipeline, se3
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.estimation.noise import LUMPED
+from handeye_ros.estimation.noise import BLOCKS_AS_NOISE
 from handeye_ros.estimation.search import robust_solution, with_systematic_errors
 from handeye_ros.estimation.solve import solution_at
 from handeye_ros.results.truth_file import errors_against
@@ -130,7 +130,7 @@ def test_fewer_conditions_than_unknowns_leave_a_direction_free() -> None:
     made = cell('plane', 0)
     whole = robust_solution(made.problem, np.random.default_rng(0))
     few = made.problem.subset(np.arange(4))
-    covariance = solution_at(few, whole.estimate, LUMPED).covariance
+    covariance = solution_at(few, whole.estimate, BLOCKS_AS_NOISE).covariance
     assert np.linalg.eigvalsh(covariance)[-1] > 1.0, 'm^2: 8 conditions, 9 unknowns'
 
 

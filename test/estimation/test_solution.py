@@ -20,7 +20,7 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
-from handeye_ros.sampling.sweep import problem_at_poses
+from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import SCENARIOS
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_in_other_frames_the_answer_is_the_same(name: str, base: Array, flange: 
     first = solution_of(name)
     samples = [replace(s, T_base_flange=base @ s.T_base_flange @ flange)
                for s in noisy(name).samples]
-    second = solved(problem_at_poses(samples, noisy(name).config))
+    second = solved(problem_of_known_poses(samples, noisy(name).config))
     assert apart(se3.inverse(flange) @ first.estimate.X, second.estimate.X) < 1e-9
     Q = np.kron(np.eye(2), flange[:3, :3].T)
     C, D = first.covariance[:6, :6], second.covariance[:6, :6]

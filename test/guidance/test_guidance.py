@@ -181,7 +181,7 @@ def test_nothing_yet() -> None:
 
 def test_a_sensor_that_is_not_roughly_known_is_not_aimed(made: tuple[Cell, Solution]) -> None:
     found, solution = made
-    vague = replace(solution, for_report=solution,
+    vague = replace(solution, at_conservative_scales=solution,
                     added_covariances={'a test': ROUGHLY_KNOWN ** 2 * 2 * np.eye(6)})
     result = advice((found, vague))
     assert result.next is None and result.move is not None

@@ -15,7 +15,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.results.truth_file import errors_against
 from handeye_ros.sampling.stops import StopFinder
 from handeye_ros.sampling.stream import interpolate
-from handeye_ros.sampling.sweep import synchronised
+from handeye_ros.sampling.sweep import with_estimated_clocks
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.simulate import Scenario, SCENARIOS, simulate
 from handeye_ros.simulate.scenario import Sweep
@@ -195,7 +195,7 @@ def test_profiles_in_gaps_between_the_poses_do_not_pull_the_time_offset() -> Non
              if not ((0 <= (pose.stamp - first) / NS - cuts)
                      & ((pose.stamp - first) / NS - cuts < 0.2)).any()]
     config = config_of(sweep('sphere', 0.02))
-    found = synchronised(pipeline.gather(made.profiles, poses, config).samples, config)
+    found = with_estimated_clocks(pipeline.gather(made.profiles, poses, config).samples, config)
     assert 10 < len(found.rejects) < 0.2 * len(found.samples)
     assert abs(found.samples[0].clock_values[0] - 0.02) < 5e-4
     answer = pipeline.calibrate(made.profiles, poses, config)

@@ -15,7 +15,7 @@ from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.target import Target
 from handeye_ros.results.truth_file import errors_against
-from handeye_ros.sampling.sweep import problem_at_poses
+from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, settings, simulate, simulate_samples, Truth
 from handeye_ros.simulate.sensor import FRAMES
 import numpy as np
@@ -40,7 +40,7 @@ class Cell:
 
     @property
     def problem(self) -> Problem:
-        return problem_at_poses(self.samples, self.config)
+        return problem_of_known_poses(self.samples, self.config)
 
     def error(self, T: Array) -> float:
         """Return the RMS error of points mapped by T, in metres."""

@@ -18,7 +18,7 @@ from handeye_ros.bags import bag, bag_write
 from handeye_ros.cli import simulated
 from handeye_ros.compare import compare_files
 from handeye_ros.config import load, with_values
-from handeye_ros.frames import sensor_axes
+from handeye_ros.frames import T_sensor_plane
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import errors_against, true_transform
 from handeye_ros.simulate import FILE_SCENES, measured
@@ -164,7 +164,7 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
                          'test')
     values = replace(read.values, config=turned)
     T_turned = calibrate(replace(read, values=values)).T_flange_sensor
-    np.testing.assert_allclose(T_turned @ sensor_axes(turned), found.T_flange_sensor, atol=1e-9)
+    np.testing.assert_allclose(T_turned @ T_sensor_plane(turned), found.T_flange_sensor, atol=1e-9)
 
 
 def refused(run: CompletedProcess[str], code: int, *words: str) -> None:

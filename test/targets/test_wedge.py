@@ -12,7 +12,7 @@ from handeye_ros.config import Config
 from handeye_ros.data import FaceLine, Sample
 from handeye_ros.errors import FeatureError
 from handeye_ros.profiles.faces import corner_features
-from handeye_ros.sampling.sweep import problem_at_poses
+from handeye_ros.sampling.sweep import problem_of_known_poses
 from handeye_ros.simulate import Scenario, SCENARIOS, scenes
 from handeye_ros.simulate.solids import box, Solid
 from handeye_ros.targets.wedge import WEDGE
@@ -111,7 +111,7 @@ def on_a_table(sample: Sample) -> Sample:
 def test_one_of_the_first_starts_is_the_block_between_two_grooves() -> None:
     """Where an offset of the clocks is looked for, three are tried of each."""
     made = cell('wedge', 0)
-    many = problem_at_poses([on_a_table(sample) for sample in made.samples], made.config)
+    many = problem_of_known_poses([on_a_table(sample) for sample in made.samples], made.config)
     starts = islice(WEDGE.starts(many, np.random.default_rng(0)), 3)
     assert min(made.error(start.X) for start in starts) < 1e-3
 
