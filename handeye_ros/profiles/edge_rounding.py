@@ -64,7 +64,7 @@ def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float) -> E
     u (n,): outwards along the face; v (n,): below it; end: u of its end; pitch: of the points
     along it; noise: 1 sigma of v (m). Roundings and bevels are weighted by their likelihoods.
     """
-    begin, slope, weights, misfit = _fitted(u, v, pitch, noise)
+    begin, slope, weights, misfit = _fitted_shapes(u, v, pitch, noise)
     depths = _depths_of_end(np.maximum(end - begin, 0.0))[:, 0]
     likely = np.maximum((misfit.min() - misfit) / 2, LEAST_LIKELY)
     shapes = np.append(likely[ROUNDED], np.log(np.exp(likely[BEVELLED]).mean()))
@@ -89,7 +89,8 @@ def _middle(begin: float, radius: float, slope: Array, weights: Array
     return ((begin + radius * sine, radius * (1 - (1 - sine ** 2) ** 0.5)), information ** -0.5)
 
 
-def _fitted(u: Array, v: Array, pitch: float, noise: float) -> tuple[Array, Array, Array, Array]:
+def _fitted_shapes(u: Array, v: Array, pitch: float, noise: float
+                   ) -> tuple[Array, Array, Array, Array]:
     """
     Return roundings of TRIED_RADII, then bevels of TRIED_SLOPES, fitted to an end of a face.
 

@@ -71,7 +71,7 @@ class Trajectory:
         """Return the pieces between the gaps."""
         ends = np.flatnonzero(np.diff(self.stamps) > self.longest_bridged * 1e9) + 1
         parts = zip(np.split(self.stamps, ends), np.split(self.values, ends), strict=True)
-        return tuple(_fitted(stamps, values) for stamps, values in parts
+        return tuple(_piece_through(stamps, values) for stamps, values in parts
                      if len(stamps) >= FEWEST_POSES)
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
@@ -188,7 +188,7 @@ def _averaged(t: Array, values: Array) -> tuple[Array, Array]:
     return t, values
 
 
-def _fitted(stamps: NDArray[np.int64], values: Array) -> _Piece:
+def _piece_through(stamps: NDArray[np.int64], values: Array) -> _Piece:
     """
     Return the piece through poses (n, 7) with the knots that predict them best.
 

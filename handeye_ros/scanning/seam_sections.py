@@ -114,8 +114,8 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     """
     inliers = np.ones(len(t), dtype=bool)
     for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
-        curves = [_fitted(t[inliers], points[inliers], _knots(t[inliers], points[inliers], n))
-                  for n in pieces[:flexible]]
+        good = t[inliers], points[inliers]
+        curves = [_spline_through(*good, _knots(*good, n)) for n in pieces[:flexible]]
         # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
         curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
@@ -125,7 +125,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     return curve
 
 
-def _fitted(t: Array, points: Array, knots: Array) -> Curve:
+def _spline_through(t: Array, points: Array, knots: Array) -> Curve:
     """Return the least squares through points (n, 3) at increasing t (n,)."""
     bspline = make_lsq_spline(t, points, knots, k=3)
     B = BSpline.design_matrix(t, knots, 3).toarray()
@@ -147,7 +147,7 @@ def _knots(t: Array, points: Array, pieces: int) -> Array:
 def through(points: Array) -> Curve:
     """Return the cubic through points (k, 3) if it is close to the spline, else the spline."""
     t = np.arange(1.0, len(points) + 1.0)
-    simple, flexible = _fitted(t, points, np.repeat([t[0], t[-1]], 4)), spline(t, points)
+    simple, flexible = _spline_through(t, points, np.repeat([t[0], t[-1]], 4)), spline(t, points)
     difference = simple.position(t) - flexible.position(t)
     return simple if np.sqrt((difference ** 2).sum(axis=1).mean()) < CUBIC_ENOUGH else flexible
 

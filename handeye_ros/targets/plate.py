@@ -129,10 +129,11 @@ def _two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
         total += np.minimum(of_q[:, :, None], of_p[:, None])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     turn = float(angles[k])
-    return _fitted(points, _rotation(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
+    return _refined_corner(points, _rotation(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
 
 
-def _fitted(points: Array, corner: Array, turn: float, limit: float) -> tuple[Array, float]:
+def _refined_corner(points: Array, corner: Array, turn: float, limit: float
+                    ) -> tuple[Array, float]:
     """Return corner and direction fitted to the points (m, 2) near either line."""
     for reach in (limit, limit / 2, limit / 4):
         x, y = ((points - corner) @ _rotation(turn)).T

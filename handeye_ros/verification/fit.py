@@ -491,18 +491,18 @@ def fit_without_outliers(groups: Numbers,
     """
     p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
-    def at(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
+    def of_groups(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
         fit, r, wrt_unknowns, group_of_point = fitted(used)
         squares, freedom = _predicted(r, wrt_unknowns, group_of_point, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
         return fit, squares, freedom
 
     with suppress(DataError):
-        (fit, *_), _, dropped = drop_outliers(groups, len(groups), len(groups) - most - 1, at,
+        (fit, *_), _, dropped = drop_outliers(groups, len(groups), len(groups) - most - 1, of_groups,
                                               lambda fit: fit[1:])
         if len(dropped) <= most:
             return fit, p, list(dropped)
-    return at(None, groups)[0], p, []
+    return of_groups(None, groups)[0], p, []
 
 
 def _predicted(r: Array, wrt_unknowns: Array, group_of_point: Numbers, groups: Numbers
