@@ -443,6 +443,11 @@ class Config(Section):
         return self.calibration_type == 'eye_in_hand'
 
     @property
+    def offset_ns(self) -> int:
+        """Return the time offset as it is added to the stamps of profiles (ns)."""
+        return round(self.time_offset * 1e9)
+
+    @property
     def base_frame(self) -> str:
         """Return the frame id of the robot base, BASE_FRAME by default."""
         return self.robot_base_frame or BASE_FRAME

@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written: names of folders, whole files, pictures, pages."""
+"""Files that are written: names of folders, times, whole files, pictures, pages."""
 from __future__ import annotations
 
 import base64
@@ -19,6 +19,7 @@ from handeye_ros.errors import BadValueError, UnwritableError
 import yaml
 
 LONGEST_NAME = 100  # characters of a folder
+EARLIEST_STAMP = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 
 
 def folder_name(config: Config) -> str:
@@ -29,6 +30,13 @@ def folder_name(config: Config) -> str:
     if len(name) > LONGEST_NAME:
         raise BadValueError('name', f'{name[:20]}...', f'at most {LONGEST_NAME} characters')
     return name
+
+
+def time_of(stamp: int) -> str:
+    """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
+    if stamp < EARLIEST_STAMP:
+        return ''
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
 def html_file(path: Path) -> None:

@@ -102,7 +102,7 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
 
     Raises DataError when the recording cannot carry an answer.
     """
-    return calibrate_session(gather(profiles, poses, config), config)
+    return answer_session(gather(profiles, poses, config), config).require_calibration()
 
 
 @single_threaded
@@ -123,11 +123,6 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     session.evaluate_remaining()
     session.require_stops()
     return session
-
-
-def calibrate_session(session: Session, config: Config) -> Calibration:
-    """Return the calibration from the samples of a session; raises DataError without one."""
-    return answer_session(session, config).require_calibration()
 
 
 def answer_session(session: Session, config: Config) -> Answer:

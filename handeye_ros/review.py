@@ -7,7 +7,6 @@ Everything here reads the one answer of the pipeline, so that no table contradic
 """
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +17,7 @@ from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import edges_used, measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Calibration, EdgePoint, FaceLine, Reject, Sample
+from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
@@ -27,7 +26,7 @@ from handeye_ros.pipeline import Answer
 from handeye_ros.results.calibration_file import config_of, input_values
 from handeye_ros.results.report import SolvedRecording
 from handeye_ros.results.scene import Agreement, StopSnapshot
-from handeye_ros.results.table import figures_table
+from handeye_ros.results.table import figures_table, sample_summary
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded, problem_of_known_poses
@@ -191,9 +190,6 @@ def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
             'about the range axis')
 
 
-FEATURE_NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
-
-
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:
     """Return the table of the stops of a session, the worst left-out residual first."""
     agreement_of = agreements(session, answer, config)
@@ -212,17 +208,3 @@ def samples_table(session: Session, answer: Answer, config: Config) -> Table:
             str(stop.number), *('' if r is None else f'{r * 1e3:.3f} mm' for r in residuals),
             state, sample_summary(stop.result))
     return table
-
-
-def sample_summary(sample: Sample | Reject) -> str:
-    """Return what a sample shows, or why there is none, in words."""
-    if isinstance(sample, Reject):
-        return sample.reason
-    counts = Counter(FEATURE_NAMES[type(feature)] for feature in sample.features)
-    seen = ', '.join(count_of(count, name) for name, count in counts.items())
-    return f'{seen} from {count_of(sample.profiles, "profile")}'
-
-
-def count_of(count: int, what: str) -> str:
-    """Return a number with its noun: `1 sample`, `2 samples`."""
-    return f'{count} {what}' if count == 1 else f'{count} {what}s'

@@ -12,7 +12,6 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.results.calibration_file import NAME, read_calibration
-from handeye_ros.verification.verify import time_of
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
@@ -65,7 +64,7 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
             continue
         sensors.add(frames)
         stamp = min((report.stamp for report in calibration.samples), default=0)
-        recorded = time_of(stamp) or str(calibration.provenance.get('created', ''))
+        recorded = output.time_of(stamp) or str(calibration.provenance.get('created', ''))
         calibrations.append((recorded, str(path), calibration))
     calibrations.sort(key=lambda item: item[:2])
     if len(calibrations) < 2 - (first is not None):

@@ -139,7 +139,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
         previous = message.stamp
     poses, joints = poses_of(reader)
     if config.time_offset:
-        offset = round(config.time_offset * 1e9)
+        offset = config.offset_ns
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
     gap = max(profiles[0].stamp - poses[-1].stamp, poses[0].stamp - profiles[-1].stamp)
     if gap > 0:

@@ -260,7 +260,7 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
              OUTCOME_TOPIC: STRING_TYPE}
     if joints:
         types[joint_topic] = JOINTS_TYPE
-    offset = round(config.time_offset * 1e9)  # a driver may publish no stamp: log_time holds it
+    offset = config.offset_ns  # a driver may publish no stamp: log_time holds it
     messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
     messages += [
         Raw(profile_topic, profile.stamp - offset,
@@ -329,7 +329,7 @@ def read_session(path: Path) -> Stored:
 
 def load(file: Path, stamp: int, config: Config) -> Stop:
     """Return a stop with its poses and profiles from its file; raises InputError."""
-    offset = round(config.time_offset * 1e9)
+    offset = config.offset_ns
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
     for kind, message in _read_file(file):

@@ -26,8 +26,8 @@ from handeye_ros.output import folder_name
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.scene import Agreement
-from handeye_ros.results.table import transform_rows
-from handeye_ros.review import agreements, count_of, flat_crossing
+from handeye_ros.results.table import count_of, transform_rows
+from handeye_ros.review import agreements, flat_crossing
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import Stop
 import numpy as np

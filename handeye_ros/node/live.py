@@ -53,7 +53,7 @@ from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory, Worker
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
-from handeye_ros.review import count_of, sample_summary
+from handeye_ros.results.table import count_of, sample_summary
 from handeye_ros.sampling.features import features_of, result_of
 from handeye_ros.sampling.session import Session, silent_poses
 from handeye_ros.sampling.stops import Stop

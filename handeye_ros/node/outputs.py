@@ -40,7 +40,7 @@ from handeye_ros.results.scene import (
     SEEN_COLOUR,
     StopSnapshot,
 )
-from handeye_ros.review import count_of
+from handeye_ros.results.table import count_of
 from handeye_ros.sampling.stops import Stop
 import numpy as np
 from numpy.typing import NDArray

@@ -17,7 +17,7 @@ from handeye_ros import se3
 from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.scene import Agreement
-from handeye_ros.review import sample_summary
+from handeye_ros.results.table import sample_summary
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import NO_STOP, Stop
 import numpy as np

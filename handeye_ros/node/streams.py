@@ -257,7 +257,7 @@ class Streams:
         if self._reader.config != config.profile:
             self._reader = ProfileReader(config.profile)
         profile = self._stamped(self._reader.take(data))
-        message = replace(profile, stamp=profile.stamp + round(config.time_offset * 1e9))
+        message = replace(profile, stamp=profile.stamp + config.offset_ns)
         for profile_part in split(message, self._last_stamp, config.profile):
             self._receiver.add_profile(profile_part)
         self._last_stamp = message.stamp

@@ -19,8 +19,8 @@ from handeye_ros.node.state import Attempt
 from handeye_ros.output import yaml_text
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import read_calibration
+from handeye_ros.results.table import sample_summary
 from handeye_ros.results.verification_file import sentence
-from handeye_ros.review import sample_summary
 from handeye_ros.sampling.stops import decoded, Stop
 from handeye_ros.sampling.stream import Copyable
 from handeye_ros.sampling.trajectory import trajectory_of

@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma."""
+"""Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma; words."""
 from __future__ import annotations
 
 from collections import Counter
@@ -11,7 +11,17 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import RECORD_PREFIX
-from handeye_ros.data import Array, Budget, Calibration, Quality
+from handeye_ros.data import (
+    Arc,
+    Array,
+    Budget,
+    Calibration,
+    EdgePoint,
+    FaceLine,
+    Quality,
+    Reject,
+    Sample,
+)
 from handeye_ros.results.truth_file import Errors
 import numpy as np
 from rich import box
@@ -19,6 +29,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+FEATURE_NAMES = {FaceLine: 'face line', EdgePoint: 'edge point', Arc: 'arc'}
 # Other estimates by their key: its pattern, a label ('' is that of the key), the words around the
 # value, factor to their unit, digits.
 FOUND_TEXT = '{} (1 sigma, found and allowed for)'
@@ -143,11 +154,9 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
 
 
 def weakest(quality: Quality) -> str:
-    """Return the weakest direction; its sentence says whether std is in metres or radians."""
-    direction, std = quality.weakest_direction, quality.weakest_std
-    if direction.endswith(' (m)'):
-        return f'{direction[:-4]}: {std * 1e3:.3f} mm (1 sigma)'
-    return f'{direction.removesuffix(" (rad)")}: {math.degrees(std):.4f} degrees (1 sigma)'
+    """Return the weakest direction in words."""
+    direction = quality.weakest_direction.removesuffix(' (m)')
+    return f'{direction}: {quality.weakest_std * 1e3:.3f} mm (1 sigma)'
 
 
 def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -190,3 +199,17 @@ def error_sentence(errors: Errors, over: str = 'the field of view') -> str:
     return (f'error against truth.yaml: translation {errors.translation * 1e3:.3f} mm, rotation '
             f'{math.degrees(errors.rotation):.4f} degrees, mapped points '
             f'{errors.mapped_points * 1e3:.3f} mm RMS over {over}')
+
+
+def sample_summary(sample: Sample | Reject) -> str:
+    """Return what a sample shows, or why there is none, in words."""
+    if isinstance(sample, Reject):
+        return sample.reason
+    counts = Counter(FEATURE_NAMES[type(feature)] for feature in sample.features)
+    seen = ', '.join(count_of(count, name) for name, count in counts.items())
+    return f'{seen} from {count_of(sample.profiles, "profile")}'
+
+
+def count_of(count: int, what: str) -> str:
+    """Return a number with its noun: `1 sample`, `2 samples`."""
+    return f'{count} {what}' if count == 1 else f'{count} {what}s'

@@ -99,7 +99,7 @@ class Scanner:
 
     def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
-        offset = round(self.config.time_offset * 1e9)
+        offset = self.config.offset_ns
         stamps = np.array([p.stamp + offset for p in profiles], dtype=np.int64)
         flange = track.at(stamps, self.lag)
         if self._intensity is None and profiles:

@@ -108,7 +108,8 @@ def crossings(observations: Observations) -> Observations:
     rows = ObservationRows()
     for station in np.unique(observations.station):
         of_station = observations.select(observations.station == station)
-        (a, u), (b, v) = (_line_through(of_station.points[of_station.kind == side]) for side in range(2))
+        (a, u), (b, v) = (_line_through(of_station.points[of_station.kind == side])
+                          for side in range(2))
         # two lines that are parallel cross nowhere: any point of one of them then
         along = np.linalg.lstsq(np.column_stack([u, -v]), b - a, rcond=None)[0][0]
         for kind in (edge_line.EDGE_Y, edge_line.EDGE_Z):

@@ -498,8 +498,8 @@ def fit_without_outliers(groups: Numbers,
         return fit, squares, freedom
 
     with suppress(DataError):
-        (fit, *_), _, dropped = drop_outliers(groups, len(groups), len(groups) - most - 1, of_groups,
-                                              lambda fit: fit[1:])
+        (fit, *_), _, dropped = drop_outliers(
+            groups, len(groups), len(groups) - most - 1, of_groups, lambda fit: fit[1:])
         if len(dropped) <= most:
             return fit, p, list(dropped)
     return of_groups(None, groups)[0], p, []

@@ -88,7 +88,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
     """
     rows, noise = ObservationRows(), np.array([[0.0, 0.0], [config.noise.sensor, 0.0]])
     poses, stamps, counts = list[Array](), list[int](), list[int]()
-    offset = round(config.time_offset * 1e9)
+    offset = config.offset_ns
     for profiles, track in passes:
         flange = track.at(np.array([p.stamp + offset for p in profiles], dtype=np.int64))
         usable = np.flatnonzero(flange.inside)

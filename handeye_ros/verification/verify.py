@@ -16,7 +16,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros import __version__
+from handeye_ros import __version__, output
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError, mm
@@ -47,7 +47,6 @@ from handeye_ros.verification.fit import (
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
-EARLIEST_STAMP = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
@@ -163,7 +162,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
         quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
         fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
-        recorded=time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
+        recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
 
 
@@ -303,13 +302,6 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
         notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
                      'in metres unless a unit is given')
     return notes
-
-
-def time_of(stamp: int) -> str:
-    """Return a stamp (ns) as ISO 8601; empty if it is not of a wall clock."""
-    if stamp < EARLIEST_STAMP:
-        return ''
-    return datetime.fromtimestamp(stamp * 1e-9, UTC).isoformat(timespec='seconds')
 
 
 def plain_values(verification: Verification, inputs: Iterable[object] = (),

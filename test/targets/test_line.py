@@ -82,7 +82,7 @@ def test_the_edge_of_a_block_keeps_to_one_face(seed: int) -> None:
     slopes = [f.direction[1] for s in session.samples for f in s.features
               if isinstance(f, FaceLine)]
     assert min(slopes) < 0 < max(slopes)  # both are among them
-    found = pipeline.calibrate_session(session, config)
+    found = pipeline.answer_session(session, config).require_calibration()
     assert found.quality.samples_used >= 13
     assert squared_error(found, made.truth) < 22.5
     alone = with_values(config, {'target.use_face': False}, 'test')
