@@ -41,29 +41,13 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     if weight <= 0:
         return solution
     configured = solution_at(solution.problem, solution.estimate, Noise())
-    # whitened derivatives by an error of each station's pose, in sigmas of a wrong one
-    wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
-    log_odds, explained = np.empty((2, n))
-    squares = np.empty((n, 6, 6))  # of the change of the transform, if the station is wrong
-    for group in configured.problem.station_groups:
-        i = configured.problem.observations.station[group.rows[:, 0]]
-        K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
-        # the pose error as further unknowns, eliminated: of unit covariance a priori
-        across = np.swapaxes(J, 1, 2) @ K
-        gain = configured.covariance @ across
-        information = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(across, 1, 2) @ gain
-        slope = np.einsum('sci,sc->si', K, configured.postfit_residuals[group.rows])
-        error = np.linalg.solve(information, slope[..., None])
-        explained[i] = (slope * error[..., 0]).sum(axis=1)
-        log_odds[i] = (explained[i] - np.linalg.slogdet(information)[1]) / 2
-        to_transform = gain[:, :6]
-        shift = to_transform @ error
-        squares[i] = shift @ np.swapaxes(shift, 1, 2) + to_transform @ np.linalg.solve(
-            information, np.swapaxes(to_transform, 1, 2))
-    log_odds += np.log(PRIOR_ODDS_WRONG + dropped / (n + dropped))
+    explained, log_odds, squares = _if_wrong(configured)
+    # the posterior: that each is the only wrong one, or that none is
+    log_odds = log_odds + np.log(PRIOR_ODDS_WRONG + dropped / (n + dropped))
     most = max(0.0, float(log_odds.max()))
-    odds = np.exp(log_odds - most)  # each is the only wrong one
+    odds = np.exp(log_odds - most)
     probability = weight * odds / (np.exp(-most) + odds.sum())
+    # one that is almost surely wrong, while the others then fit
     worst = int(np.argmax(probability))
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     rest = chi2_sf(max(configured.sum_of_squares - explained[worst], 0.0), freedom)
@@ -71,6 +55,37 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, squares, 1)},
                    probability_wrong=float(probability.sum()),
                    surely_wrong=worst if sure else None)
+
+
+def _if_wrong(configured: Solution) -> tuple[Array, Array, Array]:
+    """
+    Return of each station, if its pose is wrong: squares explained, log odds, and mean squares.
+
+    Its whitened residuals are then r + J x + K e, with r those of the fit to all, x the change of
+    the fit, of which the information is that of C, and e the error of the pose in sigmas of a
+    wrong one, of unit covariance a priori. The least squares for a given e is x = -G e with
+    G = C J'K. Without x, the information about e is A = 1 + K'K - K'J G, and the least squares
+    e = -A^-1 K'r. So the sum of squares falls by r'K A^-1 K'r (n,), the log of the odds against
+    all being right is half of this less log det A (n,), and the change of the transform is of the
+    mean square h h' + G A^-1 G' (n, 6, 6), h = -G e, as (10) sums them.
+    """
+    n = len(configured.problem.poses)
+    wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
+    explained, log_odds, squares = np.empty(n), np.empty(n), np.empty((n, 6, 6))
+    for group in configured.problem.station_groups:
+        i = configured.problem.observations.station[group.rows[:, 0]]
+        K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
+        JK = np.swapaxes(J, 1, 2) @ K
+        G = configured.covariance @ JK
+        A = np.eye(6) + np.swapaxes(K, 1, 2) @ K - np.swapaxes(JK, 1, 2) @ G
+        Kr = np.einsum('sci,sc->si', K, configured.postfit_residuals[group.rows])
+        minus_e = np.linalg.solve(A, Kr[..., None])
+        explained[i] = (Kr * minus_e[..., 0]).sum(axis=1)
+        log_odds[i] = (explained[i] - np.linalg.slogdet(A)[1]) / 2
+        G = G[:, :6]  # of the transform
+        h = G @ minus_e
+        squares[i] = h @ np.swapaxes(h, 1, 2) + G @ np.linalg.solve(A, np.swapaxes(G, 1, 2))
+    return explained, log_odds, squares
 
 
 def budget(solution: Solution) -> Budget:

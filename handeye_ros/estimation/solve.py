@@ -466,20 +466,37 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     """
     Return the MAP solution near a start, with prior scales and noise estimated from residuals.
 
-    noise: to start with. With very many stations, a part of them says what scales and noise are.
+    It is for the estimate, at the MAP scales, and holds another one for the report: at the
+    conservative scales, with long errors of the robot only. noise: to start with.
     """
-    stride = len(problem.poses) // MANY_STATIONS
-    if stride > 1:
-        of_part = map_solution(
-            problem.subset(np.arange(0, len(problem.poses), stride)), start, noise)
-        problem = problem.with_pose_values(of_part.problem.pose_values)
-        near = solution_at(problem, of_part.linear.estimate, of_part.noise)
-        for_estimate = Solution.of_linear(near.relinearise(), near.noise)
-        return _with_conservative(for_estimate, of_part.conservative.noise, 0)
+    if len(problem.poses) >= 2 * MANY_STATIONS:
+        return _map_solution_of_many(problem, start, noise)
+    # near the minimum, at conservative scales
     reached, diverged = _until_converged(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
         return _with_conservative(reached, reached.noise, LAST_STEPS)
-    return _with_final_scales(reached)
+    # both scales follow from the posterior at the conservative ones
+    for_estimate = for_report = reached
+    if reached.configured_blocks:
+        posterior = reached.with_conservative_scales(LAST_STEPS - 1)
+        for_estimate, for_report = map(reached.with_variances, posterior.prior_variances())
+    # the noise of the estimate, at its own scales; that of the report stays as it converged
+    for _ in range(LAST_STEPS):
+        for_estimate = for_estimate.with_factors(
+            for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
+    # the last step of the estimate, and from there the solution for the report
+    for_estimate = Solution.of_linear(for_estimate.relinearise(), for_estimate.noise)
+    return _with_conservative(for_estimate, for_report.noise, LAST_STEPS)
+
+
+def _map_solution_of_many(problem: Problem, start: Estimate, noise: Noise) -> Solution:
+    """Return the MAP solution of very many stations, of which some tell the scales and noise."""
+    n = len(problem.poses)
+    of_part = map_solution(problem.subset(np.arange(0, n, n // MANY_STATIONS)), start, noise)
+    problem = problem.with_pose_values(of_part.problem.pose_values)
+    near = solution_at(problem, of_part.linear.estimate, of_part.noise)
+    for_estimate = Solution.of_linear(near.relinearise(), near.noise)
+    return _with_conservative(for_estimate, of_part.conservative.noise, 0)
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
@@ -505,26 +522,6 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
         if size < CONVERGED_SIGMAS and steady:
             break
     return current, False
-
-
-def _with_final_scales(converged: Solution) -> Solution:
-    """
-    Return the solution at the MAP scales, together with that at the conservative scales.
-
-    Both scales follow from the posterior at the conservative ones. The variance factors of the
-    estimate are estimated again at its own scales; those of the report stay as they converged.
-    """
-    for_estimate, noise_of_report = converged, converged.noise
-    if converged.configured_blocks:
-        conservative = converged.with_conservative_scales(LAST_STEPS - 1)
-        map_variances, conservative_variances = conservative.prior_variances()
-        for_estimate = converged.with_variances(map_variances)
-        noise_of_report = converged.with_variances(conservative_variances).noise
-    for _ in range(LAST_STEPS):
-        for_estimate = for_estimate.with_factors(
-            for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
-    for_estimate = Solution.of_linear(for_estimate.relinearise(), for_estimate.noise)
-    return _with_conservative(for_estimate, noise_of_report, LAST_STEPS)
 
 
 def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:

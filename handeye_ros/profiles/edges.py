@@ -340,9 +340,9 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     """
     Return the end of a plate before a drop, the end columns included.
 
-    ground: the surface seen below, or None. The distance of a bent end from its edge is determined
-    later from all samples (see sampling/edge_shapes.py).
+    ground: the surface seen below, or None.
     """
+    # in metres, outwards along the face: its last points, where it is flat, the last point of all
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], end_columns])
     u, v = end.outwards_and_below(plate)
     pitch, noise = end.pitch, end.segment.noise
@@ -350,6 +350,7 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     step = min(max(step, 0.0), pitch) if len(end_columns) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
+    # the edge lies between it and the next column that is not mixed, or on the middle of a ramp
     mixed_columns, ramp_columns = _transition(end, int(plate[-1]), ground)
     place = last + (step * (1 + mixed_columns) / 2 if not ramp_columns else pitch * ramp_columns)
     std = math.sqrt(pitch ** 2 * ((1 + min(mixed_columns, 2)) ** 2 / 12 + LOST_STD ** 2)
@@ -357,13 +358,25 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     edge = end.edge(place, std, ending)
     if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
-    # the end is bent: its last points are the worst
+    return _with_bent_end(edge, place, last - flat, end, end_columns)
+
+
+def _with_bent_end(edge: EdgePoint, place: float, length: float, end: FaceEnd,
+                   end_columns: NDArray[np.intp]) -> EdgePoint:
+    """
+    Return the edge of a bent end, with its depth and its arc.
+
+    How far the end is from the edge is determined later, from all samples (see
+    sampling/edge_shapes.py). place: of the edge, length: of what is not flat (m).
+    """
+    # the last points of a bent end are the worst
+    noise = end.segment.noise
     before = end.segment.columns[-max(2 * len(end_columns), SHORTEST_ROUNDING):]
     inner = end_columns[:len(end_columns) - min(len(end_columns) // RIM_SHARE, LONGEST_RIM)]
-    bend = rounding_of(*end.outwards_and_below(np.concatenate([before, inner])), place, pitch,
-                       noise)
+    u, v = end.outwards_and_below(np.concatenate([before, inner]))
+    bend = rounding_of(u, v, place, end.pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
-    depth = min(bend.depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)
+    depth = min(bend.depth, STEEPEST_ROUNDING * length + FLAT_SIGMAS * noise)
     (out, below), (_, outwards, downwards) = bend.middle, end.frame
     return replace(edge, drop=depth * downwards, shape_log_odds=bend.shape_log_odds,
                    arc_std=bend.middle_std,

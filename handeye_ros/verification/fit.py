@@ -308,20 +308,23 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
         return Whitening(tuple(group.rows for group in groups),
                          tuple(map(inverse_roots, covariances)))
 
+    # the shape q, at which all is linear
     q = shape.fitted(problem.points_in_base(X),
                      lambda q: whitening(covariances_at(shape.linear(X, q))))
     linear = shape.linear(X, q)
     covariances, distances, lever = covariances_at(linear), linear.residuals, linear.lever
+    # distances, and their derivatives by calibration, robot and shape, all white
     basis = problem.smooth_error_basis[problem.observations.station]
     robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
     r, E, J = np.split(whitening(covariances)(np.column_stack([
         distances, linear.jacobian[:, :6], robot, linear.jacobian[:, 6:]])),
         [1, 7 + robot.shape[1]], axis=1)
     whitened = _Whitened(r[:, 0], J, E, np.asarray(np.linalg.pinv(J), dtype=float))
-    root = np.eye(E.shape[1])  # of the covariance of the errors
+    # the values, with errors of the calibration as its covariance says
+    root = np.eye(E.shape[1])
     root[:6, :6] = root_of(C)
     measured = _measured(shape, whitened, q, root)
-
+    # the errors that distances and nominal values show, whatever the covariance says
     likeliest = _likeliest_errors(whitened, measured)
     error, known = likeliest.error, len(measured.deviation)
     scale = max(likeliest.left / likeliest.freedom, 1.0)
@@ -329,6 +332,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
                                                  mount_frame(problem.config))
     largest_error, largest_error_std = largest_displacement(
         lever, error, scale * likeliest.covariance)
+    # of each point what sensor and robot add; and what a fit of other groups would leave unknown
     variances = np.square(robot).sum(axis=1)
     for group, covariance in zip(groups, covariances, strict=True):
         variances[group.rows] += np.einsum('nii->ni', covariance)
