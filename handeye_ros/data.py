@@ -286,7 +286,7 @@ class Sample:
     profiles: int = 1
     flipped: tuple[Feature, ...] | None = None
     trajectory: Any = None
-    clock_values: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    clock_values: tuple[float, ...] = (0.0, 0.0, 0.0)
     per_profile: tuple[Sample, ...] = ()
     centroid: Array | None = None
 

@@ -57,6 +57,7 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     if not config.target.size or stated >= FREED_SIZE:
         return agreed
     free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
+    # solved anew from the observations and the estimate; what is linearised here is not used
     other = with_systematic_errors(replace(
         agreed, full_problem=replace(agreed.full_problem, config=free),
         linear=replace(agreed.linear, problem=replace(problem, config=free))))

@@ -277,16 +277,18 @@ class _MoveSums:
         order: (k + 1,) of the parts, None: that of time.
         """
         order = np.arange(len(self.own)) if order is None else order
+        # over all parts after each moment
         own, cross, slope = (np.cumsum(sums[order[::-1]], axis=0)[-2::-1]
                              for sums in (self.own, self.cross, self.slope))
-        both = own - np.swapaxes(cross, 1, 2) @ cross
-        inside = np.stack([both[:, :6, :6], both[:, 6:, 6:]])
-        slopes = np.stack([slope[:, :6], slope[:, 6:]])
+        left = own - np.swapaxes(cross, 1, 2) @ cross  # by the other parameters
+        # (2, k): a move of the sensor alone, and of the target alone
+        information = np.stack([left[:, :6, :6], left[:, 6:, 6:]])
+        y = np.stack([slope[:, :6], slope[:, 6:]])
         evidence = []
         for size in SIZE_FACTORS:
-            information = np.eye(6) + size ** 2 * inside
-            step = size ** 2 * np.linalg.solve(information, slopes[..., None])[..., 0]
-            evidence.append((slopes * step).sum(axis=2) - np.linalg.slogdet(information)[1])
+            M = np.eye(6) + size ** 2 * information
+            step = size ** 2 * np.linalg.solve(M, y[..., None])[..., 0]
+            evidence.append((y * step).sum(axis=2) - np.linalg.slogdet(M)[1])
         return np.asarray(np.max(evidence, axis=0) - 2 * np.log(len(SIZE_FACTORS)))
 
     @property

@@ -151,7 +151,8 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     """
     obs = template.observations
     anchored = _anchored(template, obs)
-    same_point = (obs.points[:, None] == obs.points).all(axis=2).astype(float)  # one point's
+    # (m, m): 1 where two observations are of one point
+    same_point = (obs.points[:, None] == obs.points).all(axis=2).astype(float)
 
     # move the template's points, and cut what is then outside the view
     points = obs.points - obs.points[anchored].mean(axis=0) + places[:, None]

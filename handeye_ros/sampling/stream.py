@@ -149,7 +149,12 @@ class Stream(Copyable, Generic[Stamped]):
         return passed
 
     def _adopted(self, frame: str, stamp: int) -> bool:
-        """Count a message of another frame; return whether the stream now takes that frame."""
+        """
+        Count a message of another frame; return whether the stream now takes that frame.
+
+        It does after ten of them where at most FEW_STRAYS came before: those were the strays. The
+        frame of a session that continues stays.
+        """
         if self.latest - self._strayed > UNMIXED_TIME:
             self._forgiven = sum(self._strays.values())
         known = len(self._strays) < MOST_REASONS or frame in self._strays
@@ -159,7 +164,7 @@ class Stream(Copyable, Generic[Stamped]):
         self._stray_last = stamp
         self._strays_in_a_row += 1
         self._strayed = self.latest
-        given = not self.count and self._pending is None  # by a session that continues
+        given = not self.count and self._pending is None
         if given or self.count > FEW_STRAYS or self._strays[frame] < 10:
             return False
         self._strays, self._forgiven = Counter({str(self.frame): self.count}), 0
@@ -168,7 +173,11 @@ class Stream(Copyable, Generic[Stamped]):
         return True
 
     def _note_late(self, stamp: int) -> None:
-        """Count a late message; many in a row, in order, show that the clock was set back."""
+        """
+        Count a late message; a clock that was set back shows by the first five in a row, in order.
+
+        They are late by more than REORDER_TIME, and last half a second.
+        """
         far = self.latest - stamp > REORDER_TIME
         if not far or self._late_since < 0 or stamp < self._late_last:
             self._late_since, self._late_count = (stamp if far else -1), 0

@@ -109,12 +109,10 @@ def _poses_and_twists(clocked: ClockedPoses, unknown: tuple[int, ...], values: A
     return poses.T_base_flange, twists[:, :, list(unknown)]
 
 
-def _all_values(unknown: tuple[int, ...], values: Iterable[float]
-                ) -> tuple[float, float, float]:
+def _all_values(unknown: tuple[int, ...], values: Iterable[float]) -> tuple[float, ...]:
     """Return offset, lag and drift from those that are unknown; the others are 0."""
     known = dict(zip(unknown, values, strict=True))
-    offset, lag, drift = (float(known.get(k, 0.0)) for k in range(len(CLOCK_KEYS)))
-    return offset, lag, drift
+    return tuple(float(known.get(k, 0.0)) for k in range(len(CLOCK_KEYS)))
 
 
 def _unknown(config: Config) -> tuple[tuple[int, ...], Array]:
@@ -142,7 +140,7 @@ def problem_with_clocks(samples: Sequence[Sample], config: Config) -> Problem:
         (1,) * len(stds), tuple(stds.tolist()), least_variance=1.0,
         blocks=partial(errors_in_motion, clocked.stamps),
         jitter=np.array([config.noise.stamps, *np.zeros(len(stds) - 1)]))
-    known = next(sample.clock_values for sample in samples if sample.moving)
+    known = next(s.clock_values for s in samples if s.moving)
     return replace(problem, pose_model=model, pose_values=np.array([known[k] for k in unknown]))
 
 
@@ -208,8 +206,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> Synchron
     return Synchronised(paired, rejects, fit.estimate)
 
 
-def _poses_at(samples: Sequence[Sample], fit: Linear
-              ) -> tuple[tuple[float, float, float], Instants]:
+def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
     """Return offset, lag and drift of a fit, and the flange at each sample by them."""
     values = _all_values(_unknown(fit.problem.config)[0], fit.problem.pose_values)
     return values, ClockedPoses.of(samples).at(*values)
