@@ -21,7 +21,7 @@ TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_d
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
 SIGMA_OF_MEDIAN = 1.4826  # 1 sigma of a normal distribution over its median absolute deviation
-MOST_BACK = 0.2  # of the way forth: behind a step the columns may run back by less
+MOST_BACK = 0.2  # of the way forth: beyond a step the columns may run back by less
 
 
 def rms(values: Array) -> float:
@@ -210,7 +210,7 @@ class EdgePoint:
     std: 1 sigma along the direction
     std_across: 1 sigma across it
     ending: of ENDINGS: 'step', 'shadow' (a step whose foot is hidden), 'roof' (its wall is seen),
-        'gap' (nothing behind it) or 'open' (the driver does not say)
+        'gap' (nothing beyond it) or 'open' (the driver does not say)
     drop: (2,) from the point down to where the plate was last seen, for a rounded or bevelled edge
         without a visible wall, else 0
     shape_log_odds: (k + 1,) log likelihoods of roundings with k radii and of a bevel, 0 for the

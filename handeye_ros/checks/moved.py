@@ -136,6 +136,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     first = _MoveSums.of(conservative, moments).gains()
     if first.max() < -STRONG_EVIDENCE:  # evidence against a move
         return agreed, ''
+    # the likeliest move against none, and against wrong times
     body, k, moved = _likeliest(agreed, moments, first)
     unmoved = with_noise_reestimated(conservative)
     others = [with_noise_reestimated(conservative, (block,)) for block in
@@ -148,6 +149,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         least = max(least, config.noise.robot_smooth)
     if evidence < STRONG_EVIDENCE or size < least:
         return agreed, ''
+    # errors of the robot look like a move in any order of the samples
     p_value = _move_sums(agreed, moved, moments).p_value
     if p_value >= WARNING_P:
         return agreed, ''
@@ -160,6 +162,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
         'fixed firmly, and take all samples again')
     if evidence > DECISIVE_EVIDENCE and p_value < REFUSAL_P:
         raise DataError(sentence, reason='moved')
+    # with the warning: the covariance that covers the transform with the move, too
     away = se3.difference(moved.estimate.X, unmoved.estimate.X)
     with_move = moved.covariance[:6, :6] + np.outer(away, away)
     more = cover(agreed.transform_covariance, with_move) - agreed.transform_covariance

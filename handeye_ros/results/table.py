@@ -49,9 +49,9 @@ ESTIMATES = (
     ('flatness_error', 'target, flatness', FOUND_TEXT.format('{} mm'), 1e3, 4),
 )
 
-# What the profile shows behind an edge, by the kind of its end.
+# What the profile shows beyond an edge, by the kind of its end.
 EDGE_KIND_NAMES = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
-                   'roof': 'side wall in sight', 'gap': 'nothing behind',
+                   'roof': 'side wall in sight', 'gap': 'nothing beyond',
                    'open': 'end not classified'}
 
 LISTED_SHARE = 0.005  # share of the variance: smaller causes are one row

@@ -251,10 +251,10 @@ def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     """Return the FaceLine of each stop, with the noise of all its profiles."""
     along = _along(stops.T_target_sensor, 2)
     along *= np.sign(along[:, :1])
-    before, behind = (_in_view(scenario, stops.points, way) for way in (-along, along))
+    before, beyond = (_in_view(scenario, stops.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
     start = stops.points - before[:, None] * along
-    return [(face,) for face in _lines(scenario, start, along, before + behind, noise)[0]]
+    return [(face,) for face in _lines(scenario, start, along, before + beyond, noise)[0]]
 
 
 # -- wedge

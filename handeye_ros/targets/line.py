@@ -45,7 +45,7 @@ MIN_SAMPLES = 7  # samples
 NEAR_SHARE = 0.7
 SAME_FACE = 0.25  # rad: largest angle between the faces of two stations about the edge
 CONDITIONS_OF_EDGE = 2  # of one edge point
-# of ends, by their number in observations: 1 corner, 2 step, 3 nothing behind
+# of ends, by their number in observations: 1 corner, 2 step, 3 nothing beyond
 END_GROUPS = np.array([0, *({'roof': 1, 'step': 2, 'shadow': 2}.get(end, 3) for end in ENDINGS)])
 
 

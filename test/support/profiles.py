@@ -47,17 +47,17 @@ def face(x: Array, tilt: float = 0.1, at: float = 0.17) -> Array:
 
 
 def step_up_to(edge: float, tilt: float = 0.1, drop: float = 0.01) -> Callable[[Array], Array]:
-    """Return a face for x > edge, and a table further away behind it."""
+    """Return a face for x > edge, and a table further away beyond it."""
     return lambda x: np.where(x > edge, face(x, tilt), face(x, tilt) + drop)
 
 
 def gap_up_to(edge: float, tilt: float = 0.1) -> Callable[[Array], Array]:
-    """Return a face for x > edge, and nothing behind it."""
+    """Return a face for x > edge, and nothing beyond it."""
     return lambda x: np.where(x > edge, face(x, tilt), np.nan)
 
 
 def roof(edge: float, tilt: float = 0.1, turn: float = -0.8) -> Callable[[Array], Array]:
-    """Return a face for x > edge, and another that turns away from the sensor behind it."""
+    """Return a face for x > edge, and another that turns away from the sensor beyond it."""
     return lambda x: np.where(x > edge, face(x, tilt), face(edge, tilt)
                               + np.tan(tilt + turn) * (x - edge))
 
