@@ -162,10 +162,10 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
     ones = list(passes_expanded(samples))
     number = np.repeat(np.arange(len(samples)), [len(s.station_samples) for s in samples])
     if any(sample.moving for sample in ones):
-        at = ClockedPoses.of(ones).at(*clock_values)
+        instants = ClockedPoses.of(ones).at(*clock_values)
         ones = [replace(sample, T_base_flange=T) for sample, T, inside in zip(
-            ones, at.T_base_flange, at.inside, strict=True) if inside]
-        number = number[at.inside]
+            ones, instants.T_base_flange, instants.inside, strict=True) if inside]
+        number = number[instants.inside]
     if not ones:
         return np.full(len(samples), np.nan)
     problem = reassigned(problem_of_known_poses(ones, config), solution.estimate)

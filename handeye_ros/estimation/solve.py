@@ -476,17 +476,17 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     if diverged:  # where it is stays the answer, as uncertain as any
         return _with_conservative(reached, reached.noise, LAST_STEPS)
     # both scales follow from the posterior at the conservative ones
-    for_estimate = for_report = reached
+    for_estimate = conservative = reached
     if reached.configured_blocks:
         posterior = reached.with_conservative_scales(LAST_STEPS - 1)
-        for_estimate, for_report = map(reached.with_variances, posterior.prior_variances())
+        for_estimate, conservative = map(reached.with_variances, posterior.prior_variances())
     # the noise of the estimate, at its own scales; that of the report stays as it converged
     for _ in range(LAST_STEPS):
         for_estimate = for_estimate.with_factors(
             for_estimate.estimated_factors(MAP_PRIOR_FACTORS))
     # the last step of the estimate, and from there the solution for the report
     for_estimate = Solution.of_linear(for_estimate.relinearise(), for_estimate.noise)
-    return _with_conservative(for_estimate, for_report.noise, LAST_STEPS)
+    return _with_conservative(for_estimate, conservative.noise, LAST_STEPS)
 
 
 def _map_solution_of_many(problem: Problem, start: Estimate, noise: Noise) -> Solution:

@@ -123,12 +123,12 @@ class ArmPoints:
         """Return the residuals with the sensor in its mount X (4, 4) and the target (3,)."""
         T = T_base_flange if self.in_hand else se3.inverse(T_base_flange)
         lever, n = self.points @ X[:3, :3].T, len(self)
-        at = se3.apply(T, (lever + X[:3, 3])[:, None])[:, 0]  # where the target is fixed
+        in_fixed = se3.apply(T, (lever + X[:3, 3])[:, None])[:, 0]  # where the target is fixed
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
         to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
-        values = to_fixed @ (at - target)[:, :, None]
+        values = to_fixed @ (in_fixed - target)[:, :, None]
         wrt_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
-        wrt_shift, from_flange = (to_fixed, at - T[:, :3, 3]) if self.in_hand else (
+        wrt_shift, from_flange = (to_fixed, in_fixed - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
         wrt_pose = np.concatenate([wrt_shift, -wrt_shift @ se3.skew(from_flange)], axis=2)
         return Residuals(values.ravel(), wrt_own.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))

@@ -246,14 +246,14 @@ class _Comparison:
 
     def residuals(self, cause: str = '', move: Array = NO_MOVE) -> _Residuals:
         """Return the residuals after a move of the target or the sensor."""
-        problem, at = self.problem, self.calibrated
+        problem, estimate = self.problem, self.calibrated
         if cause == 'sensor':
-            at = replace(at, X=se3.perturb(at.X, move))
+            estimate = replace(estimate, X=se3.perturb(estimate.X, move))
         elif cause == 'target':  # as if all else had moved back
             there = se3.transform(np.eye(3), self.middle)
             moved = there @ se3.perturb(np.eye(4), move) @ se3.inverse(there)
             problem = replace(problem, poses=se3.inverse(moved) @ problem.poses)
-        linear = linearise(problem, at)
+        linear = linearise(problem, estimate)
         noise = np.zeros((len(linear.residuals),) * 2)
         for stops in problem.station_groups:
             noise[stops.rows[:, :, None], stops.rows[:, None]] = (
@@ -265,7 +265,7 @@ class _Comparison:
         # what all stops share was part of the calibration too
         basis = problem.smooth_error_basis
         smooth = (basis - basis.mean(axis=0))[obs.station] * self.smooth
-        lever = obs.in_base(problem.poses, at.X) - self.middle
+        lever = obs.in_base(problem.poses, estimate.X) - self.middle
         return _Residuals(
             linear.residuals,
             np.column_stack([linear.jacobian @ self.root, wrt_smooth(linear.wrt_pose, smooth),

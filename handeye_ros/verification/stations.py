@@ -170,8 +170,8 @@ def _in_region(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> 
         fraction = np.clip(-a @ segment / max(segment @ segment, 1e-30), 0.0, 1.0)
         return bool(np.linalg.norm(a + fraction * segment) <= region[3])
 
-    kept = [replace(sample, features=tuple(f for f in sample.features if is_inside(f, at)))
-            for sample, at in zip(samples, T, strict=True)]
+    kept = [replace(sample, features=tuple(f for f in sample.features if is_inside(f, plane)))
+            for sample, plane in zip(samples, T, strict=True)]
     if samples and not any(sample.features for sample in kept):
         raise DataError(f'verify.near leaves nothing of the {len(samples)} stops: set it to a '
                         'point of the artefact in the base of the robot and a radius, in metres')
@@ -224,7 +224,7 @@ def _at_calibrated_time(samples: Sequence[Sample], calibration: Calibration, con
         raise InputError('the calibration has no time offset, which a sweep needs: verify with '
                          'stops, calibrate with a sweep, or state time_offset and time_offset_std '
                          f'({KNOWN_OFFSET_STD * 1e3:g} ms or less)')
-    at = ClockedPoses.of(samples).at(offset.value - config.time_offset if offset else 0.0,
-                                     float(calibration.target.get(ROTATION_LAG, 0.0)))
+    instants = ClockedPoses.of(samples).at(offset.value - config.time_offset if offset else 0.0,
+                                           float(calibration.target.get(ROTATION_LAG, 0.0)))
     return [replace(sample, T_base_flange=T, trajectory=None)
-            for sample, T in zip(samples, at.T_base_flange, strict=True)]
+            for sample, T in zip(samples, instants.T_base_flange, strict=True)]
