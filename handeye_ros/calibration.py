@@ -388,8 +388,11 @@ def lost_edges(solution: Solution) -> str:
     if not len(solution.without_edges):
         return ''
     shown = int(solution.full_problem.subset(solution.used).shows_essential.sum())
+    lost, estimate = solution.full_problem.subset(solution.without_edges), solution.estimate
+    where = lost.target.describe_strays(lost.observations, lost.points_in_base(estimate.X),
+                                        estimate.state, lost.config)
     return (f'the edges of {len(solution.without_edges)} of the {shown} samples that show one lie '
-            'on none of the target (of a plate, target.size gives the opposite edges)')
+            'on none of the target' + (f': {where}' if where else ''))
 
 
 def _surface_notes(solution: Solution) -> Iterator[str]:

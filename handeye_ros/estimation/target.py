@@ -119,6 +119,11 @@ class Target(ABC):
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the state, with 1 sigma (k,) of the parameters, as plain values."""
 
+    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
+                        ) -> str:
+        """Return in words where observations lie that are not on the target, '' if unknown."""
+        return ''
+
     def blocks(self, linear: Linear) -> Iterable[ParameterBlock]:
         """Return the blocks of nuisance parameters of its own (see blocks.py)."""
         return ()

@@ -37,6 +37,7 @@ LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
+SMALLEST_SIZE = 0.02  # of a plate: an end nearer to one of its edges is another object
 SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 DIRECTION_COUNT = 120  # tried, over a quarter turn
@@ -46,6 +47,17 @@ VOTER_COUNT = 24  # points that this search uses
 def state_of_plate(T_base_target: Array, config: Config) -> Array:
     """Return the values (19,) that describe a plate as configured, at a pose (4, 4)."""
     return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
+
+
+def _edge_points(observations: Observations, p: Array, state: Array
+                 ) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows (k,) of edge points, and the directions (k, 2) outwards from the face."""
+    rows = np.flatnonzero(observations.kind != FACE)
+    T = state[:16].reshape(4, 4)
+    flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
+    outward = flat[rows] - _face_centres(observations, flat, rows)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+    return rows, outward
 
 
 def _gate(distance: Array) -> float:
@@ -212,11 +224,7 @@ class Plate(FaceTarget):
         An edge is possible if the face is on its right side and the laser crosses it steeply
         enough. Points far from all edges are not used, such as ends at the limit of the range.
         """
-        rows = np.flatnonzero(observations.kind != FACE)
-        T = state[:16].reshape(4, 4)
-        flat = ((p - T[:3, 3]) @ T[:3, :3])[:, :2]
-        outward = flat[rows] - _face_centres(observations, flat, rows)
-        outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+        rows, outward = _edge_points(observations, p, state)
         kinds = np.array([P, Q] + ([P_FAR, Q_FAR] if config.target.size else []))
         distance = np.array([np.abs(self.conditions(
             p[rows], np.full(len(rows), k), state, config).g) for k in kinds])
@@ -231,6 +239,29 @@ class Plate(FaceTarget):
         """Return the target's pose and edge angle as plain values."""
         return {'pose': se3.transform_values(state[:16].reshape(4, 4)),
                 'edge_angle': float(state[ANGLE]), 'edge_angle_std': float(std[8])}
+
+    def describe_strays(self, observations: Observations, p: Array, state: Array, config: Config
+                        ) -> str:
+        """
+        Return in words where edge points lie that are on no edge of the plate, '' if unknown.
+
+        observations, p: all of these stations; where several points agree, it is another edge.
+        """
+        rows, outward = _edge_points(observations, p, state)
+        size, texts = config.target.size, []
+        for kind, axis, opposite in ((Q_FAR, 0, Q), (P_FAR, 1, P), (Q, 0, Q_FAR), (P, 1, P_FAR)):
+            if opposite in (P_FAR, Q_FAR) and not size:
+                continue
+            facing = outward @ OUTWARD[kind] > np.sin(config.sampling.min_crossing_angle)
+            ends = p[rows[facing]]
+            away = np.abs(self.conditions(ends, np.full(len(ends), opposite), state, config).g)
+            middle = float(np.median(away)) if len(away) else 0.0
+            count = int((np.abs(away - middle) < SMALLEST_GATE).sum())
+            if count > 1:
+                texts.append(f'{count} of them {middle * 1e3:.1f} mm from {KINDS[opposite]}' + (
+                    f', and not {size[axis] * 1e3:.1f} mm as target.size has it' if size else
+                    ' (with target.size they could be used)' if middle > SMALLEST_SIZE else ''))
+        return '; '.join(texts)
 
 
 PLATE = Plate()
