@@ -1,6 +1,6 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The calibrations of a folder over time: each compared with the first and the last one."""
+"""The calibrations of a folder over time: each compared with the first and the previous one."""
 from __future__ import annotations
 
 from collections.abc import Sequence

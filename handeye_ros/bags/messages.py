@@ -101,8 +101,11 @@ def _read(kind: str, data: bytes, parse: Callable[[_Cdr], T]) -> T:
 
 
 def frame_name(frame_id: str) -> str:
-    """Return a frame name as in tf2, without the leading slash of ROS 1."""
-    return sys.intern(str(frame_id).removeprefix('/'))  # it is in thousands of messages
+    """Return a frame name as in tf2, without the leading slash of ROS 1; one line of text."""
+    name = str(frame_id).removeprefix('/')
+    if not name.isprintable():
+        name = ''.join(filter(str.isprintable, name))
+    return sys.intern(name)  # it is in thousands of messages
 
 
 def text_from_cdr(data: bytes) -> str:

@@ -10,7 +10,7 @@ on it as it is set. The others are named, and left out where these carry an answ
 """
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from handeye_ros.checks.hypotheses import explanation_of_results
 from handeye_ros.checks.settings import thinned, with_settings, within_noise
@@ -40,11 +40,11 @@ class OtherSurfaceError(DataError):
     stamps: of their samples; why: what they show, in words.
     """
 
-    def __init__(self, stops: Iterable[Stop], height: float) -> None:
+    def __init__(self, stops: Sequence[Stop], height: float) -> None:
         """Build the sentence; height (m) over the target, towards the sensor."""
         self.stamps = {stop.result.stamp for stop in stops}
         self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above that of the '
-                    'others, such as a clamp or a second plate')
+                    'others or inclined, such as a clamp or a second plate')
         shown = f'the {_numbers(stops)} show {self.why}'
         self.warning = f'{shown}: they are left out'
         super().__init__(f'{shown}: {ALONE}', reason='surface')
@@ -87,7 +87,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         # or a wrong sign let stops take the ground beneath the target for its face.
         if above > 0 and explanation_of_results([stop.sample for stop in stops[alike]], config,
                                                 all_starts=True).agrees:
-            raise OtherSurfaceError(stops[~alike], above)
+            raise OtherSurfaceError(list(stops[~alike]), above)
     why = ''
     if refusal.reason in ('misfit', 'edges') and several:
         told = '; '.join(f'{(middle - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[alike])}'

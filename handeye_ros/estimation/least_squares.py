@@ -105,7 +105,7 @@ class System(Generic[S]):
         return state
 
     def few_weighted_steps(self, state: S, weights: Array) -> S:
-        """Return the state after a few steps towards the least squares with unit weights (n,)."""
+        """Return the state after a few steps to the least squares, with weights (n,) of items."""
         return self.least_squares(state, weights, iterations=4, converged=1e-3)
 
 

@@ -163,7 +163,7 @@ class PoseModel:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The transform from the mount to the sensor plane X (4, 4) and the target's state (s,)."""
+    """The pose X (4, 4) of the sensor plane in the mount, and the target's state (s,)."""
 
     X: Array
     state: Array

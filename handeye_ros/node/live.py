@@ -85,7 +85,7 @@ class LiveSession:
     def __init__(self, config: Config, folders: OutputFolders, pool: Pool,
                  changed: Callable[[], object]) -> None:
         """
-        Start without samples; raises BadValueError for a method that does not exist.
+        Start without samples; raises InputError for a method or target that it cannot have.
 
         pool: where long computations run; changed: called by the worker after every change.
         """

@@ -54,9 +54,15 @@ def dated(calibration: Calibration) -> Calibration:
     return replace(calibration, provenance={**first, **calibration.provenance})
 
 
+def one_line(text: str) -> str:
+    """Return a text without line ends, safe inside a comment."""
+    return ' '.join(text.split())
+
+
 def text(calibration: Calibration) -> str:
     """Return the content of the file."""
-    header = HEADER.format(parent=calibration.parent_frame, child=calibration.child_frame)
+    header = HEADER.format(parent=one_line(calibration.parent_frame),
+                           child=one_line(calibration.child_frame))
     return header + yaml_text(_content(calibration))
 
 

@@ -21,6 +21,7 @@ from itertools import chain, count
 import json
 import math
 from pathlib import Path
+import re
 import shlex
 import shutil
 from xml.sax.saxutils import quoteattr
@@ -30,7 +31,7 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.output import write_atomically, write_errors_for
 from handeye_ros.results import calibration_file
-from handeye_ros.results.calibration_file import config_of
+from handeye_ros.results.calibration_file import config_of, one_line
 import numpy as np
 from scipy.spatial.transform import Rotation
 import yaml
@@ -102,11 +103,6 @@ def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
         f'{turns} degrees.')
 
 
-def one_line(text: str) -> str:
-    """Return a text without line ends, safe inside a comment."""
-    return ' '.join(text.split())
-
-
 def commented(calibration: Calibration, mark: str = '# ', units: str = SI_TEXT) -> str:
     """Return the preamble as comment lines."""
     return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
@@ -171,9 +167,9 @@ def joint(calibration: Calibration) -> str:
 def urdf(calibration: Calibration) -> str:
     """Return a URDF with the sensor's link and its joint, which xacro can include."""
     # two dashes would end an XML comment
-    comment = '\n'.join(preamble(calibration)).replace('--', '- -')
-    return URDF_TEMPLATE.format(comment=comment,
-                                parent=calibration.parent_frame.replace('--', '- -'),
+    comment, parent = (re.sub('-(?=-)', '- ', text) for text in (
+        '\n'.join(preamble(calibration)), one_line(calibration.parent_frame)))
+    return URDF_TEMPLATE.format(comment=comment, parent=parent,
                                 robot=quoteattr(calibration.name), joint=joint(calibration),
                                 child=quoteattr(calibration.child_frame))
 

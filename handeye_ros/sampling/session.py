@@ -65,7 +65,7 @@ class Session(Copyable):
     def __init__(self, config: Config, stops: Iterable[Stop] = (), last_number: int = 0,
                  frames: tuple[str | None, str | None] = (None, None)) -> None:
         """
-        Start with no messages; raises BadValueError for a method that does not exist.
+        Start with no messages; raises InputError for a method or target that it cannot have.
 
         stops, last_number, frames: those of a session that goes on.
         """

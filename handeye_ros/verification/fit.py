@@ -246,7 +246,8 @@ class Fit:
         shows least, as RMS displacement of the points (m)
     weakest_direction: in words
     error (6,): estimated error of the calibration
-    p_error, p_no_error: p-values of the distances with and without it
+    p_error: p-value of the distances with it
+    p_of_error: that of the squares which it explains; a small one says that there is an error
     largest_error, largest_error_std: its largest displacement of a point (m)
     residuals (m,): whitened, of the shape as expected
     wrt_unknowns (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if
@@ -264,7 +265,7 @@ class Fit:
     claim_p: float
     error: Array
     p_error: float
-    p_no_error: float
+    p_of_error: float
     largest_error: float
     largest_error_std: float
     residuals: Array
@@ -344,7 +345,7 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
         distance_std=np.sqrt(variances), region=measured.region, freedom=known,
         claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
         error=error, p_error=float(chi2_sf(likeliest.left, likeliest.freedom)),
-        p_no_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
+        p_of_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
         largest_error=largest_error, largest_error_std=largest_error_std, residuals=whitened.r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 

@@ -259,7 +259,7 @@ def _calibration_off(fit: Fit, limits: VerifyConfig, other_size: bool
     other_size: whether another size of the artefact explains it as well.
     """
     decided = decision(fit.largest_error, ONE_SIDED_95 * fit.largest_error_std, limits.tolerance)
-    if fit.p_no_error > SIGNIFICANCE or decided == CONFORMS:
+    if fit.p_of_error > SIGNIFICANCE or decided == CONFORMS:
         return [], []
     error = (f'an error of the calibration of {mm(fit.largest_error)} ± '
              f'{mm(COVERAGE_FACTOR * fit.largest_error_std)} (k = {COVERAGE_FACTOR:g})')

@@ -12,6 +12,7 @@ import re
 import shutil
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 from calibrations import CALIBRATION
 from command import handeye
@@ -136,6 +137,14 @@ def test_what_is_written_reads_back(name: str, place: tuple[float, ...], turn: l
     digits = 2e-7 if name in ROBOTS else 1e-9  # as a pendant takes them
     np.testing.assert_allclose(T, calibration.T_flange_sensor, rtol=0, atol=digits)
     assert parent in (frames[0], None) and child in (frames[1], None)
+
+
+def test_no_name_of_a_frame_breaks_a_file(tmp_path: Path) -> None:
+    named = replace(CALIBRATION, parent_frame='tool---0', child_frame='laser\nx: [')
+    exports.save_all(named, tmp_path, ('yaml', 'urdf'))
+    assert calibration_file.read_calibration(tmp_path / 'calibration.yaml').child_frame == (
+        named.child_frame)
+    ElementTree.parse(tmp_path / 'sensor.urdf.xacro')
 
 
 def test_all_is_saved_and_said_with_its_place(tmp_path: Path) -> None:
