@@ -10,7 +10,7 @@ that answer.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import targets
@@ -128,9 +128,8 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
 def answer_session(session: Session, config: Config) -> Answer:
     """Return the answer of a session; raises DataError when it holds no stops."""
     session.require_stops()
-    if not config.robot_base_frame:
-        config = replace(config, robot_base_frame=session.base_frame)
-    return answer_samples(session.samples, session.rejects, config, session.frame_id, session)
+    return answer_samples(session.samples, session.rejects, session.with_base(config),
+                          session.frame_id, session)
 
 
 def solve(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config, frame_id: str

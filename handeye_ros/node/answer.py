@@ -190,7 +190,8 @@ class LiveAnswer:
 
     def _begin(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
-        live, config, now = self._live, self._live.session.config_with_base, self._live.session
+        live, now = self._live, self._live.session
+        config = now.with_base(live.config)
         if current := live.current():
             self.seen = extremes(np.concatenate([self.seen, current.points]))
         if asked:

@@ -130,7 +130,7 @@ class Outputs:
             if self._closed:
                 return
             live, state = self._live, state_of(self._live)
-            config = live.session.config_with_base
+            config = live.session.with_base(live.config)
             self._show_attempt(live.attempt)
             changed = self._samples.show(json.dumps(samples_message(state)))
             answer = live.answer.calibration
@@ -164,7 +164,7 @@ class Outputs:
         if self._current.get_subscription_count():
             live = self._live
             self._current.publish(current_markers(
-                live.current(), live.answer.calibration, live.session.config_with_base))
+                live.current(), live.answer.calibration, live.session.with_base(live.config)))
 
     def diagnose(self, state: State) -> None:
         """

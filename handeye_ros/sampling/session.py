@@ -398,11 +398,10 @@ class Session(Copyable):
         """Return whether samples.exclude contains the sample of a stop."""
         return stop.number in self.config.samples.exclude
 
-    @property
-    def config_with_base(self) -> Config:
-        """Return the settings with the frame of the poses as the base, if they name none."""
-        return self.config if self.config.robot_base_frame else replace(
-            self.config, robot_base_frame=self.base_frame)
+    def with_base(self, config: Config) -> Config:
+        """Return settings with the frame of the poses as the base, if they name none."""
+        return config if config.robot_base_frame else replace(
+            config, robot_base_frame=self.base_frame)
 
     def evaluate_remaining(self) -> list[Sample | Reject]:
         """

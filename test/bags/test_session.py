@@ -171,7 +171,8 @@ def test_a_session_goes_on_after_a_restart(tmp_path: Path) -> None:
 def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profiles(
         tmp_path: Path) -> None:
     other = again(feed(stored(tmp_path), stops=3))
-    assert other.session.config_with_base.robot_base_frame == 'base', 'before the first message'
+    settings = other.session.with_base(other.config)
+    assert settings.robot_base_frame == 'base', 'before the first message'
     foreign = [replace(pose, parent_frame='map') for pose in SPHERE.poses]
     feed(other, replace(SPHERE, poses=tuple(foreign)))
     assert 'two frames, "base" and "map"' in state_of(other)['session']['trouble']
