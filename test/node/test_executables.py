@@ -22,7 +22,15 @@ from handeye_ros.errors import InputError  # noqa: E402
 from handeye_ros.node.main import ros  # noqa: E402
 from handeye_ros.results.calibration_file import write_calibration  # noqa: E402
 from handeye_ros.simulate import robot  # noqa: E402
-from moving_scan import calibration, moving, plane_profiles, STEP, T0  # noqa: E402
+from moving_scan import (  # noqa: E402
+    calibration,
+    moving,
+    plane_profile,
+    plane_profiles,
+    pose_at,
+    STEP,
+    T0,
+)
 import numpy as np  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from recordings import scan  # noqa: E402
@@ -177,7 +185,7 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(
     client.node.create_subscription(PointCloud2, '/handeye_scan/points', got.append, 100)
 
     def send(ms: int) -> None:
-        pose, one = moving(ms)[-1], plane_profiles(ms)[-1]
+        pose, one = pose_at(ms), plane_profile(ms)
         client.send(client.poses, [pose_message(pose.stamp, pose.translation, pose.quaternion)],
                     200.0)
         x, z = one.points.T
@@ -195,7 +203,7 @@ def test_profiles_from_before_the_clock_was_set_back_are_not_scanned(
             return bool(got)
 
         client.until(came, 'it hears both')
-        waiting = plane_profiles(1)[0]
+        waiting = plane_profile(0)
         waiting = cloud_message(cloud(dict(zip('xz', (waiting.points + [0, 1]).T, strict=True)),
                                       XZ, 8), T0 + 12_000 * STEP)
         client.send(client.profiles, [waiting] * 5, 200.0)  # no pose comes after it

@@ -146,6 +146,7 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     assert caught.value.reason == 'moved'
 
 
+@pytest.mark.thorough
 def test_wrong_times_are_no_move() -> None:
     scenario = SCENARIOS['plate_sweep']
     made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)

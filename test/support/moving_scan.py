@@ -20,11 +20,14 @@ def calibration(covariance=None):
                        {'config': {}})
 
 
+def pose_at(ms):
+    return TimedPose(T0 + ms * STEP, np.array([0.6, 1e-4 * ms, 0.4]),
+                     Rotation.from_euler('x', 1e-4 * ms).as_quat())
+
+
 def moving(count, rate=5):
     """Return poses of a flange that moves evenly, every rate ms, around count ms."""
-    return [TimedPose(T0 + k * rate * STEP, np.array([0.6, 1e-4 * k * rate, 0.4]),
-                      Rotation.from_euler('x', 1e-4 * k * rate).as_quat())
-            for k in range(count // rate + 2)]
+    return [pose_at(k * rate) for k in range(count // rate + 2)]
 
 
 def true_flange(ms):
@@ -32,13 +35,14 @@ def true_flange(ms):
                          np.array([0.6, 1e-4 * ms, 0.4]))
 
 
+def plane_profile(ms, columns=50):
+    """Return the profile of the plane z = 0.1 of the base, half a ms after ms."""
+    T = true_flange(ms + 0.5) @ calibration().T_flange_sensor
+    x = np.linspace(-0.02, 0.02, columns)
+    z = (0.1 - T[2, 3] - T[2, 0] * x) / T[2, 2]
+    return Profile(T0 + ms * STEP + STEP // 2, 'laser', np.column_stack([x, z]))
+
+
 def plane_profiles(count, columns=50):
     """Return profiles, each a ms, of the plane z = 0.1 of the base by the moving flange."""
-    profiles = []
-    X = calibration().T_flange_sensor
-    for ms in range(count):
-        T = true_flange(ms + 0.5) @ X
-        x = np.linspace(-0.02, 0.02, columns)
-        z = (0.1 - T[2, 3] - T[2, 0] * x) / T[2, 2]
-        profiles.append(Profile(T0 + ms * STEP + STEP // 2, 'laser', np.column_stack([x, z])))
-    return profiles
+    return [plane_profile(ms, columns) for ms in range(count)]
