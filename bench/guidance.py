@@ -56,7 +56,6 @@ from handeye_ros.guidance.advice import advise
 from handeye_ros.guidance.view import extremes, learn_view, Move, View, view_levers
 from handeye_ros.pipeline import Answer
 from handeye_ros.results.truth_file import errors_against, field_points
-from handeye_ros.review import flat_crossing
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import combined_features
 from handeye_ros.sampling.session import duplicate_pose
@@ -148,10 +147,7 @@ class World:
         sample = Sample(len(self.samples), reported(T_base_flange, error), features, len(used))
         others = [Stop(other.stamp, number=k, result=other)
                   for k, other in enumerate(self.samples, 1)]
-        why = duplicate_pose(sample, others, self.config)
-        if not why and self.solution:
-            why = flat_crossing(sample, self.solution, self.config)
-        if why:
+        if why := duplicate_pose(sample, others, self.config):
             raise FeatureError(why)
         self.samples.append(sample)
 

@@ -342,8 +342,8 @@ class VerifyConfig(Section, prefix='verify.'):
     """The artefact of a verification."""
 
     routine: str = key(
-        '', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, step, square '
-        'or tooth; empty: nothing.')
+        '', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, step or '
+        'square; empty: nothing.')
     calibration: str = key(
         '', 'File of the calibration that is verified; empty: the answer of the node.')
     lengths: tuple[float, ...] = key(

@@ -15,7 +15,7 @@ from pathlib import Path
 from handeye_ros import pipeline, se3, tabulated
 from handeye_ros.bags.bag import read
 from handeye_ros.bags.session_files import is_session, read_session
-from handeye_ros.calibration import edges_used, measured_points, residuals_and_left_out, rms_by
+from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import UnusableMessageError
@@ -172,22 +172,6 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
     measured = measured_points(ones, problem)
     return rms_by(number[measured.station], measured.residuals(problem, solution.estimate),
                   len(samples))
-
-
-def flat_crossing(sample: Sample, solution: Solution, config: Config) -> str:
-    """Return a sentence if the laser is on an edge at too small a crossing angle, else ''."""
-    def edges(smallest: float) -> str:
-        sampling = replace(config.sampling, min_crossing_angle=smallest)
-        problem = problem_of_known_poses([sample], replace(config, sampling=sampling))
-        return edges_used(reassigned(problem, solution.estimate))[0]
-
-    smallest = config.sampling.min_crossing_angle
-    crossed = edges(0.0)
-    if crossed == edges(smallest):
-        return ''
-    return (f'the laser crosses {crossed} at less than sampling.min_crossing_angle '
-            f'({np.degrees(smallest):.0f} degrees), so its edge point cannot count: turn the tool '
-            'about the range axis')
 
 
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:

@@ -21,15 +21,13 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
-from handeye_ros.node.pool import result_or_ended
 from handeye_ros.output import folder_name
 from handeye_ros.results import exports
 from handeye_ros.results.calibration_file import dated
 from handeye_ros.results.scene import Agreement
 from handeye_ros.results.table import count_of, transform_rows
-from handeye_ros.review import agreements, flat_crossing
+from handeye_ros.review import agreements
 from handeye_ros.sampling.session import Session
-from handeye_ros.sampling.stops import Stop
 import numpy as np
 
 if TYPE_CHECKING:
@@ -42,7 +40,6 @@ SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'time_offset',
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
                'rotation_lag_std', 'clock_drift_std', 'sampling.min_crossing_angle')
 COMPUTED = 'the calibration is computed'
-SURE_FREEDOM = 6  # smallest degrees of freedom of a review for valid angles at the edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,6 @@ class Review:
     agreements: of the samples by their numbers
     no_agreements: why there are none
     advised: the number of the last sample in the advice, 0 for none
-    made_from: identifies samples and settings that it follows from
     """
 
     advice: Advice
@@ -62,7 +58,6 @@ class Review:
     agreements: Mapping[int, Agreement] = field(default_factory=dict)
     no_agreements: str = ''
     advised: int = 0
-    made_from: object = None
 
     @property
     def solution(self) -> Solution | None:
@@ -106,8 +101,9 @@ class LiveAnswer:
         self.calibration: Calibration | None = None
         self.why_missing = ''
         self.asked_settings: dict[str, Any] | None = None
-        self._asked: tuple[object, Future[str]] | None = None  # last attempt: from what, message
-        self._answer_numbers: set[int] = set()  # numbers of the samples of the last answer
+        # the last computation: from which samples and settings, whether asked for, message
+        self._last: tuple[object, bool, Future[str]] = None, False, Future()
+        self._answer_numbers: set[int] = set()  # of the samples of the last answer
         self.saved = ''
 
     @property
@@ -137,14 +133,6 @@ class LiveAnswer:
         return replace(self.calibration, name=folder_name(config),
                        provenance={**provenance, 'config': values})
 
-    def objection(self, stop: Stop) -> str:
-        """Return a sentence if the laser crosses an estimated edge at too small an angle."""
-        solution = self.review.solution
-        if stop.sample is None or solution is None or (
-                solution.degrees_of_freedom < SURE_FREEDOM):
-            return ''
-        return flat_crossing(stop.sample, solution, self._live.config)
-
     def forget(self, why: str) -> None:
         """Begin anew with other samples."""
         self.review, self.asked_settings = Review(advise((), self._live.config)), None
@@ -167,17 +155,17 @@ class LiveAnswer:
         except HandeyeError as error:
             self._refuse(error)
             raise
-        if self._asked and self._asked[0] == self._made_from():
-            message = self._asked[1]
-            if not message.done() or (self.calibration and not message.exception()):
-                return message
+        made_from, asked, message = self._last
+        if asked and made_from == self._made_from() and (
+                not message.done() or (self.calibration and not message.exception())):
+            return message
         return self._begin(asked=True)
 
     def begin_review(self) -> None:
         """Begin the review, if samples or settings have changed."""
         live = self._live
         outdated = self.asked_settings not in (None, values_of(live.config, ANSWER_KEYS))
-        if not live.running and (outdated or self._made_from() != self.review.made_from):
+        if not live.running and (outdated or self._made_from() != self._last[0]):
             self._begin(asked=outdated)
 
     def _made_from(self) -> tuple[object, ...]:
@@ -204,27 +192,22 @@ class LiveAnswer:
             COMPUTED if asked else '', partial(self._accept, made_from, session, asked),
             review_of, session, config, self.seen, failed_poses,
             asked or self.calibration is not None)
-        if asked:
-            self._asked = made_from, message
+        self._last = made_from, asked, message
         return message
 
     def _accept(self, made_from: tuple[object, ...], session: Session, asked: bool,
-                job: Future[Review]) -> str:
+                review: Review) -> str:
         """
         Put the review and, if it was asked for, the answer; return the message about that.
 
-        Raises DataError for a refusal, and what the job raises.
+        Raises DataError for a refusal.
         """
-        live = self._live
-        if made_from[0] is not live.session:
+        live, answer = self._live, review.answer
+        if made_from[0] is live.session:
+            self.review = review
+        elif asked:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        try:
-            self.review = replace(result_or_ended(job), made_from=made_from)
-        except HandeyeError as error:  # no refusal: the previous answer stays
-            self.review = replace(self.review, no_agreements=str(error), made_from=made_from)
-            raise
-        answer = self.review.answer
         if answer is None or not asked:
             return ''
         if answer.refusal:

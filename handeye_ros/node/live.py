@@ -49,7 +49,7 @@ from handeye_ros.errors import (
 )
 from handeye_ros.frames import mount_poses
 from handeye_ros.node.answer import LiveAnswer, SAMPLE_KEYS, values_of
-from handeye_ros.node.pool import Pool, PoolEndedError, trim_memory, Worker
+from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory, Worker
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
@@ -71,7 +71,7 @@ Result = TypeVar('Result')
 
 class LiveSession:
     """
-    All functions of the running node; those that are no add_* are for the worker: see ask.
+    Samples of a running node. The drain thread calls the methods add_...; others go through ask.
 
     What messages change (session, verification, to_evaluate, joints, the latest messages and their
     counts) is used under lock. The stops of the session, and all else, are
@@ -117,7 +117,6 @@ class LiveSession:
             self._profiles.append(profile)
             self.session.add_profile(profile)
             self._queue(self.session.completed())
-            self.verification.add_profile(profile)
 
     def add_poses(self, poses: Sequence[TimedPose]) -> None:
         """Add poses."""
@@ -128,7 +127,6 @@ class LiveSession:
                 self.session.add_pose(pose)
             ready = self.session.current_if_ready()
             self._queue([*self.session.completed(), *([ready] if ready else [])])
-            self.verification.add_poses(poses)
 
     def add_joints(self, stamp: int, data: bytes) -> None:
         """Keep a serialised JointState, to be stored with the stop of its time."""
@@ -148,8 +146,8 @@ class LiveSession:
         if self.to_evaluate or self._frame_change:
             self.wake()
 
-    def _queue_again(self, stops: Iterable[Stop]) -> None:
-        """Queue evaluated stops, but those of which a later part waits."""
+    def _evaluate_again(self, stops: Iterable[Stop]) -> None:
+        """Queue stops of the session, but those of which a later part waits."""
         with self.lock:
             self._queue(stop for stop in stops if stop.stamp not in self.to_evaluate)
 
@@ -223,22 +221,23 @@ class LiveSession:
             self.answer.begin_review()
         trim_memory()
 
-    def run_job(self, name: str, accept: Callable[[Future[Any]], Result],
+    def run_job(self, name: str, accept: Callable[[Any], Result],
                 function: Callable[..., Any], *args: Any) -> Future[Result]:
         """
         Begin a long computation in another process; return the future of what accept returns.
 
-        name: in words, '' for what nobody waits for; accept: called by the worker with the result.
+        name: in words, '' for what nobody waits for: its error is a trouble of the session.
+        accept: called by the worker with the result.
         """
         answered = Future[Result]()
 
         def finish(job: Future[Any]) -> None:
             self.running.remove(name)
             try:
-                answered.set_result(accept(job))
+                answered.set_result(accept(result_or_ended(job)))
             except Exception as error:
                 answered.set_exception(error)
-                if not isinstance(error, HandeyeError):
+                if not (name and isinstance(error, HandeyeError)):
                     raise
             self.wake()  # samples or settings may have changed meanwhile
 
@@ -307,20 +306,26 @@ class LiveSession:
             rest = self.session.copied().remaining()  # raises for mixed frames
         for stop in rest:
             self._process(stop)
-            self._end(stop)
+            self._finish(stop)
+
+    def skip_stops(self) -> None:
+        """Take nothing of the stops that have begun."""
+        with self.lock:
+            for stop in self.session.copied().remaining():
+                self.session.mark_done(stop)
+            self.to_evaluate.clear()
 
     def _process(self, stop: Stop) -> None:
         """Put a stop with its result into the session, replacing an earlier part of it."""
-        if stop.reader:
+        if stop.reader:  # it is stored: evaluated again
             if not stop.final_reason:
-                result = self.result_elsewhere(stop, self.config)
-                self._add_stop(self.session.evaluated(stop, result))
+                self._add_stop(self._evaluated(stop))
             return
         if self.verification.routine and not stop.number:
             with suppress(DataError):
                 self.verification.add_stop(stop)
             return
-        stop, remark = self._with_result(stop)  # the remark refuses nothing, as in a recording
+        stop = self._evaluated(stop)
         earlier = self._find(stop.number)
         try:
             stop = self._store(stop)
@@ -333,8 +338,7 @@ class LiveSession:
             # the same result with more profiles is not reported again
             verdict = (f'sample {stop.number} taken' if stop.sample else
                        f'stop {stop.number} gave no sample')
-            text = '; '.join(filter(None, (f'{verdict}: {sample_summary(stop.result)}', remark)))
-            self.attempt = Attempt(text, stop)
+            self.attempt = Attempt(f'{verdict}: {sample_summary(stop.result)}', stop)
 
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
@@ -343,17 +347,16 @@ class LiveSession:
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
             return Reject(stop.stamp, str(error))  # the stop itself will be stored
 
-    def _with_result(self, stop: Stop) -> tuple[Stop, str]:
+    def _evaluated(self, stop: Stop) -> Stop:
         """
-        Return a stop with its number and result, not yet in the session, and an objection or ''.
+        Return a stop with its number and result, not yet in the session.
 
-        The pose of a stop without a good sample is noted, so that it is not proposed again.
+        The pose of a stop without a sample is noted, so that it is not proposed again.
         """
         stop = self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
-        objection = self.answer.objection(stop)
-        if objection or stop.sample is None:
+        if not (stop.sample or stop.reader):
             self.failed_poses[stop.stamp] = stop.pose(self.config)
-        return stop, objection
+        return stop
 
     def _find(self, number: int) -> Stop | None:
         """Return the stop of a number in the session."""
@@ -379,7 +382,7 @@ class LiveSession:
             raise
         if self._store_trouble:
             self._store_trouble = ''
-            self._queue_again(stop for stop in self.session.stops if not stop.sample)
+            self._evaluate_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
     def store_rest(self) -> None:
@@ -401,8 +404,8 @@ class LiveSession:
         with self.lock:
             self.session.add_stop(stop)
 
-    def _end(self, stop: Stop) -> None:
-        """Take nothing more of a stop."""
+    def _finish(self, stop: Stop) -> None:
+        """Take nothing more of a stop, which may go on."""
         with self.lock:
             self.session.mark_done(stop)
             self.to_evaluate.pop(stop.stamp, None)
@@ -422,16 +425,15 @@ class LiveSession:
                 try:
                     return self.verification.add_stop(stop)
                 finally:
-                    self._end(stop)
-            stop, objection = self._with_result(stop)
+                    self._finish(stop)
+            stop = self._evaluated(stop)
             if stop.final_reason:
                 raise DataError(f'{stop.final_reason}: move on, and turn the tool')
-            if objection or stop.sample is None:
-                raise DataError(f'{objection}, and take the sample again' if objection else
-                                sample_summary(stop.result))
+            if stop.sample is None:
+                raise DataError(sample_summary(stop.result))
             note = ' again, as the robot has not moved since' if self._find(stop.number) else ''
             self._add_stop(self._store(stop))
-            self._end(stop)
+            self._finish(stop)
         except HandeyeError as error:
             if error.reason == 'moving' and silence > POSES_SILENT:  # it did, long ago
                 error = silent_poses(silence)
@@ -450,7 +452,7 @@ class LiveSession:
         self._write(self.files.add_event, REMOVED, self.config, Stop(0, number=last.number))
         with self.lock:
             self.session.remove(last)
-        self._end(last)
+        self._finish(last)
         return (f'removed sample {last.number}, the last one ({sample_summary(last.result)}); '
                 f'{len(samples) - 1} left')
 
@@ -484,7 +486,7 @@ class LiveSession:
             for messages in (self._profiles, self._poses, self.joints, self.to_evaluate):
                 messages.clear()
             self.session = session
-            self.verification.end()
+        self.verification.end()
         if files is not self.files:
             self.files.close()
         self.files, self._store_trouble = files, ''
@@ -499,11 +501,11 @@ class LiveSession:
         old = self.config
         with self.lock:
             self.session.configure(config)
-            if config.verify.routine != old.verify.routine:
-                self.verification.end()
+        if config.verify.routine != old.verify.routine:
+            self.verification.end()
         if config.profile != old.profile:  # what could not be read may be readable now
             self.messages['profile'].excuse()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
-            self._queue_again(self.session.stops)
+            self._evaluate_again(self.session.stops)
         if self.files.path:
             self._store_settings()

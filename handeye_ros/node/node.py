@@ -135,12 +135,8 @@ class HandeyeNode(Node):
 
     # services, which the page calls too
 
-    def call_service(self, name: str, trouble: bool = True) -> tuple[bool, str]:
-        """
-        Return whether a service succeeds, and its message.
-
-        trouble: whether that of now is told with a success too, not only with a refusal.
-        """
+    def call_service(self, name: str) -> tuple[bool, str]:
+        """Return whether a service succeeds, and its message, without the troubles of now."""
         try:
             answer = self.live.ask(self._requests[name])
             text, success = answer.result() if isinstance(answer, Future) else answer, True
@@ -148,8 +144,6 @@ class HandeyeNode(Node):
             text, success = sentence_and_log(name, error), False
         if name == 'clear_samples' and success:
             self._streams.restart()
-        if trouble or not success:
-            text = with_trouble(self.state, text, success, name)
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
             log.info(text) if success else log.warning(f'{name}: {text}')
@@ -175,7 +169,8 @@ class HandeyeNode(Node):
 
     def _on_trigger(self, name: str, _: Trigger.Request, response: Trigger.Response
                     ) -> Trigger.Response:
-        response.success, response.message = self.call_service(name)
+        response.success, text = self.call_service(name)
+        response.message = with_trouble(self.state, text, response.success, name)
         return response
 
     def _auto_sample(self, request: SetBool.Request, response: SetBool.Response

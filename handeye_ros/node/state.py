@@ -167,20 +167,16 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
     """
     Return the message of a service with the current troubles.
 
-    A silent stream is reported if it explains a refusal, and by take_sample. What is refused may
-    follow from a trouble, which is told first; where no message can be used, it does.
+    take_sample always tells them. What is refused may follow from a trouble, which is told first;
+    where no message can be used, it does.
     """
-    streams = [state['profiles'], state['poses']]
-    told = [stream['trouble'] for stream in streams if service == 'take_sample' or (
-        not success and (stream['count'] == 0 or stream['malformed']))]
-    trouble = '; '.join(filter(None, (*told, state['session']['trouble'])))
-    if trouble in text:
-        return text
+    troubles = [sentence for sentence in troubles_of(state) if sentence not in text]
+    if success:
+        return '; '.join([text, *troubles]) if service == 'take_sample' else text
     unusable = service in ('take_sample', 'compute_calibration') and any(
-        stream['malformed'] and not stream['count'] for stream in streams)
-    if not success and (text in trouble or unusable):
-        return trouble
-    return f'{text}; {trouble}' if success else f'{trouble}; {text}'
+        state[part]['malformed'] and not state[part]['count'] for part in ('profiles', 'poses'))
+    follows = unusable or any(text in sentence for sentence in troubles)
+    return '; '.join(troubles if follows else [*troubles, text])
 
 
 def samples_message(state: State) -> State:

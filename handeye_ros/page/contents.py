@@ -64,12 +64,8 @@ class PageSource:
 
 def source(node: HandeyeNode) -> PageSource:
     """Return content and actions of the page for a node."""
-    def service(name: str) -> Act:
-        # the page shows the trouble of now: a message would keep it when it is over
-        return lambda values: node.call_service(name, trouble=False)
-
     actions: dict[str, Act] = {
-        **{name: service(name) for name in PAGE_SERVICES},
+        **{name: partial(_call, node, name) for name in PAGE_SERVICES},
         'remove_last_sample': partial(_remove_last, node),
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values['session'])))}
@@ -80,12 +76,17 @@ def source(node: HandeyeNode) -> PageSource:
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
 
 
+def _call(node: HandeyeNode, name: str, values: Mapping[str, Any]) -> tuple[bool, str]:
+    """Call a service; it takes no values."""
+    return node.call_service(name)
+
+
 def _remove_last(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
     """Remove the last sample; number: of that which the person has seen as the last."""
     last = max((s['number'] for s in node.state['samples'] if s['taken']), default=None)
     if values.get('number', last) != last:
         return False, f'sample {last} has been taken since: look at it before you remove it'
-    return node.call_service('remove_last_sample', trouble=False)
+    return node.call_service('remove_last_sample')
 
 
 def _exclude(node: HandeyeNode, values: Mapping[str, Any]) -> tuple[bool, str]:
@@ -121,7 +122,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     parameters = {p.key: p for p in configuration.parameters()}
     values = configuration.flatten(live.config)
     choices = {'profile_topic': node.topics_of(CLOUD_TYPE),
-               'pose_topic': node.topics_of(POSE_TYPE), 'verify.routine': list(ROUTINES)}
+               'pose_topic': node.topics_of(POSE_TYPE), 'verify.routine': [
+                   name for name, routine in ROUTINES.items() if not routine.in_passes]}
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]

@@ -16,9 +16,9 @@ import subprocess
 import sys
 import threading
 
-from cells import recorded, set_to, settings_of
+from cells import set_to, settings_of
 from command import PATIENCE, ROOT
-from handeye_ros import pipeline, se3
+from handeye_ros import pipeline
 from handeye_ros.bags.bag import read
 from handeye_ros.config import Config
 from handeye_ros.errors import DataError, InputError
@@ -28,9 +28,6 @@ from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
 from handeye_ros.node.state import samples_message, state_of, status_message, taken
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, simulate
-from handeye_ros.simulate.measuring import rendered
-from handeye_ros.simulate.scenes import Placements, SCENES
-from handeye_ros.simulate.sensor import lift
 from live_sessions import (
     changed,
     computed,
@@ -242,30 +239,6 @@ def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> 
     changed(live, sampling__min_points=20)
     assert taken(state_of(live)) == taken(state_of(once))
     assert taken(state_of(live)) == len(live.copied().stops) / 2
-
-
-def test_a_laser_almost_along_an_edge_is_reported_and_by_hand_refused() -> None:
-    plate = recorded('plate')
-    live = fed(plate.config, plate)
-    count = len(live.copied().stops)
-    # another stop of the same cell, turned about the range axis in the edge's point
-    scenario = replace(plate.scenario, stations=(1, 0))
-    stop = SCENES['plate'].stops(scenario, np.random.default_rng(1))
-    turn, point = se3.exp_rotation(np.array([0.0, 0.0, np.deg2rad(74)])), lift(stop.points)[0]
-    T = stop.T_target_sensor[0]
-    T = T @ se3.transform(turn, point - turn @ point)
-    flat = rendered(scenario, plate.truth.T_flange_sensor, plate.truth.T_base_target,
-                    Placements(T[None], stop.labels, stop.points),
-                    np.random.default_rng(2), 1000.0)
-    changed(live, sampling__mode='manual')
-    feed(live, [*flat.poses, *flat.profiles])
-    with pytest.raises(DataError, match='crosses p at less than sampling.min_crossing_angle'):
-        live.take_sample()
-    assert not state_of(live)['attempt']['accepted']
-    changed(live, sampling__mode='still')
-    computed(live)  # for which the stop that the robot stands in is over
-    assert len(live.copied().stops) == count + 1 and live.copied().stops[-1].sample
-    assert 'cannot count: turn the tool about the range axis' in state_of(live)['attempt']['text']
 
 
 def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:

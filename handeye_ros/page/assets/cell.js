@@ -11,7 +11,7 @@ const NAMES = {
   'verify.lengths': 'Nominal lengths / m', 'verify.reference': 'Touched point x, y, z / m',
   'verify.tolerance': 'Largest error that passes / m' };
 const NOMINAL = { sphere: ['verify.radius'], ball_bar: ['verify.radius', 'verify.lengths'],
-  step: ['verify.lengths'], tooth: ['verify.lengths'], point: ['verify.reference'] };
+  step: ['verify.lengths'], point: ['verify.reference'] };
 const written = value => (Array.isArray(value) ? `[${value.join(', ')}]` : String(value));
 
 function setting({ key, value, description, choices }) {
