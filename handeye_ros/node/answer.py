@@ -41,6 +41,8 @@ ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.'
                'rotation_lag_std', 'clock_drift_std', 'sampling.min_crossing_angle')
 COMPUTED = 'the calibration is computed'
 
+MadeFrom = tuple[object, ...]  # settings first, see LiveAnswer._made_from
+
 
 @dataclass(frozen=True, eq=False)
 class Review:
@@ -89,31 +91,33 @@ class LiveAnswer:
     calibration: the last answer that was not refused
     why_missing: why there is none
     saved: the file of the answer, '' before it is saved
-    asked_settings: the settings of the last attempt to compute it, None before the first
+    is_wanted: whether somebody has asked for it: then other settings compute it again
     seen: visible points (k, 2) at the ends of the field of view
     """
 
     def __init__(self, live: LiveSession) -> None:
         """Start without an answer."""
         self._live = live
-        self.review = Review(advise((), live.config))
+        self._numbers: set[int] = set()  # of the samples of the last answer
+        self.forget('')
+
+    def forget(self, why: str) -> None:
+        """Begin anew with other samples; why: there is no answer any more."""
+        self.review = Review(advise((), self._live.config))
         self.seen = np.zeros((0, 2))
         self.calibration: Calibration | None = None
-        self.why_missing = ''
-        self.asked_settings: dict[str, Any] | None = None
-        # the last computation: from which samples and settings, whether asked for, message
-        self._last: tuple[object, bool, Future[str]] = None, False, Future()
-        self._answer_numbers: set[int] = set()  # of the samples of the last answer
-        self.saved = ''
+        self.why_missing, self.saved, self.is_wanted = why, '', False
+        # the last computation: of which samples and settings, whether asked for, its message
+        self._last: tuple[MadeFrom, bool, Future[str]] | None = None
 
     @property
     def withdrawn(self) -> bool:
         """Return whether there was an answer that is not valid any more."""
-        return self.calibration is None and bool(self._answer_numbers)
+        return self.calibration is None and bool(self._numbers)
 
     def difference(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
-        now, before = _numbers(session), self._answer_numbers
+        now, before = used_numbers(session), self._numbers
         differences = ' and '.join(
             f'{len(numbers)} {what}'
             for numbers, what in ((before - now, 'removed'), (now - before, 'added')) if numbers)
@@ -133,11 +137,6 @@ class LiveAnswer:
         return replace(self.calibration, name=folder_name(config),
                        provenance={**provenance, 'config': values})
 
-    def forget(self, why: str) -> None:
-        """Begin anew with other samples."""
-        self.review, self.asked_settings = Review(advise((), self._live.config)), None
-        self.seen, self.calibration, self.why_missing = np.zeros((0, 2)), None, why
-
     def compute_calibration(self) -> Future[str]:
         """
         Compute the answer from all samples; return the future of the message about it.
@@ -148,54 +147,49 @@ class LiveAnswer:
         """
         live = self._live
         live.store_rest()
-        self.asked_settings = values_of(live.config, ANSWER_KEYS)
+        self.is_wanted = True
         try:
             live.process_all()
             live.copied().require_stops()
         except HandeyeError as error:
             self._refuse(error)
             raise
-        made_from, asked, message = self._last
-        if asked and made_from == self._made_from() and (
-                not message.done() or (self.calibration and not message.exception())):
-            return message
+        if self._last and self._last[:2] == (self._made_from(), True):
+            message = self._last[2]
+            if not message.done() or (self.calibration and not message.exception()):
+                return message
         return self._begin(asked=True)
 
     def begin_review(self) -> None:
         """Begin the review, if samples or settings have changed."""
-        live = self._live
-        outdated = self.asked_settings not in (None, values_of(live.config, ANSWER_KEYS))
-        if not live.running and (outdated or self._made_from() != self._last[0]):
-            self._begin(asked=outdated)
+        now, last = self._made_from(), self._last and self._last[0]
+        if not self._live.running and now != last:
+            self._begin(asked=self.is_wanted and (last is None or now[0] != last[0]))
 
-    def _made_from(self) -> tuple[object, ...]:
-        """Return what identifies samples and settings."""
+    def _made_from(self) -> MadeFrom:
+        """Return settings and samples, of which review and answer are made."""
         live = self._live
         # a stop that goes on gives another sample of the same number
         samples = [(stop.number, stop.sample) for stop in live.session.stops if stop.sample]
-        return (live.session, values_of(live.config, (*ANSWER_KEYS, 'guidance.')),
+        return (values_of(live.config, (*ANSWER_KEYS, 'guidance.')), live.session,
                 len(live.failed_poses), samples)
 
     def _begin(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
-        live, now = self._live, self._live.session
-        config = now.with_base(live.config)
+        live = self._live
+        config = live.session.with_base(live.config)
         if current := live.current():
             self.seen = extremes(np.concatenate([self.seen, current.points]))
-        if asked:
-            self.asked_settings = values_of(config, ANSWER_KEYS)
         session = live.copied().without_messages(config)
-        sampled = {stop.stamp for stop in now.stops if stop.sample}
-        failed_poses = [T for stamp, T in live.failed_poses.items() if stamp not in sampled]
         made_from = self._made_from()
         message = live.run_job(
             COMPUTED if asked else '', partial(self._accept, made_from, session, asked),
-            review_of, session, config, self.seen, failed_poses,
+            review_of, session, config, self.seen, [*live.failed_poses.values()],
             asked or self.calibration is not None)
         self._last = made_from, asked, message
         return message
 
-    def _accept(self, made_from: tuple[object, ...], session: Session, asked: bool,
+    def _accept(self, made_from: MadeFrom, session: Session, asked: bool,
                 review: Review) -> str:
         """
         Put the review and, if it was asked for, the answer; return the message about that.
@@ -203,7 +197,7 @@ class LiveAnswer:
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if made_from[0] is live.session:
+        if made_from[1] is live.session:
             self.review = review
         elif asked:
             raise DataError('the samples were cleared while the calibration was computed, so '
@@ -217,7 +211,7 @@ class LiveAnswer:
                   {'session': live.path}]
         self.calibration = dated(replace(
             calibration, provenance={**calibration.provenance, 'inputs': inputs}))
-        self._answer_numbers, self.why_missing, self.saved = _numbers(session), '', ''
+        self._numbers, self.why_missing, self.saved = used_numbers(session), '', ''
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
@@ -253,7 +247,7 @@ def summary(calibration: Calibration) -> str:
             f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
 
 
-def _numbers(session: Session) -> set[int]:
+def used_numbers(session: Session) -> set[int]:
     """Return the numbers of the samples that an answer uses; none is ever used again."""
     return {stop.number for stop in session.stops
             if stop.sample and not session.excludes(stop)}

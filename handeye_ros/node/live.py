@@ -62,9 +62,8 @@ from handeye_ros.sampling.stream import interpolate
 MOST_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a profile
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
 KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
-# s without a pose after which the pose is unknown: while profiles arrive, and if both stop
-POSES_SILENT, BOTH_SILENT = 2.0, 30.0
-PROFILES_COME = 1.0  # s since the last profile
+# s without a pose after which the robot may be anywhere, if profiles come: in the last s
+POSES_SILENT, PROFILES_COME = 2.0, 1.0
 
 Result = TypeVar('Result')
 
@@ -316,29 +315,44 @@ class LiveSession:
             self.to_evaluate.clear()
 
     def _process(self, stop: Stop) -> None:
-        """Put a stop with its result into the session, replacing an earlier part of it."""
-        if stop.reader:  # it is stored: evaluated again
-            if not stop.final_reason:
-                self._add_stop(self._evaluated(stop))
-            return
+        """Evaluate a stop that is over, or long enough, or a stored one again."""
+        if stop.reader is None:
+            with suppress(DataError):  # of a verification
+                self._take(stop)
+        elif not stop.final_reason:
+            self._add_stop(self._evaluated(stop))
+
+    def _take(self, stop: Stop, asked: bool = False) -> str:
+        """
+        Put a stop with its result into the session, replacing an earlier part of it; return both.
+
+        asked: for a sample, by ~/take_sample. Then DataError is raised where there is none, and
+        InputError where it cannot be stored, and the session stays as it is.
+        """
         if self.verification.routine and not stop.number:
-            with suppress(DataError):
-                self.verification.add_stop(stop)
-            return
+            return self.verification.add_stop(stop)
         stop = self._evaluated(stop)
         earlier = self._find(stop.number)
+        had_sample = bool(earlier and earlier.sample)
+        if asked and stop.sample is None:
+            raise DataError(sample_summary(stop.result))
         try:
             stop = self._store(stop)
         except InputError as error:
+            if asked:
+                raise
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
         self._add_stop(stop)
-        if earlier is None or bool(earlier.sample) != bool(stop.sample):
+        again = ' again, as the robot has not moved since' if had_sample else ''
+        what = (f'sample {stop.number} taken{again}' if stop.sample else
+                f'stop {stop.number} gave no sample')
+        text = f'{what}: {sample_summary(stop.result)}'
+        if asked or earlier is None or had_sample != bool(stop.sample):
             # the same result with more profiles is not reported again
-            verdict = (f'sample {stop.number} taken' if stop.sample else
-                       f'stop {stop.number} gave no sample')
-            self.attempt = Attempt(f'{verdict}: {sample_summary(stop.result)}', stop)
+            self.attempt = Attempt(text, stop)
+        return text
 
     def result_elsewhere(self, stop: Stop, config: Config) -> Sample | Reject:
         """Return what a stop gives, evaluated in another process."""
@@ -354,7 +368,9 @@ class LiveSession:
         The pose of a stop without a sample is noted, so that it is not proposed again.
         """
         stop = self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
-        if not (stop.sample or stop.reader):
+        if stop.sample:
+            self.failed_poses.pop(stop.stamp, None)
+        elif stop.reader is None:
             self.failed_poses[stop.stamp] = stop.pose(self.config)
         return stop
 
@@ -413,34 +429,22 @@ class LiveSession:
     # services
 
     def take_sample(self) -> str:
-        """Take a sample at the current stop; raises DataError, or InputError unstored."""
-        silence = self.messages['pose'].silence
-        limit = POSES_SILENT if self.messages['profile'].silence < PROFILES_COME else BOTH_SILENT
+        """
+        Take a sample at the current stop; return what it shows.
+
+        Raises DataError where there is none, InputError where it cannot be stored.
+        """
+        poses, profiles = self.messages['pose'], self.messages['profile']
         try:
-            if self.messages['pose'].count and silence > limit:
-                raise silent_poses(silence)
+            if poses.count and poses.silence > POSES_SILENT and profiles.silence < PROFILES_COME:
+                raise silent_poses(poses.silence)
             with self.lock:
                 stop = self.session.current_stop()
-            if self.verification.routine:
-                try:
-                    return self.verification.add_stop(stop)
-                finally:
-                    self._finish(stop)
-            stop = self._evaluated(stop)
-            if stop.final_reason:
-                raise DataError(f'{stop.final_reason}: move on, and turn the tool')
-            if stop.sample is None:
-                raise DataError(sample_summary(stop.result))
-            note = ' again, as the robot has not moved since' if self._find(stop.number) else ''
-            self._add_stop(self._store(stop))
-            self._finish(stop)
+            text = self._take(stop, asked=True)
         except HandeyeError as error:
-            if error.reason == 'moving' and silence > POSES_SILENT:  # it did, long ago
-                error = silent_poses(silence)
             self.attempt = Attempt(str(error))
-            raise error from None
-        text = f'sample {stop.number} taken{note}: {sample_summary(stop.result)}'
-        self.attempt = Attempt(text, stop)
+            raise
+        self._finish(stop)
         return text
 
     def remove_last_sample(self) -> str:
@@ -476,8 +480,7 @@ class LiveSession:
         files = SessionFiles(self.folders.folder, stored, config)
         session.configure(config)
         self._begin(files, session, 'a session was opened')
-        if session.samples:
-            self.answer.asked_settings = {}  # as with other settings: solve again
+        self.answer.is_wanted = bool(session.samples)  # as it probably was before
         return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
 
     def _begin(self, files: SessionFiles, session: Session, why: str) -> None:

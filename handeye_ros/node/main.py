@@ -1,10 +1,17 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Starting and ending the executables: arguments, signals, exit codes; and the executable calibrate.
+Runs the node handeye: `ros2 run handeye_ros calibrate`.
 
-Slow imports are inside the functions, so that Ctrl-C ends an executable cleanly from the start.
+It takes samples of the target as the robot moves, and computes and saves the calibration on
+request. All settings are ROS parameters and follow --ros-args:
+
+  calibrate --ros-args --params-file config/plate.yaml -p session:=last
+
+`ros2 param list /handeye` and `ros2 param describe /handeye KEY` explain them while it runs.
 """
+# How all executables start and end is here too: arguments, signals, exit codes. Slow imports are
+# inside the functions, so that Ctrl-C ends an executable cleanly from the start.
 from __future__ import annotations
 
 import argparse
@@ -24,16 +31,6 @@ LONGEST_END = 1.0  # s until what runs is left alone
 LONGEST_WAIT = 0.2  # s until a signal is seen
 SWITCH_INTERVAL = 1e-3  # s until Python switches threads: one service call takes a dozen switches
 
-USAGE = 'calibrate [-h] [--ros-args [-p KEY:=VALUE]... [--params-file FILE] [-r OLD:=NEW]...]'
-DESCRIPTION = """\
-Runs the node handeye: takes samples of the target as the robot moves, and computes and saves the
-calibration on request. All settings are ROS parameters and follow --ros-args:
-
-  calibrate --ros-args --params-file config/plate.yaml -p session:=last
-
-`ros2 param list /handeye` and `ros2 param describe /handeye KEY` explain them while it runs.
-"""
-
 
 def own_arguments() -> list[str]:
     """Return the arguments of the executable, which come before those for ROS."""
@@ -47,7 +44,7 @@ def main() -> int:
     # small matrices: more threads would slow down the streams
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     argparse.ArgumentParser(
-        'calibrate', USAGE, DESCRIPTION,
+        'calibrate', 'calibrate [-h] [--ros-args -p KEY:=VALUE --params-file FILE ...]', __doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 import sys
 
 from handeye_ros.data import Calibration
-from handeye_ros.errors import HandeyeError, InputError, NoRosError
+from handeye_ros.errors import InputError, NoRosError
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import LATCHED_QOS, transform_of
 from handeye_ros.node.streams import TFMessage
@@ -22,28 +21,19 @@ def publish(paths: Sequence[Path]) -> None:
     """
     Publish the calibrations of files or folders until Ctrl-C.
 
-    An unusable file is told on stderr at once, and the others are published; raises InputError at
-    the end.
+    Raises InputError for a file that cannot be used, or two of one sensor: nothing is published.
     """
     if not TFMessage:
         raise NoRosError('publish', 'tf2_msgs')
     calibrations: dict[str, Calibration] = {}  # by the frame of the sensor
     for path in paths:
-        try:
-            calibration = read_calibration(file_of(path).absolute())
-            if calibration.child_frame in calibrations:
-                raise InputError(f'{path} is not published: another of the files gives the pose '
-                                 f'of {calibration.child_frame}, and a frame has one parent; '
-                                 'name each sensor once')
-            calibrations[calibration.child_frame] = calibration
-        except HandeyeError as error:
-            print(error, file=sys.stderr, flush=True)
-    if calibrations:
-        with suppress(KeyboardInterrupt):  # while the node is made
-            spin(lambda: _publisher([*calibrations.values()]))
-    if failed := len(paths) - len(calibrations):
-        raise InputError(f'{failed} of {len(paths)} calibrations not published: see above, and '
-                         'name files that handeye solve or ~/save_calibration wrote')
+        calibration = read_calibration(file_of(path).absolute())
+        if calibration.child_frame in calibrations:
+            raise InputError(f'{path} is the second of the files that gives the pose of '
+                             f'{calibration.child_frame}, and a frame has one parent: name each '
+                             'sensor once')
+        calibrations[calibration.child_frame] = calibration
+    spin(lambda: _publisher([*calibrations.values()]))
 
 
 def _publisher(calibrations: Sequence[Calibration]) -> Node:

@@ -3,7 +3,7 @@
 """What comes in: the subscriptions of a node, the thread that reads them, what disturbs them."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -49,7 +49,6 @@ WARNING_PERIOD = 5.0  # s between two warnings of a kind
 MOST_LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
-ReadPoses = Callable[[bytes], list[TimedPose]]
 
 
 class Receiver(Protocol):
@@ -81,44 +80,25 @@ class NoExecutor(MutuallyExclusiveCallbackGroup):
 
 
 @dataclass(eq=False)
-class _Subscribed:
+class _Topic:
     """
     A topic that is read.
 
     key: of the configuration, which names it: it should have one publisher; '' for those that may
-    have several. publishers: what is known of them; number: of the last message, as its publisher
-    counts them.
+        have several
+    publishers: what is known of them
+    number: of the last message, as its publisher counts them
     """
 
     messages: MessageCount
-    message: Any
+    type: Any
     name: str
     receive: Callable[[bytes], None]
-    qos: QoSProfile
+    qos: QoSProfile = RELIABLE_QOS
     key: str = ''
     subscription: Any = None
     publishers: Sequence[Any] = ()
     number: int = 0
-
-
-def pose_topics(config: Config, tracker: FlangeTracker) -> list[tuple[Any, str, str, ReadPoses]]:
-    """
-    Return message type, name and key of the topics with the poses, and what reads a message.
-
-    tracker: follows the transforms, where they come from /tf. Raises InputError.
-    """
-    if config.kinematics:
-        arm = read_arm(Path(config.kinematics))
-        return [(JointState, config.joint_topic, 'joint_topic',
-                 lambda data: [pose_from_joints(arm, data)])]
-    if config.pose_source == 'topic':
-        return [(PoseStamped, config.pose_topic, 'pose_topic', lambda data: [pose_from_cdr(data)])]
-    if not TFMessage:
-        raise InputError('pose_source is tf, but tf2_msgs is not installed: '
-                         f'{INSTALL_TF2}; or publish the poses on pose_topic')
-    return [(TFMessage, '/tf_static', '',
-             lambda data: tracker.add(transforms_from_cdr(data), True)),
-            (TFMessage, '/tf', '', lambda data: tracker.add(transforms_from_cdr(data), False))]
 
 
 class Streams:
@@ -136,26 +116,47 @@ class Streams:
 
         add_joints: takes stamp (ns) and serialised JointState, of which no pose is made.
         """
-        self._node, self._receiver, config = node, receiver, receiver.config
-        self._group = NoExecutor()
+        self._node, self._receiver, self._add_joints = node, receiver, add_joints
+        config, self._group = receiver.config, NoExecutor()
         self._reader = ProfileReader(config.profile)
         self._tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
         self._last_stamp: int | None = None  # ns, of the last message of profiles
-        receiver.messages = counts = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
-        self._topics = [_Subscribed(counts['profile'], PointCloud2, config.profile_topic,
-                                    self._on_profile, RELIABLE_QOS, 'profile_topic')]
-        if add_joints and not config.kinematics:
-            self._topics.append(_Subscribed(
-                MessageCount('joint state'), JointState, config.joint_topic,
-                partial(_on_joints, add_joints), BEST_EFFORT_QOS))
-        for message, name, key, read in pose_topics(config, self._tracker):
-            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(name, RELIABLE_QOS)
-            self._topics.append(_Subscribed(counts['pose'], message, name,
-                                            partial(self._on_poses, read), qos, key))
+        self._topics = self._topics_of(config)
+        receiver.messages = {topic.messages.kind: topic.messages for topic in self._topics}
         for topic in self._topics:
             self._subscribe(topic)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._drain_all, name='drain', daemon=True)
+
+    def _topics_of(self, config: Config) -> list[_Topic]:
+        """Return the topics that settings name; raises InputError."""
+        poses = MessageCount('pose')
+        topics = [_Topic(MessageCount('profile'), PointCloud2, config.profile_topic,
+                         self._on_profile, key='profile_topic')]
+        if self._add_joints and not config.kinematics:
+            topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
+                                 partial(_on_joints, self._add_joints), BEST_EFFORT_QOS))
+        if config.kinematics:
+            arm = read_arm(Path(config.kinematics))
+            topics.append(_Topic(
+                poses, JointState, config.joint_topic,
+                lambda data: self._add_poses([pose_from_joints(arm, data)]), key='joint_topic'))
+        elif config.pose_source == 'topic':
+            topics.append(_Topic(poses, PoseStamped, config.pose_topic,
+                                 lambda data: self._add_poses([pose_from_cdr(data)]),
+                                 key='pose_topic'))
+        elif TFMessage:
+            topics += [_Topic(poses, TFMessage, '/tf_static',
+                              partial(self._add_transforms, True), LATCHED_TREE),
+                       _Topic(poses, TFMessage, '/tf',
+                              partial(self._add_transforms, False), BEST_EFFORT_QOS)]
+        else:
+            raise InputError('pose_source is tf, but tf2_msgs is not installed: '
+                             f'{INSTALL_TF2}; or publish the poses on pose_topic')
+        if len({self._full_name(topic.name) for topic in topics}) < len(topics):
+            raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
+                             'needs its own')
+        return topics
 
     def start(self) -> None:
         """Start reading messages."""
@@ -168,23 +169,17 @@ class Streams:
         for topic in self._topics:
             self._node.destroy_subscription(topic.subscription)
 
-    def _subscribe(self, topic: _Subscribed) -> None:
-        self._full_name(topic.name)  # raises InputError
+    def _subscribe(self, topic: _Topic) -> None:
         topic.subscription = self._node.create_subscription(
-            topic.message, topic.name, topic.receive, topic.qos, callback_group=self._group,
+            topic.type, topic.name, topic.receive, topic.qos, callback_group=self._group,
             raw=True, event_callbacks=NO_CALLBACKS)
 
     def names_other_topics(self, config: Config) -> bool:
         """Return whether settings name other topics than these; raises InputError."""
-        if _topics_named(config) == _topics_named(self._receiver.config):
-            return False
-        poses = (name for _, name, *_ in pose_topics(config, self._tracker))
-        names = [config.profile_topic, *poses,
-                 *([] if config.kinematics else [config.joint_topic])]
-        if len({self._full_name(name) for name in names}) < len(names):
-            raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
-                             'needs its own')
-        return True
+        keys = ('profile_topic', 'pose_source', 'pose_topic', 'joint_topic', 'kinematics')
+        now = self._receiver.config
+        return any(getattr(config, key) != getattr(now, key) for key in keys) and bool(
+            self._topics_of(config))
 
     def _full_name(self, topic: str) -> str:
         """Return the full name of a topic; raises InputError."""
@@ -231,12 +226,12 @@ class Streams:
                 self._subscribe(topic)
                 self._node.destroy_subscription(old)
 
-    def _drain(self, topic: _Subscribed) -> int:
+    def _drain(self, topic: _Topic) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
         handle, log = topic.subscription.handle, self._node.get_logger()
         with handle:
             for count in range(MOST_AT_ONCE):
-                received = handle.take_message(topic.message, True)
+                received = handle.take_message(topic.type, True)
                 if not received:
                     return count
                 data, info = received
@@ -262,8 +257,11 @@ class Streams:
             self._receiver.add_profile(profile_part)
         self._last_stamp = message.stamp
 
-    def _on_poses(self, read: ReadPoses, data: bytes) -> None:
-        self._receiver.add_poses([self._stamped(pose) for pose in read(data)])
+    def _add_transforms(self, is_static: bool, data: bytes) -> None:
+        self._add_poses(self._tracker.add(transforms_from_cdr(data), is_static))
+
+    def _add_poses(self, poses: Iterable[TimedPose]) -> None:
+        self._receiver.add_poses([self._stamped(pose) for pose in poses])
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
@@ -286,9 +284,9 @@ class Streams:
                 **{topic.messages.kind: self._why_silent(topic)
                    for topic in self._topics if topic.key}}
 
-    def _why_silent(self, topic: _Subscribed) -> str:
+    def _why_silent(self, topic: _Topic) -> str:
         """Return why no messages of a topic arrive, '' if there is a publisher."""
-        name, message_type = self._full_name(topic.name), MESSAGE_TYPES[topic.message]
+        name, message_type = self._full_name(topic.name), MESSAGE_TYPES[topic.type]
         types = {info.topic_type for info in topic.publishers}
         if message_type in types:
             return ''
@@ -329,9 +327,3 @@ def _on_joints(add_joints: Callable[[int, bytes], None], data: bytes) -> None:
     """Pass on joint values as they are, for `handeye kinematics`."""
     seconds, nanoseconds = struct.unpack_from('<iI' if data[1] else '>iI', data, 4)
     add_joints(seconds * NS + nanoseconds, data)
-
-
-def _topics_named(config: Config) -> tuple[str, ...]:
-    """Return the settings of topics that may change at run time."""
-    return (config.profile_topic, config.pose_source, config.pose_topic, config.joint_topic,
-            config.kinematics)

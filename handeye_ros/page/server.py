@@ -7,10 +7,10 @@ aiohttp runs in its own thread and event loop, and what the node is asked runs i
 no request and no slow browser delays the node. The state is collected at most RATE times a second,
 and only while a browser is connected.
 
-Requests are answered if they are the page's own, and from other machines if they have the token.
-Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site, and foreign host
-names that point to this machine by Host. The first visit stores the token in a cookie; a file that
-only its user can read keeps it over restarts.
+Pages of other sites in the same browser are refused by Origin and Sec-Fetch-Site. A page for this
+machine alone asks for no token, and refuses foreign host names that point to this machine by Host.
+Others ask for the token: the first visit stores it in a cookie, and a file that only its user can
+read keeps it over restarts.
 """
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ CLIENT_TIMEOUT = 10.0  # s until a client must accept an event, and the server m
 LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
+EVERYWHERE = ('0.0.0.0', '::')  # addresses that no browser can open
 CONTENT_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
 ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
@@ -74,8 +75,8 @@ class PageServer:
     def __init__(self, source: PageSource, address: str, port: int, token_file: Path) -> None:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
         try:
-            self._local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
-            self.token = '' if self._local else token_of(token_file)
+            local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
+            self.token = '' if local else token_of(token_file)
         except ValueError as error:
             raise InputError(f'page.address is "{address}", expected an IP address such as '
                              '127.0.0.1 or 0.0.0.0: there is no page') from error
@@ -101,13 +102,12 @@ class PageServer:
     @property
     def url(self) -> str:
         """Return an address that a browser can open, without the token."""
-        name = self._address
-        if not self._local and ipaddress.ip_address(name).is_unspecified:
-            name = socket.gethostname()
+        name = self._address if self._address not in EVERYWHERE else socket.gethostname()
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     async def _start(self) -> None:
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
+        app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
         app.router.add_get('/read/{name}', self._read)
@@ -137,17 +137,17 @@ class PageServer:
         host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
         site = request.headers.get('Sec-Fetch-Site', 'same-origin')
         token = request.query.get('token') or request.cookies.get(self.cookie, '')
-        if not self._is_ours(host):
-            return _sentence(403, 'this page is not served under that name: open it by the IP '
-                                  'address of its machine')
+        if not self.token and _name_of(host) not in (
+                'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
+            return _sentence(403, f'this page is served for its own machine alone, as {self.url}')
         if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
             return _sentence(403, 'requests of other pages are refused')
         if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                   self.token.encode()):
-            if request.path in ('/', '/page.css'):
-                return _static(*(('login.html', 401) if request.path == '/'
-                                 else ('page.css', 200)))
-            return _sentence(401, 'the token is missing or wrong')
+            if request.path == '/page.css':
+                return _static('page.css')
+            return _static('login.html', 401) if request.path == '/' else _sentence(
+                401, 'the token is missing or wrong')
         try:
             return await handler(request)
         except web.HTTPException as error:
@@ -157,23 +157,8 @@ class PageServer:
         except Exception as error:  # noqa: BLE001 - whoever asks wants to know
             return _sentence(500, sentence_and_log('this', error))
 
-    def _is_ours(self, host: str) -> bool:
-        """Return whether a Host names this machine; other names may be of another site."""
-        try:
-            name = urlsplit(f'//{host}').hostname or ''  # any port: it may be forwarded
-        except ValueError:
-            return False
-        if name in ('localhost', self._address.lower(), socket.gethostname().lower()):
-            return True
-        if name.endswith('.local'):  # of mDNS, which no site outside can give to a machine
-            return not self._local
-        try:
-            return ipaddress.ip_address(name).is_loopback or not self._local
-        except ValueError:
-            return False
-
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        response = web.StreamResponse(headers=HEADERS | {'Content-Type': 'text/event-stream'})
+        response = web.StreamResponse(headers={'Content-Type': 'text/event-stream'})
         with suppress(TimeoutError, ConnectionError):
             await response.prepare(request)
             while True:
@@ -186,7 +171,7 @@ class PageServer:
     async def _index(self, request: web.Request) -> web.StreamResponse:
         if 'token' not in request.query:
             return _static('index.html')
-        response = web.Response(status=303, headers=HEADERS | {'Location': '/'})
+        response = web.Response(status=303, headers={'Location': '/'})
         response.set_cookie(self.cookie, self.token, httponly=True, samesite='Strict',
                             max_age=COOKIE_AGE)
         return response
@@ -204,9 +189,9 @@ class PageServer:
         except (HandeyeError, ValueError) as error:
             return _sentence(404, str(error))
         if isinstance(answer, tuple):
-            named = {'Content-Disposition': f'attachment; filename="{answer[0]}"'}
-            return web.Response(text=answer[1], headers=HEADERS | named)
-        return web.json_response(plain(answer), headers=HEADERS)
+            return web.Response(text=answer[1], headers={
+                'Content-Disposition': f'attachment; filename="{answer[0]}"'})
+        return web.json_response(plain(answer))
 
     async def _act(self, request: web.Request) -> web.StreamResponse:
         act = self._source.actions.get(request.match_info['name'])
@@ -226,11 +211,22 @@ class PageServer:
             success, message = await self._loop.run_in_executor(self._pool, act, values)
         except HandeyeError as error:
             success, message = False, str(error)
-        return web.json_response({'success': success, 'message': message}, headers=HEADERS)
+        return web.json_response({'success': success, 'message': message})
+
+
+async def _add_headers(_: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(HEADERS)
+
+
+def _name_of(host: str) -> str | None:
+    """Return the name in a Host with any port, as it may be forwarded; None for none."""
+    with suppress(ValueError):
+        return urlsplit(f'//{host}').hostname
+    return None
 
 
 def _sentence(status: int, text: str) -> web.Response:
-    return web.json_response({'success': False, 'message': text}, status=status, headers=HEADERS)
+    return web.json_response({'success': False, 'message': text}, status=status)
 
 
 def _static(name: str, status: int = 200) -> web.Response:
@@ -238,7 +234,7 @@ def _static(name: str, status: int = 200) -> web.Response:
     text = resources.files(room).joinpath('assets', name).read_text(encoding='utf-8')
     return web.Response(text=text, status=status,
                         content_type=CONTENT_TYPES[name.rpartition('.')[2]],
-                        charset='utf-8', headers=HEADERS)
+                        charset='utf-8')
 
 
 def token_of(file: Path) -> str:
