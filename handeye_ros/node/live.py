@@ -6,14 +6,14 @@ A running session without ROS: from messages to stored samples.
 The way of a message: the drain thread (streams.py) calls add_profile or add_poses, which put it
 into the session. A stop that is over, or long enough, waits in `to_evaluate` for the worker, which
 has it evaluated in another process, stores it on the disk and puts it into the session; so does a
-stored one when settings change. After each such piece of work the worker (pool.py) calls
-`changed`, which publishes ~/samples (outputs.py). What is used is stored, and what is stored is
-used. What follows from the samples is in answer.py and verification.py.
+stored one when settings change. After each such piece of work the worker calls `changed`, which
+publishes ~/samples (outputs.py). What is used is stored, and what is stored is used. What follows
+from the samples is in answer.py and verification.py.
 
 When ~/take_sample has taken a stop, that is on the disk as a file of its own, synced
 (SessionFiles in bags/session_files.py). During a verification nothing is stored until its result.
 
-Threads: the drain thread, which calls add_*; the worker, which changes all else; the threads of
+Threads: the drain thread, which calls add_...; one worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
 reviews, solves and verifications computed, in two processes (pool.py); the worker waits for the
 stops alone. Locks: `lock` for what messages change, held for one message or a copy; one in
@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -45,11 +45,12 @@ from handeye_ros.errors import (
     FeatureError,
     HandeyeError,
     InputError,
+    sentence_and_log,
     UnusableMessageError,
 )
 from handeye_ros.frames import mount_poses
 from handeye_ros.node.answer import LiveAnswer, SAMPLE_KEYS, values_of
-from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory, Worker
+from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended, trim_memory
 from handeye_ros.node.state import Attempt, MessageCount
 from handeye_ros.node.verification import LiveVerification
 from handeye_ros.results.scene import StopSnapshot
@@ -72,12 +73,17 @@ class LiveSession:
     """
     Samples of a running node. The drain thread calls the methods add_...; others go through ask.
 
-    What messages change (session, verification, to_evaluate, joints, the latest messages and their
-    counts) is used under lock. The stops of the session, and all else, are
-    changed by the worker alone: it reads them without, others see them at any time.
+    What messages change (session, to_evaluate, joints, the latest messages and their counts) is
+    used under lock. The stops of the session, and all else, are changed by the worker alone: it
+    reads them without, others see them at any time.
 
-    attempt: the last one
-    failed_poses: T_base_flange (4, 4) of stops without a good sample, by their stamps
+    config: the current settings, those of the session
+    files, folders: where the session is stored, and where results are
+    to_evaluate: stops that wait for the worker, by their stamps
+    joints: stamps (ns) and serialised JointState messages
+    messages: counts by kind (profile, pose); Streams (streams.py) begins them anew
+    attempt: the last one to take a sample, None before
+    failed_poses: T_base_flange (4, 4) of stops that gave no sample, by their stamps
     running: the long computations in words, '' for a review
     """
 
@@ -99,8 +105,9 @@ class LiveSession:
         self.messages = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._overflowed = 0  # stops that waited too long
 
-        self.worker = Worker(changed)
+        self._worker, self._changed = ThreadPoolExecutor(1, 'worker'), changed
         self._woken = True  # nothing is due before start()
+        self._failure = ''  # of the last work of the worker
         self.running: list[str] = []
         self._store_trouble = ''
         self.attempt: Attempt | None = None
@@ -196,7 +203,7 @@ class LiveSession:
     def ask(self, work: Callable[[], Result]) -> Result:
         """Let the worker do something; return its result, or raise its exception."""
         try:
-            return self.worker.submit(work).result()
+            return self._worker.submit(work).result()
         finally:
             self.wake()
 
@@ -204,7 +211,19 @@ class LiveSession:
         """Have the worker look for what is due; threads that meet here at worst ask twice."""
         if not self._woken:
             self._woken = True
-            self.worker.run_later(self._do_what_is_due)
+            self._later(self._do_what_is_due)
+
+    def _later(self, work: Callable[..., object], *args: Any) -> None:
+        """Have the worker do something; a failure is a trouble until something succeeds."""
+        def done() -> None:
+            try:
+                work(*args)
+                self._changed()
+                self._failure = ''
+            except Exception as error:  # noqa: BLE001 - the thread must go on
+                self._failure = sentence_and_log('the work on the samples', error)
+
+        self._worker.submit(done)
 
     def _do_what_is_due(self) -> None:
         """Do what is due, stop by stop: who has asked meanwhile waits for one stop only."""
@@ -241,7 +260,7 @@ class LiveSession:
             self.wake()  # samples or settings may have changed meanwhile
 
         self.running.append(name)
-        self.pool.submit(function, *args).add_done_callback(partial(self.worker.run_later, finish))
+        self.pool.submit(function, *args).add_done_callback(partial(self._later, finish))
         return answered
 
     # what others tell of it
@@ -272,7 +291,7 @@ class LiveSession:
     @property
     def troubles(self) -> tuple[str, ...]:
         """Return why samples cannot be stored or computed with, one sentence each."""
-        return tuple(filter(None, (self._store_trouble, self.worker.failure)))
+        return tuple(filter(None, (self._store_trouble, self._failure)))
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Who works for a session: one thread, and two processes for long computations.
+Two processes for long computations.
 
 Python runs one thread at a time: solves and the evaluation of stops would slow down streams and
 services. A process is started when it is first needed, and again after it has ended.
@@ -13,7 +13,6 @@ from concurrent.futures import (
     CancelledError,
     Future,
     ProcessPoolExecutor,
-    ThreadPoolExecutor,
 )
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -25,7 +24,7 @@ import sys
 import threading
 from typing import Any, TypeVar
 
-from handeye_ros.errors import HandeyeError, sentence_and_log
+from handeye_ros.errors import HandeyeError
 
 PROCESS_COUNT = 2  # a stop is evaluated while the calibration is computed
 NICE_VALUE = 5  # nice value of the processes: the streams come first
@@ -48,31 +47,6 @@ def result_or_ended(future: Future[Result]) -> Result:
         return future.result()
     except (BrokenProcessPool, CancelledError) as error:
         raise PoolEndedError from error
-
-
-class Worker(ThreadPoolExecutor):
-    """
-    One thread that does things one after the other.
-
-    failure: why the last thing failed, '' if it did not.
-    """
-
-    def __init__(self, changed: Callable[[], object]) -> None:
-        """Do nothing yet; changed: called after each thing that was done later."""
-        super().__init__(1, 'worker')
-        self._changed, self.failure = changed, ''
-
-    def run_later(self, work: Callable[..., object], *args: Any) -> None:
-        """Do something, and then call changed."""
-        self.submit(self._report, work, *args)
-
-    def _report(self, work: Callable[..., object], *args: Any) -> None:
-        try:
-            work(*args)
-            self._changed()
-            self.failure = ''
-        except Exception as error:  # noqa: BLE001 - the thread must go on
-            self.failure = sentence_and_log('the work on the samples', error)
 
 
 class Pool:

@@ -94,7 +94,7 @@ class _Topic:
     type: Any
     name: str
     receive: Callable[[bytes], None]
-    qos: QoSProfile = RELIABLE_QOS
+    qos: QoSProfile
     key: str = ''
     subscription: Any = None
     publishers: Sequence[Any] = ()
@@ -132,7 +132,7 @@ class Streams:
         """Return the topics that settings name; raises InputError."""
         poses = MessageCount('pose')
         topics = [_Topic(MessageCount('profile'), PointCloud2, config.profile_topic,
-                         self._on_profile, key='profile_topic')]
+                         self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if self._add_joints and not config.kinematics:
             topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
                                  partial(_on_joints, self._add_joints), BEST_EFFORT_QOS))
@@ -140,11 +140,12 @@ class Streams:
             arm = read_arm(Path(config.kinematics))
             topics.append(_Topic(
                 poses, JointState, config.joint_topic,
-                lambda data: self._add_poses([pose_from_joints(arm, data)]), key='joint_topic'))
+                lambda data: self._add_poses([pose_from_joints(arm, data)]), RELIABLE_QOS,
+                'joint_topic'))
         elif config.pose_source == 'topic':
             topics.append(_Topic(poses, PoseStamped, config.pose_topic,
                                  lambda data: self._add_poses([pose_from_cdr(data)]),
-                                 key='pose_topic'))
+                                 RELIABLE_QOS, 'pose_topic'))
         elif TFMessage:
             topics += [_Topic(poses, TFMessage, '/tf_static',
                               partial(self._add_transforms, True), LATCHED_TREE),
