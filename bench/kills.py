@@ -115,7 +115,7 @@ def work(output_dir: Path, acknowledge: int) -> None:
     config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, OutputFolders())
     live = LiveSession(config, OutputFolders(), Inline(), lambda: None)
     if found:
-        live.open(found, found.session(config))
+        live.open(found, config)
     rng, start = random.Random(), time.time_ns()
     while True:
         start += 2 * NS

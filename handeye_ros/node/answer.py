@@ -39,7 +39,7 @@ SAMPLE_KEYS = ('method', 'profile.', 'target.', 'noise.sensor', 'time_offset',
                'sampling.max_pose_gap')
 ANSWER_KEYS = (*SAMPLE_KEYS, 'calibration_type', 'noise.', 'limits.', 'samples.',
                'rotation_lag_std', 'clock_drift_std', 'sampling.min_crossing_angle')
-COMPUTED = 'the calibration is computed'
+COMPUTING = 'the calibration is computed'
 
 MadeFrom = tuple[object, ...]  # settings first, see LiveAnswer._made_from
 
@@ -50,21 +50,24 @@ class Review:
     What follows from the samples: their answer, how each agrees with it, and the advice.
 
     answer: None before the first
-    agreements: of the samples by their numbers
-    no_agreements: why there are none
+    agreements: of the samples by their numbers, none without a solution
     advised: the number of the last sample in the advice, 0 for none
     """
 
     advice: Advice
     answer: pipeline.Answer | None = None
     agreements: Mapping[int, Agreement] = field(default_factory=dict)
-    no_agreements: str = ''
     advised: int = 0
 
     @property
     def solution(self) -> Solution | None:
         """Return the solution of the answer, however uncertain."""
         return self.answer.solution if self.answer else None
+
+    @property
+    def refusal(self) -> str:
+        """Return why the answer has no solution, or ''."""
+        return str(self.answer.refusal) if self.answer and not self.answer.solution else ''
 
 
 def review_of(session: Session, config: Config, seen: Array, failed_poses: Sequence[Array],
@@ -80,7 +83,6 @@ def review_of(session: Session, config: Config, seen: Array, failed_poses: Seque
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
     return Review(advise(in_order, config, answer, seen, failed_poses), answer,
                   agreements(session, answer, config),
-                  '' if answer.solution else str(answer.refusal),
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
 
@@ -183,7 +185,7 @@ class LiveAnswer:
         session = live.copied().without_messages(config)
         made_from = self._made_from()
         message = live.run_job(
-            COMPUTED if asked else '', partial(self._accept, made_from, session, asked),
+            COMPUTING if asked else '', partial(self._accept, made_from, session, asked),
             review_of, session, config, self.seen, [*live.failed_poses.values()],
             asked or self.calibration is not None)
         self._last = made_from, asked, message
@@ -228,8 +230,8 @@ class LiveAnswer:
         written = exports.save_all(calibration, live.folders.own(live.config),
                                    live.config.save.formats)
         self.saved = str(written.files[0])
-        note = (f'; {COMPUTED} again: save it again after that'
-                if COMPUTED in live.running else '')
+        note = (f'; {COMPUTING} again: save it again after that'
+                if COMPUTING in live.running else '')
         return f'{written}{self.difference(live.copied())}{note}'
 
 

@@ -489,17 +489,11 @@ class LiveSession:
         self._begin(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
-    def open(self, stored: Stored, session: Session) -> str:
-        """
-        Continue with a session of the disk, and solve; return the message. Raises InputError.
-
-        session: its stops, evaluated with the samples that it excludes.
-        """
-        config = replace(self.config, samples=session.config.samples)
+    def open(self, stored: Stored, config: Config) -> str:
+        """Continue a session of the disk, and solve; return the message. Raises InputError."""
         files = SessionFiles(self.folders.folder, stored, config)
-        session.configure(config)
-        self._begin(files, session, 'a session was opened')
-        self.answer.is_wanted = bool(session.samples)  # as it probably was before
+        self._begin(files, stored.session(config), 'a session was opened')
+        self.answer.is_wanted = bool(self.session.samples)  # as it probably was before
         return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
 
     def _begin(self, files: SessionFiles, session: Session, why: str) -> None:

@@ -73,7 +73,7 @@ class HandeyeNode(Node):
         self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._on_set)
         if stored:
-            self.get_logger().info(self.live.open(stored, stored.session(config)))
+            self.get_logger().info(self.live.open(stored, config))
         elif config.session:
             self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
                                       'one begins')
@@ -151,13 +151,13 @@ class HandeyeNode(Node):
 
     def open_session(self, name: str) -> str:
         """Continue a previous session with the current settings; raises HandeyeError."""
-        config = self.live.config
-        path = self.live.folders.folder(config) / Path(name).name
-        if path == self.live.files.path:
+        live = self.live
+        path = live.folders.folder(live.config) / Path(name).name
+        if path == live.files.path:
             return f'{path} is the current session'
         stored = read_session(path)
-        session = stored.session(replace(config, samples=stored.config.samples))
-        return self.live.ask(partial(self.live.open, stored, session))
+        config = replace(live.config, samples=stored.config.samples)
+        return live.ask(partial(live.open, stored, config))
 
     def set_values(self, values: Mapping[str, Any]) -> str:
         """Set parameters by key, all or none; return why one is refused, '' if all are set."""

@@ -146,7 +146,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                     'trouble': '; '.join(filter(None, troubles)),
                     'notes': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst],
-        'review': review.no_agreements,
+        'review': review.refusal,
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
         'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}

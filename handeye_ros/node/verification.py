@@ -27,7 +27,7 @@ from handeye_ros.verification.verify import plain_values, Verification, verify
 if TYPE_CHECKING:
     from handeye_ros.node.live import LiveSession
 
-VERIFIED = 'the calibration is verified'
+VERIFYING = 'the calibration is verified'
 
 Results = Sequence[Sample | Reject]  # of the stops at one face or ball
 
@@ -141,7 +141,7 @@ class LiveVerification:
         live = self._live
         live.process_all()
         in_order = [[result for _, result in sorted(part.items())] for part in self._parts]
-        return live.run_job(VERIFIED, partial(self._accept, self._parts), verification_of,
+        return live.run_job(VERIFYING, partial(self._accept, self._parts), verification_of,
                             self.routine, in_order, self._calibration(), live.config)
 
     def _accept(self, parts: Sequence[object], result: Verification) -> str:

@@ -3,7 +3,7 @@
 """What the page shows, and what its buttons do: services, parameters, sessions and files."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -154,26 +154,19 @@ def _report(calibration: Calibration, session: str) -> str:
 
 
 def contents(state: State, live: LiveSession) -> dict[str, Any]:
-    """Return the content of the page as plain values; rows: of the table of the answer."""
-    current = live.current()
+    """
+    Return the content of the page as plain values.
+
+    rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
+    """
+    current, calibration = live.current(), live.answer.calibration
     profile = current and {**profile_picture(current.points, current.features),
                            'reason': current.reason}
     return {**state, 'profile': profile, 'scene': _scene(live, current),
             'edges': _edges(live),
-            'rows': list(answer_rows(live.answer.calibration)),
+            'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {'running': live.verification.text,
                              'verdict': live.verification.verdict}}
-
-
-def answer_rows(calibration: Calibration | None) -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, value, 1 sigma and unit as in the table of `handeye solve`."""
-    if calibration is None:
-        return
-    quality = calibration.quality
-    yield from table.transform_rows(calibration)
-    yield 'residual', f'{quality.residual_rms * 1e3:.3f}', '', 'mm'
-    yield 'left out', f'{quality.holdout_rms * 1e3:.3f}', '', 'mm'
-    yield 'samples used', str(quality.samples_used), '', ''
 
 
 def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:

@@ -186,18 +186,18 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
     assert text.startswith('3 samples removed') and live.config.samples.exclude == ()
     changed(live, noise__sensor=4e-5)  # which is to be written
     found, path = read_session(before), live.path
-    session = found.session(replace(live.config, samples=found.config.samples))
+    config = replace(live.config, samples=found.config.samples)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     # there is room for metadata.yaml alone
     resource.setrlimit(resource.RLIMIT_FSIZE,
                        ((before / 'metadata.yaml').stat().st_size + 100, hard))
     try:
         with pytest.raises(InputError, match='cannot write'):
-            live.open(found, session)
+            live.open(found, config)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (live.path, taken(state_of(live)), live.config.samples.exclude) == (path, 0, ())
-    assert live.open(found, session) == f'continuing with 3 samples of {before}'
+    assert live.open(found, config) == f'continuing with 3 samples of {before}'
     assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
     assert read_session(before).config == live.config
 

@@ -43,7 +43,7 @@ def new(config: Config = SPHERE.config, pool: Pool | None = None) -> LiveSession
         _, stored = resumed({'output_dir': config.output_dir, 'session': config.session}, folders)
     live = LiveSession(config, folders, pool or Inline(), lambda: None)
     if stored:
-        live.open(stored, stored.session(config))
+        live.open(stored, config)
     return live
 
 
