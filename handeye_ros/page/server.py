@@ -18,6 +18,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 import hmac
 from importlib import resources
 import ipaddress
@@ -32,7 +33,7 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 from handeye_ros.errors import HandeyeError, InputError, sentence_and_log
-from handeye_ros.page.contents import PageSource, plain, source
+from handeye_ros.page.contents import Act, PageSource, plain, Read, source
 
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
@@ -110,9 +111,12 @@ class PageServer:
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
-        app.router.add_get('/read/{name}', self._read)
-        app.router.add_get('/{name}', self._file)
-        app.router.add_post('/act/{name}', self._act)
+        for file in ASSET_FILES:
+            app.router.add_get(f'/{file}', partial(_asset, file))
+        for name, read in self._source.queries.items():
+            app.router.add_get(f'/read/{name}', partial(self._read, read))
+        for name, act in self._source.actions.items():
+            app.router.add_post(f'/act/{name}', partial(self._act, act))
         runner = web.AppRunner(app, access_log=None)
         await runner.setup()
         await web.TCPSite(runner, self._address, self.port).start()
@@ -176,14 +180,7 @@ class PageServer:
                             max_age=COOKIE_AGE)
         return response
 
-    async def _file(self, request: web.Request) -> web.StreamResponse:
-        name = request.match_info['name']
-        return _static(name) if name in ASSET_FILES else _sentence(404, 'there is no such page')
-
-    async def _read(self, request: web.Request) -> web.StreamResponse:
-        read = self._source.queries.get(request.match_info['name'])
-        if read is None:
-            return _sentence(404, 'there is no such page')
+    async def _read(self, read: Read, request: web.Request) -> web.StreamResponse:
         try:
             answer = await self._loop.run_in_executor(self._pool, read, request.query)
         except (HandeyeError, ValueError) as error:
@@ -193,10 +190,7 @@ class PageServer:
                 'Content-Disposition': f'attachment; filename="{answer[0]}"'})
         return web.json_response(plain(answer))
 
-    async def _act(self, request: web.Request) -> web.StreamResponse:
-        act = self._source.actions.get(request.match_info['name'])
-        if act is None:
-            return _sentence(404, 'there is no such button')
+    async def _act(self, act: Act, request: web.Request) -> web.StreamResponse:
         if request.content_type != 'application/json':
             return _sentence(415, 'expected application/json')
         try:
@@ -227,6 +221,10 @@ def _name_of(host: str) -> str | None:
 
 def _sentence(status: int, text: str) -> web.Response:
     return web.json_response({'success': False, 'message': text}, status=status)
+
+
+async def _asset(name: str, _: web.Request) -> web.StreamResponse:
+    return _static(name)
 
 
 def _static(name: str, status: int = 200) -> web.Response:
