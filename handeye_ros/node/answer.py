@@ -148,7 +148,7 @@ class LiveAnswer:
         not computed again from the same samples and settings.
         """
         live = self._live
-        live.store_rest()
+        live.retry_storing()
         self.is_wanted = True
         try:
             live.process_all()
@@ -160,13 +160,13 @@ class LiveAnswer:
             message = self._last[2]
             if not message.done() or (self.calibration and not message.exception()):
                 return message
-        return self._begin(asked=True)
+        return self._begin_review(asked=True)
 
-    def begin_review(self) -> None:
+    def review_if_changed(self) -> None:
         """Begin the review, if samples or settings have changed."""
         now, last = self._made_from(), self._last and self._last[0]
         if not self._live.running and now != last:
-            self._begin(asked=self.is_wanted and (last is None or now[0] != last[0]))
+            self._begin_review(asked=self.is_wanted and (last is None or now[0] != last[0]))
 
     def _made_from(self) -> MadeFrom:
         """Return settings and samples, of which review and answer are made."""
@@ -176,7 +176,7 @@ class LiveAnswer:
         return (values_of(live.config, (*ANSWER_KEYS, 'guidance.')), live.session,
                 len(live.failed_poses), samples)
 
-    def _begin(self, asked: bool) -> Future[str]:
+    def _begin_review(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
         live = self._live
         config = live.session.with_base(live.config)
@@ -226,7 +226,7 @@ class LiveAnswer:
     def save_calibration(self) -> str:
         """Write the answer; return the message. Raises DataError without one, InputError."""
         live, calibration = self._live, self.require_calibration()
-        live.store_rest()
+        live.retry_storing()
         written = exports.save_all(calibration, live.folders.own(live.config),
                                    live.config.save.formats)
         self.saved = str(written.files[0])

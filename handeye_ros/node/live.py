@@ -236,7 +236,7 @@ class LiveSession:
         elif self.process_next():
             self.wake()
         else:
-            self.answer.begin_review()
+            self.answer.review_if_changed()
         trim_memory()
 
     def run_job(self, name: str, accept: Callable[[Any], Result],
@@ -420,9 +420,9 @@ class LiveSession:
             self._evaluate_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
-    def store_rest(self) -> None:
+    def retry_storing(self) -> None:
         """
-        Store settings that could not be stored before, and then stops, if that works now.
+        Store settings and then stops that could not be stored before, if that works now.
 
         A folder that is gone is found here too: then there is a trouble.
         """
@@ -486,17 +486,17 @@ class LiveSession:
         if files.path:
             note = f'; they are kept in {files.path}' if files.path.is_dir() else ''
             files = files.restarted(config)
-        self._begin(files, Session(config), 'the samples were cleared')
+        self._switch_to(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
     def open(self, stored: Stored, config: Config) -> str:
         """Continue a session of the disk, and solve; return the message. Raises InputError."""
         files = SessionFiles(self.folders.folder, stored, config)
-        self._begin(files, stored.session(config), 'a session was opened')
+        self._switch_to(files, stored.session(config), 'a session was opened')
         self.answer.is_wanted = bool(self.session.samples)  # as it probably was before
         return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
 
-    def _begin(self, files: SessionFiles, session: Session, why: str) -> None:
+    def _switch_to(self, files: SessionFiles, session: Session, why: str) -> None:
         """Go on with another session; forget messages, and what followed from the one before."""
         with self.lock:
             for messages in (self._profiles, self._poses, self.joints, self.to_evaluate):

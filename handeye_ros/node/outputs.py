@@ -176,12 +176,12 @@ class Outputs:
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(DiagnosticArray(header=Header(stamp=self._now()), status=[
             DiagnosticStatus(
-                name=f'{name}: {concern}', hardware_id=state['name'], level=level, message=text,
+                name=f'{name}: {part}', hardware_id=state['name'], level=level, message=text,
                 values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
-            for concern, level, text, values in _concerns(state)]))
+            for part, level, text, values in _statuses(state)]))
 
 
-def _concerns(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
+def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
     """Yield name, level, message and values of each status."""
     streams = state['profiles'], state['poses']
     for stream in streams:

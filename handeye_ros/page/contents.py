@@ -255,12 +255,12 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
             'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
 
 
-def plain(value: Any) -> Any:
-    """Return plain values with None for infinities and NaN, which JSON lacks."""
+def for_json(value: Any) -> Any:
+    """Return values, nested, with None for infinities and NaN, which JSON lacks."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): for_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [for_json(item) for item in value]
     if isinstance(value, float):
         return value if abs(value) < float('inf') else None
     return value

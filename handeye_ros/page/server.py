@@ -33,7 +33,7 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 from handeye_ros.errors import HandeyeError, InputError, sentence_and_log
-from handeye_ros.page.contents import Act, PageSource, plain, Read, source
+from handeye_ros.page.contents import Act, for_json, PageSource, Read, source
 
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
@@ -71,7 +71,12 @@ def serve(node: HandeyeNode) -> None:
 
 
 class PageServer:
-    """Serves a page until the process ends; token: '' where none is needed."""
+    """
+    Serves a page until the process ends.
+
+    token: '' where none is needed
+    cookie: name of the one that holds it
+    """
 
     def __init__(self, source: PageSource, address: str, port: int, token_file: Path) -> None:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
@@ -131,7 +136,7 @@ class PageServer:
 
     def _text(self) -> str:
         try:
-            return json.dumps(plain(self._source.state()), allow_nan=False)
+            return json.dumps(for_json(self._source.state()), allow_nan=False)
         except Exception as error:  # noqa: BLE001 - the page must go on
             return json.dumps({'error': sentence_and_log('this', error)})
 
@@ -188,7 +193,7 @@ class PageServer:
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
                 'Content-Disposition': f'attachment; filename="{answer[0]}"'})
-        return web.json_response(plain(answer))
+        return web.json_response(for_json(answer))
 
     async def _act(self, act: Act, request: web.Request) -> web.StreamResponse:
         if request.content_type != 'application/json':

@@ -71,7 +71,7 @@ def update(live: LiveSession) -> None:
     """Let a session that was not started do what is due."""
     while live.ask(live.process_next):
         pass
-    live.ask(live.answer.begin_review)
+    live.ask(live.answer.review_if_changed)
     live.ask(lambda: None)  # the review has been put
 
 
