@@ -354,7 +354,8 @@ class LiveSession:
         earlier = self._find(stop.number)
         had_sample = bool(earlier and earlier.sample)
         if asked and stop.sample is None:
-            raise DataError(sample_summary(stop.result))
+            remedy = ': move on, and turn the tool' if stop.final_reason else ''
+            raise DataError(f'{sample_summary(stop.result)}{remedy}')
         try:
             stop = self._store(stop)
         except InputError as error:

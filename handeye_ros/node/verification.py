@@ -64,7 +64,7 @@ class LiveVerification:
         """End the verification, with or without a result."""
         self.routine: Routine | None = None
         self._most_parts = 1
-        self._parts: list[dict[int, Sample | Reject]] = []  # of their stops by stamp
+        self._parts: list[dict[int, Sample | Reject]] = [{}]  # what their stops gave, by stamp
 
     @property
     def text(self) -> str:
@@ -173,4 +173,5 @@ class LiveVerification:
 
 
 def _samples(part: dict[int, Sample | Reject]) -> list[Sample]:
-    return [result for result in part.values() if isinstance(result, Sample)]
+    # a copy: the worker may add one meanwhile
+    return [result for result in [*part.values()] if isinstance(result, Sample)]

@@ -420,10 +420,13 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     live.remove_last_sample()
     ended.set_exception(BrokenProcessPool())
     monkeypatch.setattr(live.pool, 'submit', lambda *args: ended)
+    update(live)
+    assert 'ended before it had an answer' in state_of(live)['session']['trouble'], 'of the review'
     with pytest.raises(PoolEndedError):
         computed(live)
     monkeypatch.undo()
     assert computed(live) not in ('', text)
+    assert not state_of(live)['session']['trouble']
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -452,6 +455,10 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     feed(live, items_of(PARTS[0]))
     computed(live)
     before = [stop.number for stop in live.copied().stops]
+    changed(live, verify__routine='tooth', verify__lengths=(0.015, 0.005))
+    with pytest.raises(InputError, match='call "handeye verify tooth"'):
+        live.verification.verify_start()
+    changed(live, verify__routine='sphere', verify__lengths=())
     assert live.verification.verify_start().startswith('sphere: 0 usable stops of 0; move on')
     assert 'stops are not samples' in ' '.join(state_of(live)['session']['notes'])
     with pytest.raises(DataError, match='0 usable stations, fewer than 4'):
