@@ -100,9 +100,14 @@ class View:
 
 
 def extremes(points: Array) -> Array:
-    """Return the extreme ones of points (n, 2), which determine a view; NaN rows are ignored."""
+    """
+    Return the extreme ones (k, 2) of points (n, 2), which determine a view, in order around it.
+
+    NaN rows are ignored.
+    """
     finite = points[np.isfinite(points).all(axis=1)]
-    return finite[np.unique((finite @ BORDER_NORMALS.T).argmax(axis=0))] if len(finite) else finite
+    farthest = (finite @ BORDER_NORMALS.T).argmax(axis=0).tolist() if len(finite) else []
+    return finite[[*dict.fromkeys(farthest)]]
 
 
 def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:

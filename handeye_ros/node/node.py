@@ -55,7 +55,12 @@ FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
 class HandeyeNode(Node):
-    """Takes samples of stops, and computes, publishes and saves calibrations on request."""
+    """
+    Takes samples of stops, and computes, publishes and saves calibrations on request.
+
+    live: the session
+    streams: the subscriptions of now; others follow when topics change
+    """
 
     def __init__(self) -> None:
         """Subscribe and serve; raises InputError for an invalid configuration."""
@@ -69,7 +74,7 @@ class HandeyeNode(Node):
             answer.compute_calibration, answer.save_calibration,
             verification.verify_start, verification.verify_result)}
         self._outputs = Outputs(self, self.live)
-        self._streams = Streams(self, self.live, self.live.add_joints)
+        self.streams = Streams(self, self.live, self.live.add_joints)
         self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._on_set)
         if stored:
@@ -79,7 +84,7 @@ class HandeyeNode(Node):
                                       'one begins')
         self._outputs.show()
         self.live.start()
-        self._streams.start()
+        self.streams.start()
         self._serve()
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
                                f'{self.live.config.pose_origin[0]}')
@@ -114,14 +119,10 @@ class HandeyeNode(Node):
         """Publish nothing more: the process ends, and what computes with it."""
         self._outputs.close()
 
-    def topics_of(self, kind: str) -> list[str]:
-        """Return the topics with publishers of a message type."""
-        return self._streams.topics_of(kind)
-
     @property
     def state(self) -> State:
         """Return the current state of the session."""
-        return state_of(self.live, self._streams.obstacles(), self._streams.trouble())
+        return state_of(self.live, self.streams.obstacles(), self.streams.trouble())
 
     def _diagnose(self) -> None:
         """Publish the state, and log the warnings that are new but for their numbers."""
@@ -143,7 +144,7 @@ class HandeyeNode(Node):
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             text, success = sentence_and_log(name, error), False
         if name == 'clear_samples' and success:
-            self._streams.restart()
+            self.streams.restart()
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
             log.info(text) if success else log.warning(f'{name}: {text}')
@@ -207,19 +208,19 @@ class HandeyeNode(Node):
         if unknown:
             raise InputError(f'there is no sample {unknown[0]} to exclude: the last stop is '
                              f'{session.last_number}; ~/samples lists all')
-        if not self._streams.names_other_topics(config):
+        if not self.streams.names_other_topics(config):
             live.configure(config)
             return
         if session.stops:
             raise InputError('the topics cannot change while there are stops from them: call '
                              '~/clear_samples first, which begins a new session')
-        self._streams.stop()
+        self.streams.stop()
         try:
             live.clear_samples()
             live.configure(self._with(values))
         finally:  # to the topics before, where no new session can be written
-            self._streams = Streams(self, live, live.add_joints)
-            self._streams.start()
+            self.streams = Streams(self, live, live.add_joints)
+            self.streams.start()
 
 
 def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:

@@ -121,8 +121,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     live = node.live
     parameters = {p.key: p for p in configuration.parameters()}
     values = configuration.flatten(live.config)
-    choices = {'profile_topic': node.topics_of(CLOUD_TYPE),
-               'pose_topic': node.topics_of(POSE_TYPE), 'verify.routine': [
+    choices = {'profile_topic': node.streams.topics_of(CLOUD_TYPE),
+               'pose_topic': node.streams.topics_of(POSE_TYPE), 'verify.routine': [
                    name for name, routine in ROUTINES.items() if not routine.in_passes]}
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
@@ -201,15 +201,8 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     config, advice = live.config, live.answer.review.advice
     solution = live.answer.review.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
-    samples = [(stop.number, stop.sample.T_base_flange) for stop in live.copied().stops
-               if stop.sample]
-    pose = live.pose
-    aim = advice.next.T_base_flange if advice.next else None
-    extreme_points = live.answer.seen
-    if current:
-        extreme_points = extremes(np.concatenate([extreme_points, current.points]))
-    offset = extreme_points - extreme_points.sum(axis=0) / max(len(extreme_points), 1)
-    outline = extreme_points[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
+    pose, aim = live.pose, advice.next.T_base_flange if advice.next else None
+    view = [live.answer.seen, *([current.points] if current else [])]
 
     def as_rows(T_base_flange: Array | None) -> Any:
         return None if T_base_flange is None else rounded(
@@ -218,8 +211,9 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     return {
         'known': solution is not None, 'range_sign': config.profile.range_sign,
         'round': config.target.type == 'sphere',
-        'view': rounded(outline), 'live': as_rows(pose),
-        'stations': [{'number': number, 'T': as_rows(T)} for number, T in samples],
+        'view': rounded(extremes(np.concatenate(view))), 'live': as_rows(pose),
+        'stations': [{'number': stop.number, 'T': as_rows(stop.sample.T_base_flange)}
+                     for stop in live.copied().stops if stop.sample],
         'next': as_rows(aim),
         'aim': None if pose is None or aim is None else _motion_to(pose, aim),
         'move': advice.move and _move(advice.move),
