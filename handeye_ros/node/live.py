@@ -309,22 +309,31 @@ class LiveSession:
     # stops
 
     def process_next(self) -> bool:
-        """Evaluate the next stop that is due; return whether there was one."""
+        """Evaluate the next stop that waits, new or stored; return whether there was one."""
         with self.lock:
             stop = self.to_evaluate.pop(next(iter(self.to_evaluate), 0), None)
         if stop:
             self._process(stop)
         return stop is not None
 
-    def process_all(self) -> None:
-        """Evaluate all stops, of which the current one counts as complete; raises InputError."""
+    def process_waiting(self) -> None:
+        """Evaluate the stops that wait; each is told on its own."""
         while self.process_next():
-            pass
+            self._changed()
+
+    def process_all(self) -> None:
+        """
+        Evaluate all stops, of which the current one counts as complete.
+
+        Raises InputError where messages have two frames, and there is no sample of one.
+        """
+        self.process_waiting()
         with self.lock:
             rest = self.session.copied().remaining()  # raises for mixed frames
         for stop in rest:
             self._process(stop)
             self._finish(stop)
+            self._changed()
 
     def skip_stops(self) -> None:
         """Take nothing of the stops that have begun."""
@@ -343,10 +352,11 @@ class LiveSession:
 
     def _take(self, stop: Stop, asked: bool = False) -> str:
         """
-        Put a stop with its result into the session, replacing an earlier part of it; return both.
+        Put a stop with its result into the session, in place of an earlier part of it.
 
-        asked: for a sample, by ~/take_sample. Then DataError is raised where there is none, and
-        InputError where it cannot be stored, and the session stays as it is.
+        asked: by ~/take_sample, for a sample: DataError is raised where there is none, InputError
+        where it cannot be stored, and the session stays as it is. Returns what the stop gave, in
+        words. While a verification is running the stop counts for that: see its add_stop.
         """
         if self.verification.routine and not stop.number:
             return self.verification.add_stop(stop)

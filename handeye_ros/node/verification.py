@@ -83,8 +83,7 @@ class LiveVerification:
         Returns what to do. Raises InputError for the settings, DataError without a calibration.
         """
         live = self._live
-        while live.process_next():  # what began before is a sample, or of the part before
-            pass
+        live.process_waiting()  # what began before is a sample, or of the part before
         before = self.text
         measured = bool(self.routine and _samples(self._parts[-1]))
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)

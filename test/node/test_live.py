@@ -94,6 +94,15 @@ def test_the_answer_is_that_of_the_recording_and_solved_once(
     assert status['state'] == 'current' and len(status['std']) == 6
 
 
+def test_each_stop_that_waits_for_an_answer_is_told() -> None:
+    told = set()
+    live = new(changed=lambda: told.add(live.attempt and live.attempt.stop.number))
+    for item in sorted([*SPHERE.poses, *SPHERE.profiles], key=lambda item: item.stamp):
+        feed_one(live, item)
+    computed(live)
+    assert {stop.number for stop in live.copied().stops} <= told
+
+
 def test_what_the_streams_dropped_is_told_with_the_answer() -> None:
     live = new(SPHERE.config)
     feed(live, [*SPHERE.poses, SPHERE.poses[9], *SPHERE.profiles])

@@ -3,6 +3,7 @@
 """Running sessions without ROS that are given recordings."""
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 import tempfile
@@ -33,7 +34,8 @@ class Inline(Pool):
         return future
 
 
-def new(config: Config = SPHERE.config, pool: Pool | None = None) -> LiveSession:
+def new(config: Config = SPHERE.config, pool: Pool | None = None,
+        changed: Callable[[], object] = lambda: None) -> LiveSession:
     """Return a session without messages; it continues that of config.session."""
     if not config.output_dir:
         PLACES.append(tempfile.TemporaryDirectory())
@@ -41,7 +43,7 @@ def new(config: Config = SPHERE.config, pool: Pool | None = None) -> LiveSession
     folders, stored = OutputFolders(), None
     if config.session:
         _, stored = resumed({'output_dir': config.output_dir, 'session': config.session}, folders)
-    live = LiveSession(config, folders, pool or Inline(), lambda: None)
+    live = LiveSession(config, folders, pool or Inline(), changed)
     if stored:
         live.open(stored, config)
     return live
