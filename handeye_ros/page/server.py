@@ -23,7 +23,6 @@ import hmac
 from importlib import resources
 import ipaddress
 import json
-import os
 from pathlib import Path
 import secrets
 import socket
@@ -249,6 +248,6 @@ def token_of(file: Path) -> str:
     token = secrets.token_urlsafe(TOKEN_BYTES)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.unlink(missing_ok=True)
-    with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), 'w') as stream:
-        stream.write(token + '\n')
+    file.touch(mode=0o600, exist_ok=False)
+    file.write_text(token + '\n', encoding='ascii')
     return token
