@@ -26,7 +26,7 @@ setup(
     ],
     zip_safe=False,
     install_requires=['aiohttp', 'numpy>=1.26', 'scipy>=1.11', 'PyYAML', 'jinja2',
-                      'markupsafe', 'matplotlib', 'mcap', 'rosbags', 'rich', 'threadpoolctl',
+                      'markupsafe', 'mcap', 'rosbags', 'rich', 'threadpoolctl',
                       'typer', 'zstandard'],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
@@ -36,8 +36,9 @@ setup(
                  'pytest-instafail', 'pytest-rerunfailures', 'pytest-timeout', 'pytest-xdist',
                  'selenium', 'urdf-parser-py'],
         'docs': ['mkdocs', 'pymdown-extensions'],
-        'dev': ['colcon-common-extensions', 'flake8', 'foxglove-sdk', 'import-linter', 'mkdocs',
-                'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML', 'wheel'],
+        'dev': ['colcon-common-extensions', 'flake8', 'foxglove-sdk', 'import-linter',
+                'matplotlib', 'mkdocs', 'mypy', 'pymdown-extensions', 'ruff', 'types-PyYAML',
+                'wheel'],
     },
     entry_points={
         'console_scripts': [

@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
 from handeye_ros.errors import DataError, InputError
-from handeye_ros.output import csv_text, page, write_atomically
+from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.results.calibration_file import content_of
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
@@ -293,7 +293,7 @@ def write_table(rows: Sequence[Row], out: Path) -> None:
     for row in worst_first:
         if row.get('cause'):  # the same sentence with other numbers is the same cause
             causes.setdefault(re.sub(r'\d[\d.e+-]*', '', row['cause']), []).append(row)
-    write_atomically(out / 'report.html', page(
+    write_atomically(out / 'report.html', rendered(
         'batch.html', rows=worst_first, result=outcome_of,
         figures=[figure for figure in RESULT_FIGURES
                  if any(row.get(figure[0]) is not None for row in rows)],

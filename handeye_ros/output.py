@@ -1,11 +1,10 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written: names of folders, times, whole files, pictures, pages."""
+"""Files that are written: names of folders, times, whole files, texts by templates."""
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 import csv
 from datetime import datetime, UTC
 import io
@@ -88,36 +87,15 @@ def atomic_file(path: Path) -> Iterator[Path]:
                 temporary.unlink()
 
 
-def figure(rows: int, columns: int, width: float = 9.0, height: float = 3.0) -> tuple[Any, Any]:
-    """Return a figure and its axes; width, height: of one plot (inches)."""
-    from matplotlib.figure import Figure  # slow to import
-    drawing = Figure(figsize=(width * columns, height * rows), layout='constrained')
-    return drawing, drawing.subplots(rows, columns)
-
-
-def style() -> AbstractContextManager[None]:
-    """Return the style of the plots in pages."""
-    from matplotlib import rc_context
-    return rc_context({
-        'svg.fonttype': 'none', 'font.size': 9, 'font.family': 'sans-serif', 'grid.alpha': 0.3,
-        'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True,
-        'legend.frameon': False})
-
-
-def image(drawing: Any) -> str:
-    """Return a figure as an image for src=, isolated from the page: its ids cannot clash."""
-    picture = io.BytesIO()
-    drawing.savefig(picture, format='svg', metadata={'Date': None, 'Creator': None})
-    return 'data:image/svg+xml;base64,' + base64.b64encode(picture.getvalue()).decode()
-
-
-def page(template: str, **values: Any) -> str:
-    """Return a page by its template in results/assets."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def rendered(template: str, **values: Any) -> str:
+    """Return a page, or another text, by its template in results/assets."""
+    from jinja2 import Environment, PackageLoader, select_autoescape, StrictUndefined
     from markupsafe import Markup
-    pages = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
-                        autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-                        lstrip_blocks=True)
-    pages.globals['source'] = lambda name: Markup(pages.get_template(name).render())
-    return pages.get_template(template).render(
+    texts = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
+                        autoescape=select_autoescape(('html', 'urdf.jinja')),
+                        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+                        keep_trailing_newline=True)
+    texts.policies['json.dumps_kwargs'] = {'ensure_ascii': False}
+    texts.globals['source'] = lambda name: Markup(texts.get_template(name).render())
+    return texts.get_template(template).render(
         version=__version__, now=datetime.now(UTC).isoformat(timespec='seconds'), **values)

@@ -148,7 +148,7 @@ def _file(live: LiveSession, name: str) -> tuple[str, str]:
 
 def _report(calibration: Calibration, session: str) -> str:
     """Return the report of a calibration and its session as HTML; takes seconds."""
-    from handeye_ros.results.report import html  # matplotlib
+    from handeye_ros.results.report import html
     from handeye_ros.review import solved_recording
     return html(calibration, solved_recording(calibration, Path(session) if session else None))
 

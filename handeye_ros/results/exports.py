@@ -17,63 +17,29 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
-from itertools import chain, count
+from itertools import chain
 import json
 import math
 from pathlib import Path
 import re
 import shlex
 import shutil
-from xml.sax.saxutils import quoteattr
 
 from handeye_ros import __version__, orientations, se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import UnknownNameError
-from handeye_ros.output import write_atomically, write_errors_for
+from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line
 import numpy as np
 from scipy.spatial.transform import Rotation
-import yaml
 
 YAML = 'yaml'
 REPORT_FILE = 'report.html'
-HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after its time
+HISTORY_FOLDER = 'history'  # the folder of previous results, each in a folder named after the time
 SI_TEXT = ('Metres and radians; quaternions are x y z w; roll pitch yaw turn about the fixed '
            'axes x, y, z, as in URDF.')
 DIGITS_OF_UNIT = {'mm': 4, 'm': 7, 'deg': 5, 'rad': 8, '': 9}
-URDF_TEMPLATE = """\
-<?xml version="1.0"?>
-<!--
-{comment}
-Include it in the description of the robot, which has the link {parent} already.
--->
-<robot name={robot} xmlns:xacro="http://www.ros.org/wiki/xacro">
-  <link name={child}/>
-  {joint}
-</robot>
-"""
-
-JOINT_TEMPLATE = """\
-<joint name={name} type="fixed">
-    <parent link={parent}/>
-    <child link={child}/>
-    <origin xyz="{xyz}" rpy="{rpy}"/>
-  </joint>"""
-
-LAUNCH_TEMPLATE = '''\
-"""Publishes the pose of the sensor on /tf_static: ros2 launch {file}."""
-{comment}from launch import LaunchDescription
-from launch_ros.actions import Node
-
-
-def generate_launch_description():
-    return LaunchDescription([
-        Node(package='tf2_ros', executable='static_transform_publisher', name={name!r},
-             arguments=[{arguments}]),
-    ])
-'''
-LAUNCH_FILE = 'static_transform.launch.py'
 TARGET_FRAME = 'handeye_target'  # our target has no frame in the robot's tree
 # By vendor: file, start of a comment, and what is typed at the pendant or put into a program.
 PENDANTS = {
@@ -157,21 +123,16 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
 def joint(calibration: Calibration) -> str:
     """Return the <joint> of a URDF that holds the calibration."""
-    parent, child = calibration.parent_frame, calibration.child_frame
-    return JOINT_TEMPLATE.format(name=quoteattr(f'{parent}_to_{child}'), parent=quoteattr(parent),
-                                 child=quoteattr(child),
-                                 xyz=numbers(calibration.T_flange_sensor[:3, 3]),
-                                 rpy=numbers(se3.rpy(calibration.T_flange_sensor)))
+    return _from_template(calibration, template='joint.urdf.jinja')
 
 
-def urdf(calibration: Calibration) -> str:
-    """Return a URDF with the sensor's link and its joint, which xacro can include."""
-    # two dashes would end an XML comment
-    comment, parent = (re.sub('-(?=-)', '- ', text) for text in (
-        '\n'.join(preamble(calibration)), one_line(calibration.parent_frame)))
-    return URDF_TEMPLATE.format(comment=comment, parent=parent,
-                                robot=quoteattr(calibration.name), joint=joint(calibration),
-                                child=quoteattr(calibration.child_frame))
+def _from_template(calibration: Calibration, template: str) -> str:
+    """Return a text for ROS by its template in results/assets."""
+    T = calibration.T_flange_sensor
+    # ROS takes letters, digits and underscores in the name of a node
+    node = 'publish_' + re.sub(r'\W', '_', calibration.child_frame, flags=re.ASCII)
+    return rendered(template, c=calibration, comment=preamble(calibration), xyz=numbers(T[:3, 3]),
+                    rpy=numbers(se3.rpy(T)), arguments=arguments(calibration), node=node)
 
 
 def arguments(calibration: Calibration) -> dict[str, str]:
@@ -189,37 +150,24 @@ def command(calibration: Calibration) -> str:
     return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(words)
 
 
-def launch(calibration: Calibration) -> str:
-    """Return a launch file that publishes the calibration on /tf_static."""
-    # ROS takes letters, digits and underscores in the name of a node
-    node = ''.join(c if c.isascii() and c.isalnum() else '_' for c in calibration.child_frame)
-    lines = ',\n                        '.join(
-        f'{name!r}, {value!r}' for name, value in arguments(calibration).items())
-    return LAUNCH_TEMPLATE.format(file=LAUNCH_FILE, comment=commented(calibration),
-                                  arguments=lines,
-                                  name=f'publish_{node}')
-
-
 def easy_handeye2(calibration: Calibration) -> str:
     """Return the content of the file for easy_handeye2."""
     config, file = config_of(calibration), FORMATS['easy_handeye2'].file_name(calibration)
-    frames = {'robot_base_frame': config.base_frame,
-              'robot_effector_frame': config.robot_effector_frame}
-    frames['robot_effector_frame' if config.in_hand else 'robot_base_frame'
-           ] = calibration.parent_frame
-    values = {
+    parent = 'robot_effector_frame' if config.in_hand else 'robot_base_frame'
+    content = {
         'parameters': {
             'name': file.removesuffix('.calib'),
             'calibration_type': config.calibration_type,
-            **frames,
+            'robot_base_frame': config.base_frame,
+            'robot_effector_frame': config.robot_effector_frame,
+            parent: calibration.parent_frame,
             'tracking_base_frame': calibration.child_frame,
             'tracking_marker_frame': TARGET_FRAME,
             'freehand_robot_movement': True,
         },
         'transform': se3.transform_values(calibration.T_flange_sensor)}
-    folder = '~/.ros2/easy_handeye2/calibrations'
-    return (f'{commented(calibration)}# For easy_handeye2: its place is {folder}/{file}\n' + str(
-        yaml.safe_dump(values, sort_keys=False, allow_unicode=True)))
+    return (f'{commented(calibration)}# For easy_handeye2: its place is '
+            f'~/.ros2/easy_handeye2/calibrations/{file}\n{yaml_text(content)}')
 
 
 @dataclass(frozen=True)
@@ -241,8 +189,9 @@ class Format:
 
 FORMATS = {
     YAML: Format(calibration_file.NAME, calibration_file.text),
-    'urdf': Format('sensor.urdf.xacro', urdf),
-    'launch': Format(LAUNCH_FILE, launch),
+    'urdf': Format('sensor.urdf.xacro', partial(_from_template, template='sensor.urdf.jinja')),
+    'launch': Format('static_transform.launch.py', partial(
+        _from_template, template='static_transform.launch.jinja')),
     'easy_handeye2': Format('{name}.calib', easy_handeye2),
     'matrix': Format('matrix.txt', matrix),
     'json': Format('calibration.json', as_json),
@@ -281,8 +230,8 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
     """
     Write a calibration into a folder in all given formats, always also calibration.yaml.
 
-    The files of a previous result go to history/<its time> in the folder: nothing is lost, and
-    all files in the folder are of one answer. Raises UnknownNameError and UnwritableError.
+    The files of a previous result are kept in its history: nothing is lost, and all files in the
+    folder are of one answer. Raises UnknownNameError and UnwritableError.
     """
     calibration = calibration_file.dated(calibration)
     forms = [format_of(name) for name in dict.fromkeys((YAML, *formats))]
@@ -293,7 +242,7 @@ def save_all(calibration: Calibration, folder: Path, formats: Sequence[str] = (Y
 
 def export(calibration: Calibration, name: str, file: Path) -> Saved:
     """
-    Write a calibration in one format; an existing file with other content is kept aside.
+    Write a calibration in one format; an existing file with other content is kept in the history.
 
     Raises UnknownNameError and UnwritableError.
     """
@@ -301,43 +250,28 @@ def export(calibration: Calibration, name: str, file: Path) -> Saved:
     return write({file.name: text}, file.parent, {file.name})
 
 
-def write(texts: Mapping[str, str], folder: Path, aside: set[str]) -> Saved:
+def write(texts: Mapping[str, str], folder: Path, result: set[str]) -> Saved:
     """
     Write files by name into a folder, unless it has just these already.
 
-    aside: names of files that are kept in its history; a report is one of the same answer.
+    result: names of all files that belong to a result; those of the previous one, also its report,
+    are kept in the history of the folder, named after the time when they were replaced. A reader
+    finds at each moment a whole file of each name. Raises UnwritableError.
     """
     files = tuple(folder / name for name in texts)
-    there = {name for name in aside - {REPORT_FILE} if (folder / name).is_file()}
+    history = folder / HISTORY_FOLDER / datetime.now(UTC).strftime('%Y-%m-%dT%H%M%S.%fZ')
     with write_errors_for(folder):
-        if there == set(texts) and all(file.read_bytes() == text.encode()
-                                       for file, text in zip(files, texts.values(), strict=True)):
+        there = {name: (folder / name).read_bytes() for name in result
+                 if (folder / name).is_file()}
+        if {name: content for name, content in there.items() if name != REPORT_FILE} == {
+                name: text.encode() for name, text in texts.items()}:
             return Saved(files, unchanged=True)
-    previous = _set_aside(folder, sorted(aside), set(texts))
+        if there:
+            history.mkdir(parents=True)
+        for name in there:
+            shutil.copy2(folder / name, history / name)
+            if name not in texts:
+                (folder / name).unlink()
     for file, text in zip(files, texts.values(), strict=True):
         write_atomically(file, text)
-    return Saved(files, previous)
-
-
-def _set_aside(folder: Path, names: Sequence[str], replaced: set[str]) -> Path | None:
-    """
-    Move the files of a folder to its history; return the new folder, None without files.
-
-    replaced: names of files that are written next: they stay until then, so that a reader always
-    finds one. Raises UnwritableError.
-    """
-    files = [folder / name for name in names if (folder / name).is_file()]
-    if not files:
-        return None
-    with write_errors_for(folder / HISTORY_FOLDER):
-        newest = datetime.fromtimestamp(max(file.stat().st_mtime for file in files), UTC)
-        first = folder / HISTORY_FOLDER / newest.strftime('%Y-%m-%dT%H%M%S.%fZ')
-        others = (first.with_name(f'{first.name}-{k}') for k in count(2))
-        history = next(path for path in chain([first], others) if not path.exists())
-        history.mkdir(parents=True)
-        for file in files:
-            shutil.copy2(file, history / file.name)
-        for file in files:
-            if file.name not in replaced:
-                file.unlink()
-    return history
+    return Saved(files, history if there else None)

@@ -7,7 +7,7 @@ The file is complete: it opens without a network.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
@@ -15,11 +15,10 @@ from handeye_ros import config as configuration
 from handeye_ros import se3
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import mm
-from handeye_ros.output import figure, image, page, style
+from handeye_ros.output import rendered
 from handeye_ros.results import exports, table
 from handeye_ros.results.calibration_file import config_of
 from handeye_ros.results.scene import (
-    Agreement,
     in_plane,
     in_sensor,
     profile_picture,
@@ -29,7 +28,6 @@ from handeye_ros.results.scene import (
 from handeye_ros.results.truth_file import field_points, FIELD_TEXT
 import numpy as np
 
-BLUE, ORANGE = '#1f6fb4', '#e07b00'
 MUCH_WORSE = 4.0  # ratio of the cross-validation error to the residual
 SAME_ANSWER = 0.1  # sigmas: two answers of the same recording agree so well
 
@@ -57,25 +55,30 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
     points = in_sensor(in_plane(f for stop in used for f in stop.features), config)
     good, sentence = verdict(calibration, recording, points)
     drawn = scene(calibration, recording.stops, config)
-    with style():
-        plots = dict(_plots(used))
-    return page(
+    return rendered(
         'report.html', c=calibration, good=good, sentence=sentence,
         remarks=list(_remarks(calibration, recording)),
         transform=list(table.transform_rows(calibration)),
         facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
-        plots=plots, stops=[
-            (stop, f'{1e3 * stop.agreement.residual:.3f} mm' if stop.agreement else 'used')
-            for stop in recording.stops],
-        profiles=[profile_picture(stop.points, stop.features) for stop in recording.stops],
+        stops=[(stop, _residuals(stop)) for stop in recording.stops],
+        profiles=[profile_picture(in_plane(f for stop in used for f in stop.features), ()),
+                  *(profile_picture(stop.points, stop.features) for stop in recording.stops)],
         refused=[report for report in calibration.samples if not report.used],
         settings=configuration.flatten(config).items(),
         inputs=[', '.join(f'{key} {value}' for key, value in item.items())
                 for item in calibration.provenance.get('inputs', ())],
         uses=[('URDF or xacro', exports.joint(calibration)),
               ('ROS 2, shell', exports.command(calibration))])
+
+
+def _residuals(stop: StopSnapshot) -> str:
+    """Return the RMS residuals of a used stop in words."""
+    if stop.agreement is None:
+        return 'used'
+    return (f'{stop.agreement.residual * 1e3:.3f} mm, left out '
+            f'{stop.agreement.left_out * 1e3:.3f} mm')
 
 
 def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
@@ -121,43 +124,3 @@ def mapped_std(calibration: Calibration, points: Array) -> float:
     """Return the RMS 1 sigma (metres) of points (k, 3) mapped into the parent frame."""
     arms = points @ calibration.T_flange_sensor[:3, :3].T
     return float(se3.mapped_std(arms, calibration.covariance))
-
-
-def _plots(used: Sequence[StopSnapshot]) -> Iterator[tuple[str, str]]:
-    """Yield the plots with data, by name, of used stops."""
-    if used:
-        yield 'coverage', _coverage_plot(used)
-    agreements = {stop.number: stop.agreement for stop in used if stop.agreement}
-    if agreements:
-        yield 'residuals', _residuals_plot(agreements)
-
-
-def _residuals_plot(agreements: Mapping[int, Agreement]) -> str:
-    """Return the plot of RMS residuals of stops by their numbers, in the fit and left out."""
-    drawing, ax = figure(1, 1, 7, 2.6)
-    positions = np.arange(len(agreements))
-    for shift, color, label, values in (
-            (-0.2, BLUE, 'in the fit', [a.residual for a in agreements.values()]),
-            (0.2, ORANGE, 'left out of the fit', [a.left_out for a in agreements.values()])):
-        ax.bar(positions + shift, 1e3 * np.array(values), 0.4, color=color, label=label)
-    ax.set_xticks(positions, [*map(str, agreements)], fontsize=7)
-    ax.set(xlabel='stop', ylabel='RMS residual (mm)')
-    ax.legend(loc='upper right', ncols=2)
-    return image(drawing)
-
-
-def _coverage_plot(stops: Sequence[StopSnapshot]) -> str:
-    """Return the plot of positions in the field of view, and of rotations of the sensor."""
-    points = 1e3 * in_plane(f for stop in stops for f in stop.features)
-    T = np.array([stop.T_mount for stop in stops])
-    turns = np.degrees(se3.log_rotation(T[:, :3, :3] @ se3.mean_pose(T)[:3, :3].T))
-    drawing, (field_axes, rotation_axes) = figure(1, 2, 3.5, 3.1)
-    field_axes.plot(*points.T, '.', color=BLUE, ms=4)
-    field_axes.set(xlabel='along the laser line (mm)', ylabel='range (mm)',
-                   title='Field of view that was used')
-    field_axes.invert_yaxis()
-    dots = rotation_axes.scatter(turns[:, 0], turns[:, 1], c=turns[:, 2], s=22, cmap='viridis')
-    rotation_axes.set(xlabel='turn about x (degrees)', ylabel='turn about y (degrees)',
-                      aspect='equal', adjustable='datalim', title='Rotations from their mean')
-    drawing.colorbar(dots, ax=rotation_axes, label='turn about z (degrees)')
-    return image(drawing)

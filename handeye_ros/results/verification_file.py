@@ -14,7 +14,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.output import page
+from handeye_ros.output import rendered
 from handeye_ros.results.calibration_file import content_of, require_format, unusable
 from rich.table import Table
 
@@ -114,7 +114,7 @@ def protocol(content: Mapping[str, Any]) -> str:
     """Return the protocol of the content of a verification, printable for an inspector."""
     # the same result gives the same number, another result another one
     digest = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode())
-    return page(
+    return rendered(
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
         look=verdict_style(content['verdict']),
         columns=TABLE_COLUMNS, rows=list(table_rows(content)),
