@@ -19,17 +19,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 from handeye_ros import se3
+from handeye_ros.config import content_of
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError, nearest
+from handeye_ros.errors import InputError, nearest, unusable
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.results.calibration_file import (
-    content_of,
-    require_format,
-    transform_from,
-    unusable,
-)
+from handeye_ros.results.calibration_file import require_format, transform_from
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

@@ -20,9 +20,9 @@ from typing import Any, TypeAlias
 
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
+from handeye_ros.config import content_of
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, rendered, write_atomically
-from handeye_ros.results.calibration_file import content_of
 from handeye_ros.tables import Table
 from handeye_ros.trend import AXES
 

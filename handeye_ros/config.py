@@ -9,7 +9,7 @@ come first, then what sets their values, from files or by hand; a wrong value ra
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -26,6 +26,7 @@ from handeye_ros.errors import (
     path_of,
     require_type,
     UnknownKeyError,
+    unusable,
 )
 import yaml
 
@@ -41,6 +42,7 @@ RECORD_NAMES = ('operator', 'sensor_serial', 'robot_serial', 'artefact', 'temper
 RECORD_PREFIX = 'record.'
 BASE_FRAME = 'base'
 UNNAMED_FRAME = 'sensor'  # name for the frame of profiles without a frame_id
+BAD_YAML = yaml.YAMLError, ValueError, RecursionError  # ValueError: of an invalid date or number
 LONGEST_TEXT = 1000  # characters of a record.*
 NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter files
 # Parameters of every ROS node, also in a dump of ours.
@@ -86,27 +88,22 @@ class Parameter:
 
     def _one(self, value: Any, kind: type[Any]) -> Any:
         """Return one value of a type, as plain Python."""
-        plain = _plain(value, kind)
-        if expected := self._expected(plain, kind):
+        plain, low, high = _plain(value, kind), self.minimum, self.maximum
+        good, expected = type(plain) is kind, f'a value of type {kind.__name__}'
+        if self.choices:
+            good &= plain in self.choices
+            expected = f'one of {", ".join(map(str, self.choices))}'
+        elif low is not None and high is not None:
+            good = good and low <= plain <= high
+            whole = 'whole ' if kind is int else ''
+            expected = f'a {whole}number from {low:g} to {high:g} {self.unit}'.rstrip()
+        elif good and kind is str:
+            good = plain.isprintable() and plain == plain.strip() and (plain or not self.default)
+            such = f' such as {self.default}' if self.default else ''
+            expected = f'a text{such} without control characters, or blanks around it'
+        if not good:
             raise BadValueError(self.key, value, expected)
         return plain
-
-    def _expected(self, value: Any, kind: type[Any]) -> str:
-        """Return in words what is expected instead of a value, '' for a good one."""
-        low, high = self.minimum, self.maximum
-        if self.choices and (type(value) is not kind or value not in self.choices):
-            return f'one of {", ".join(map(str, self.choices))}'
-        good = type(value) is kind and (kind is not float or math.isfinite(value))
-        if low is not None and high is not None and not (good and low <= value <= high):
-            whole = 'whole ' if kind is int else ''
-            return f'a {whole}number from {low:g} to {high:g} {self.unit}'.rstrip()
-        if not good:
-            return f'a value of type {kind.__name__}'
-        if kind is str and (not value.isprintable() or value != value.strip()):
-            return 'a text without control characters, or blanks around it'
-        if kind is str and self.default and not value:
-            return f'a text such as {self.default}'
-        return ''
 
 
 def _plain(value: Any, kind: type[Any]) -> Any:
@@ -137,6 +134,10 @@ class Section:
             value = getattr(self, name)
             if value is not parameter.default:
                 object.__setattr__(self, name, parameter.checked(value))
+        for item in fields(self):
+            if isinstance(item.default, Section) and not isinstance(
+                    value := getattr(self, item.name), type(item.default)):
+                raise BadValueError(item.name, value, f'a {type(item.default).__name__}')
 
 
 @cache
@@ -414,28 +415,20 @@ class Config(Section):
     clock_drift_std: float = key(
         1e-4, 'By how much faster the clock of the profiles may run than that of the poses (1 '
         'sigma, seconds per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
-    profile: ProfileConfig = field(default_factory=ProfileConfig)
-    target: TargetConfig = field(default_factory=TargetConfig)
+    profile: ProfileConfig = ProfileConfig()
+    target: TargetConfig = TargetConfig()
     method: str = key('auto', 'The estimator; auto: the one of the target.')
     session: str = key('', 'The session to continue: its folder, or last; empty: a new one.')
-    sampling: SamplingConfig = field(default_factory=SamplingConfig)
-    samples: SamplesConfig = field(default_factory=SamplesConfig)
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    noise: NoiseConfig = field(default_factory=NoiseConfig)
-    limits: LimitsConfig = field(default_factory=LimitsConfig)
-    save: SaveConfig = field(default_factory=SaveConfig)
-    guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
-    verify: VerifyConfig = field(default_factory=VerifyConfig)
-    page: PageConfig = field(default_factory=PageConfig)
+    sampling: SamplingConfig = SamplingConfig()
+    samples: SamplesConfig = SamplesConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    noise: NoiseConfig = NoiseConfig()
+    limits: LimitsConfig = LimitsConfig()
+    save: SaveConfig = SaveConfig()
+    guidance: GuidanceConfig = GuidanceConfig()
+    verify: VerifyConfig = VerifyConfig()
+    page: PageConfig = PageConfig()
     record: tuple[tuple[str, str], ...] = ()  # record.*: names and texts, free
-
-    def __post_init__(self) -> None:
-        """Raise BadValueError for a value that its key does not take."""
-        super().__post_init__()
-        for item in fields(self):
-            wanted, value = item.default_factory, getattr(self, item.name)
-            if isinstance(wanted, type) and not isinstance(value, wanted):
-                raise BadValueError(item.name, value, f'a {wanted.__name__}')
 
     @property
     def in_hand(self) -> bool:
@@ -464,13 +457,13 @@ class Config(Section):
 @cache
 def parameters() -> tuple[Parameter, ...]:
     """Return every key, in their order."""
-    def of(section: Any) -> Iterator[Parameter]:
-        for item in fields(section):
-            if item.metadata:
-                yield _own(section)[item.name]
-            elif isinstance(item.default_factory, type):
-                yield from of(item.default_factory)
-    return tuple(of(Config))
+    found: list[Parameter] = []
+    for item in fields(Config):
+        if isinstance(item.default, Section):
+            found += _own(type(item.default)).values()  # type: ignore[arg-type]
+        elif item.metadata:
+            found.append(_own(Config)[item.name])
+    return tuple(found)
 
 
 def flatten(config: Config) -> dict[str, Any]:
@@ -505,7 +498,11 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
             continue
         if key not in known:
             raise UnknownKeyError(key, known, source)
-        config = _with_value(config, key.split('.'), value)
+        section, _, name = key.rpartition('.')
+        changed = {name: value}
+        if section:
+            changed = {section: replace(getattr(config, section), **changed)}
+        config = replace(config, **changed)
     return config
 
 
@@ -527,8 +524,8 @@ def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
         if not equals:
             raise InputError(f'"{text}" is not of the form key=value')
         try:
-            values[key.strip()] = yaml_content(value)
-        except yaml.YAMLError as error:
+            values[key.strip()] = yaml.safe_load(value)
+        except BAD_YAML as error:
             raise InputError(f'the value in "{text}" is not valid YAML') from error
     return with_values(config, values, '--set')
 
@@ -549,20 +546,14 @@ def _with_record(config: Config, key: str, value: Any) -> Config:
     return replace(config, record=tuple((n, t) for n, t in record.items() if t))
 
 
-def _with_value(section: Any, names: list[str], value: Any) -> Any:
-    if len(names) > 1:
-        value = _with_value(getattr(section, names[0]), names[1:], value)
-    return replace(section, **{names[0]: value})
-
-
-def yaml_content(text: str) -> Any:
-    """Return the content of a YAML text with plain values only; raises yaml.YAMLError."""
+def content_of(path: Path) -> Any:
+    """Return the content of a YAML file; raises InputError."""
     try:
-        return yaml.safe_load(text)
-    except ValueError as error:  # an invalid date or number
-        raise yaml.YAMLError(str(error)) from error
-    except RecursionError as error:
-        raise yaml.YAMLError('it is nested too deeply') from error
+        return yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise unusable(path, error.strerror or str(error)) from error
+    except BAD_YAML as error:
+        raise unusable(path, f'it is not valid YAML: {error}') from error
 
 
 def load(path: Path | str, config: Config | None = None) -> Config:
@@ -572,13 +563,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     Also of a dump of the node (`ros2 param dump`) with any name and namespace. Raises InputError.
     """
     file = path_of('path', path)
-    try:
-        content = yaml_content(file.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f'cannot read the configuration {path}: {error}') from error
-    except yaml.YAMLError as error:
-        raise InputError(f'{path} is not valid YAML: {error}') from error
-    return with_values(config or Config(), _node_values(content, file), str(path))
+    return with_values(config or Config(), _node_values(content_of(file), file), str(path))
 
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:

@@ -14,13 +14,12 @@ import sys
 from typing import Any, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, from_provenance, yaml_content
+from handeye_ros.config import Config, content_of, from_provenance
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
-from handeye_ros.errors import InputError, path_of, require_type
+from handeye_ros.errors import InputError, path_of, require_type, unusable
 from handeye_ros.output import write_atomically, yaml_text
 import numpy as np
 from scipy.spatial.transform import Rotation
-import yaml
 
 Kind = TypeVar('Kind')
 
@@ -164,16 +163,6 @@ def _check_rpy(file: FileSection, T: Array) -> None:
                          'correct it, and correct rpy or delete it')
 
 
-def content_of(path: Path) -> Any:
-    """Return the content of a YAML file; raises InputError."""
-    try:
-        return yaml_content(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise unusable(path, error.strerror or str(error)) from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise unusable(path, 'it is not valid YAML') from error
-
-
 def require_format(path: Path, text: str, kind: str) -> None:
     """Raise InputError for another format than the kind and its number NEWEST, or less."""
     number = text.removeprefix(kind)
@@ -182,11 +171,6 @@ def require_format(path: Path, text: str, kind: str) -> None:
     if int(number) > NEWEST:
         raise unusable(path, f'its format {text} is newer than this version of handeye_ros '
                              f'({__version__}) can read; update the package')
-
-
-def unusable(path: Path, reason: str) -> InputError:
-    """Return the error for a file that cannot be used."""
-    return InputError(f'{path} cannot be used: {reason}')
 
 
 class FileSection:

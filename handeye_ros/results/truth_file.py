@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros import se3
+from handeye_ros.config import content_of
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import content_of, FileSection, transform_from
+from handeye_ros.results.calibration_file import FileSection, transform_from
 import numpy as np
 import yaml
 

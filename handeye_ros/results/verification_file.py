@@ -14,8 +14,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+from handeye_ros.config import content_of
+from handeye_ros.errors import unusable
 from handeye_ros.output import rendered
-from handeye_ros.results.calibration_file import content_of, require_format, unusable
+from handeye_ros.results.calibration_file import require_format
 from rich.table import Table
 
 FORMAT_PREFIX = 'handeye_ros/verification/'
