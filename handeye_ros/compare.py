@@ -238,6 +238,15 @@ class Row:
     error_rotation: float | None = None
     error_mapped_points: float | None = None
 
+    @property
+    def transform_text(self) -> str:
+        """Return the transform in two lines of three numbers (mm, degrees), or why it failed."""
+        if self.T_flange_sensor is None:
+            return f'failed: {self.failure}'
+        return '\n'.join(' '.join(f'{value:9.{digits}f}' for value in values)
+                         for values, digits in ((1e3 * self.T_flange_sensor[:3, 3], 3),
+                                                (np.degrees(se3.rpy(self.T_flange_sensor)), 4)))
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -349,19 +358,13 @@ def tables(comparison: Comparison) -> RenderableType:
     with_errors = any(row.error_mapped_points for row in rows)
     shown = {name: column for name, column in ROW_FIGURES.items()
              if with_errors or not name.startswith('error')}
-    transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)')
-    figures = figures_table('estimator', *(head for head, _, _ in shown.values()),
-                            right=range(1, 1 + len(shown)))
-    for row in rows:
-        T, texts = row.T_flange_sensor, []
-        transforms.add_row(row.name, Text(
-            f'failed: {row.failure}' if T is None else
-            ' '.join(f'{v * 1e3:9.3f}' for v in T[:3, 3]) + '\n'
-            + ' '.join(f'{math.degrees(a):9.4f}' for a in se3.rpy(T))))
-        for name, (_, unit, digits) in shown.items():
-            value = getattr(row, name)
-            texts.append('-' if value is None else f'{value * unit:.{digits}f}')
-        figures.add_row(row.name, *texts)
+    transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',
+                               rows=((row.name, row.transform_text) for row in rows))
+    figures = figures_table(
+        'estimator', *(head for head, _, _ in shown.values()), right=range(1, 1 + len(shown)),
+        rows=((row.name, *('-' if (value := getattr(row, figure)) is None else
+                           f'{value * unit:.{digits}f}'
+                           for figure, (_, unit, digits) in shown.items())) for row in rows))
     lost = f', {comparison.rejected} rejected' if comparison.rejected else ''
     title = (f'{comparison.used} samples{lost}. The published estimators are given what '
              f'{rows[0].name} finds: which samples agree, and the labels, sides or start that '

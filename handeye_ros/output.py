@@ -15,6 +15,7 @@ from typing import Any
 from handeye_ros import __version__
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, UnwritableError
+import numpy as np
 import yaml
 
 LONGEST_NAME = 100  # characters of a folder
@@ -52,10 +53,22 @@ def csv_text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return lines.getvalue()
 
 
+class _Dumper(yaml.SafeDumper):
+    """Writes numpy values as plain ones, and a value that is there twice twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+for kind in (np.generic, np.ndarray):
+    _Dumper.add_multi_representer(kind, lambda dumper, value: dumper.represent_data(
+        value.tolist()))
+
+
 def yaml_text(content: Mapping[str, Any]) -> str:
-    """Return plain values as YAML."""
-    return str(yaml.safe_dump(content, sort_keys=False, width=100, default_flow_style=None,
-                              allow_unicode=True))
+    """Return values as YAML, arrays as lists."""
+    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=100,
+                         default_flow_style=None, allow_unicode=True))
 
 
 def write_atomically(path: Path, text: str) -> None:

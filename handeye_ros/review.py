@@ -182,13 +182,13 @@ def samples_table(session: Session, answer: Answer, config: Config) -> Table:
         agreement = agreement_of.get(stop.number)
         return -agreement.left_out if agreement else 1.0, stop.number
 
-    table = figures_table('number', 'residual', 'left out', '', '', right=range(3))
-    for stop in sorted(session.stops, key=order):
+    def row(stop: Stop) -> tuple[str, ...]:
         agreement = agreement_of.get(stop.number)
-        residuals = (agreement.residual, agreement.left_out) if agreement else (None, None)
+        residuals = (agreement.residual, agreement.left_out) if agreement else ()
         state = ('no sample' if stop.sample is None else 'excluded' if session.excludes(stop) else
                  'not believed' if agreement and not agreement.used else '')
-        table.add_row(
-            str(stop.number), *('' if r is None else f'{r * 1e3:.3f} mm' for r in residuals),
-            state, sample_summary(stop.result))
-    return table
+        return (str(stop.number), *(f'{r * 1e3:.3f} mm' for r in residuals or ()),
+                *[''] * (2 - len(residuals)), state, sample_summary(stop.result))
+
+    return figures_table('number', 'residual', 'left out', '', '', right=range(3),
+                         rows=map(row, sorted(session.stops, key=order)))

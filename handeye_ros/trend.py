@@ -12,8 +12,8 @@ from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.results.calibration_file import NAME, read_calibration
+from handeye_ros.results.table import figures_table
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 CHANGED_P, WATCH_P = 0.01, 0.05  # p-values of a difference: act, watch
@@ -46,40 +46,38 @@ def trend(folder: Path, first: Calibration | None = None) -> tuple[list[Entry], 
     Return the calibrations below a folder by time, and a warning for each file left out.
 
     first: the reference, the oldest if not given; only those between its frames are compared.
-    Raises DataError for too few, or for several sensors without a reference, InputError for a
-    folder that is not there.
+    Raises DataError for too few, InputError for a folder that is not there.
     """
     if not folder.is_dir():
         raise InputError(f'there is no folder {folder}: name one that holds calibrations')
-    calibrations, warnings, sensors = [], [], set()
+    found, warnings = [], []
     for path in sorted(folder.rglob(NAME)):
         try:
-            calibration = read_calibration(path)
+            one = read_calibration(path)
         except InputError as error:
             warnings.append(str(error))
             continue
-        frames = f'{calibration.child_frame} on {calibration.parent_frame}'
-        if first and frames != f'{first.child_frame} on {first.parent_frame}':
-            warnings.append(f'{path} is left out: it is of {frames}')
+        stamp = min((report.stamp for report in one.samples), default=0)
+        found.append((output.time_of(stamp) or str(one.provenance.get('created', '')), path, one))
+    found.sort(key=lambda item: item[:2])
+    if len(found) < 2 - (first is not None):
+        raise DataError(f'{folder} holds {len(found)} readable calibration.yaml: a trend needs '
+                        'two, or one with --against')
+    reference = before = first or found[0][2]
+    entries = []
+    for recorded, path, one in found:
+        if _frames(one) != _frames(reference):
+            warnings.append(f'{path} is left out: it is of {_frames(one)}, not of '
+                            f'{_frames(reference)}; name another reference with --against')
             continue
-        sensors.add(frames)
-        stamp = min((report.stamp for report in calibration.samples), default=0)
-        recorded = output.time_of(stamp) or str(calibration.provenance.get('created', ''))
-        calibrations.append((recorded, str(path), calibration))
-    calibrations.sort(key=lambda item: item[:2])
-    if len(calibrations) < 2 - (first is not None):
-        raise DataError(f'{folder} holds {len(calibrations)} readable calibration.yaml: a trend '
-                        'needs two, or one with --against')
-    if len(sensors) > 1:
-        raise DataError(f'{folder} holds calibrations of {" and of ".join(sorted(sensors))}, '
-                        'which are not compared: give the folder of one, or one of them with '
-                        '--against')
-    reference = first or calibrations[0][2]
-    before = [reference, *(calibration for _, _, calibration in calibrations)]
-    return [Entry(Path(name), recorded, *_compared(one, reference), _compared(one, previous)[2],
-                  one.quality.residual_rms)
-            for (recorded, name, one), previous in zip(calibrations, before, strict=False)
-            ], warnings
+        entries.append(Entry(path, recorded, *_compared(one, reference), _compared(one, before)[2],
+                             one.quality.residual_rms))
+        before = one
+    return entries, warnings
+
+
+def _frames(calibration: Calibration) -> str:
+    return f'{calibration.child_frame} on {calibration.parent_frame}'
 
 
 def _compared(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
@@ -92,17 +90,13 @@ def _compared(a: Calibration, b: Calibration) -> tuple[Array, Array, float]:
 
 def table(entries: Sequence[Entry]) -> Table:
     """Return the trend as a table."""
-    result = Table(title='differences from the first', title_justify='left')
-    for column in ('recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]',
-                   'p to the first', 'p to the previous', ''):
-        result.add_column(escape(column), justify='right')  # [mm] is no markup
-    for e in entries:
-        result.add_row(
-            e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
-            f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
-            f'{e.p_before:.3g}', 'CHANGED' if e.p_before < CHANGED_P else
-            'watch' if min(e.p_before, e.p_first) < WATCH_P else '')
-    return result
+    rows = ((e.recorded, *(f'{v * 1e3:.3f}' for v in e.difference[:3]),
+             f'{np.degrees(np.linalg.norm(e.difference[3:])):.4f}', f'{e.p_first:.3g}',
+             f'{e.p_before:.3g}', 'CHANGED' if e.p_before < CHANGED_P else
+             'watch' if min(e.p_before, e.p_first) < WATCH_P else '') for e in entries)
+    return figures_table(
+        'recorded', 'x [mm]', 'y [mm]', 'z [mm]', 'rotation [degrees]', 'p to the first',
+        'p to the previous', '', rows=rows, right=range(7), title='differences from the first')
 
 
 def since_when(entries: Sequence[Entry]) -> str:

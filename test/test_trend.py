@@ -8,7 +8,7 @@ from dataclasses import replace
 from command import assert_refused, handeye
 from handeye_ros import se3, trend
 from handeye_ros.data import SampleReport
-from handeye_ros.errors import DataError, InputError
+from handeye_ros.errors import InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 import numpy as np
 import pytest
@@ -44,10 +44,11 @@ def test_only_calibrations_of_one_sensor_are_compared(tmp_path):
     write(tmp_path, range(3))
     one = read_calibration(tmp_path / 'day_0/calibration.yaml')
     write_calibration(replace(one, child_frame='rear'), tmp_path / 'rear/calibration.yaml')
-    with pytest.raises(DataError, match='of laser on flange and of rear on flange, which are not'):
-        trend.trend(tmp_path)
-    entries, warnings = trend.trend(tmp_path, one)
-    assert len(entries) == 3 and 'rear on flange' in warnings[0]
+    for reference in (None, one):
+        entries, (warning,) = trend.trend(tmp_path, reference)
+        assert len(entries) == 3 and 'rear on flange, not of laser on flange' in warning
+    entries, warnings = trend.trend(tmp_path, replace(one, child_frame='rear'))
+    assert len(entries) == 1 and len(warnings) == 3
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

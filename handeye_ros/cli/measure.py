@@ -14,7 +14,6 @@ from handeye_ros.cli.common import (
     collect_samples,
     File,
     Folder,
-    KinematicsFile,
     Length,
     MeasureConfig,
     NoPath,
@@ -55,7 +54,6 @@ def verify(
     calibration: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
-    kinematics: KinematicsFile = None,
     out: OutFile = None,
     protocol: Annotated[NoPath, File(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
@@ -77,7 +75,7 @@ def verify(
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
-    opened, settings = open_calibration(calibration, config, assignments, kinematics)
+    opened, settings = open_calibration(calibration, config, assignments)
     settings = settings_for(routine, settings, len(bags))
     if routine.in_passes:
         measured, rejects = stations_of_passes(_passes(bags, opened, settings), settings), ()
@@ -130,7 +128,6 @@ def check(
     against: Annotated[Path, File(help='The calibration.yaml that is to be checked.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
-    kinematics: KinematicsFile = None,
     out: OutFile = None,
 ) -> None:
     """
@@ -141,7 +138,7 @@ def check(
     from handeye_ros.output import write_atomically
     from handeye_ros.verification.check import check_recording, plain_values
     import yaml
-    calibration, settings = open_calibration(against, config, assignments, kinematics)
+    calibration, settings = open_calibration(against, config, assignments)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
         recording = read_bag(bag, settings)
@@ -189,7 +186,6 @@ def scan(
     out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
-    kinematics: KinematicsFile = None,
     voxel: Annotated[str, Length(
         help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
     limits: Annotated[tuple[str, str], typer.Option(
@@ -205,7 +201,7 @@ def scan(
     from handeye_ros.scanning.cloud import require_format, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)
-    sensor, settings = open_calibration(calibration, config, assignments, kinematics)
+    sensor, settings = open_calibration(calibration, config, assignments)
     scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
     with stream_recording(bag, settings, 'reading the poses', sensor) as (source, track, update):

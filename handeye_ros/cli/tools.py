@@ -47,23 +47,18 @@ def kinematics(
                                            'of the URDF.')] = '',
     flange: Annotated[str, typer.Option(help='The link that carries the sensor; default: tool0, '
                                              'flange, or the last link.')] = '',
-    configs: Annotated[list[Path], File('--config', help=(
-        'A ROS parameter file, for all sources; or one for each of them, in their order.'))] = [],
+    config: ConfigFile = None,
     assignments: Assignments = [],
     out: Annotated[Path, Folder(
         help='Where corrected.urdf, kinematics.yaml and calibration.yaml are written.')
     ] = Path('out/kinematics'),
 ) -> None:
     """Find the errors of joints and axes, with the transform."""
-    if len(configs) not in (0, 1, len(sources)):
-        raise typer.BadParameter(f'{len(configs)} --config for {len(sources)} sources: give one '
-                                 'for all of them, or one for each')
     tables = [*filter(is_table, sources)]
     if tables and len(sources) > 1:
         raise typer.BadParameter('give one table only: its column "target" names several '
                                  'points')
-    files = configs if len(configs) == len(sources) else [*configs, None][:1] * len(sources)
-    settings = configuration(files[0], assignments)
+    settings = configuration(config, assignments)
     from handeye_ros.arm import read_urdf
     from handeye_ros.results.calibration_file import input_values
     from handeye_ros.robot.arm_answer import table
@@ -74,8 +69,7 @@ def kinematics(
         with progress_bar('solving'):
             answer = solve_table(tables[0], arm, settings, [*map(input_values, (*tables, urdf))])
     else:
-        read = [_source(path, arm, file, assignments)
-                for path, file in zip(sources, files, strict=True)]
+        read = [_source(path, arm, config, assignments) for path in sources]
         with progress_bar('solving'):
             answer = solve_sources(read, arm, [input_values(urdf)])
     warn(*answer.warnings)

@@ -3,7 +3,6 @@
 """Writes and reads calibration.yaml; a refusal names the file and the key."""
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, fields, MISSING, replace
 from datetime import datetime, UTC
 from functools import cache
@@ -67,20 +66,19 @@ def text(calibration: Calibration) -> str:
 
 def _content(calibration: Calibration) -> dict[str, Any]:
     T, offset = calibration.T_flange_sensor, calibration.time_offset
-    provenance = _plain(calibration.provenance)
+    provenance = dict(calibration.provenance)
+    config = provenance.pop('config', {})
     return {
         'format': f'{FORMAT}{NEWEST}',
         'name': calibration.name, 'method': calibration.method,
         'parent_frame': calibration.parent_frame, 'child_frame': calibration.child_frame,
-        'transform': se3.transform_values(T), 'rpy': _plain(se3.rpy(T)),
-        'covariance': _plain(calibration.covariance.ravel()),
-        'target': _plain(calibration.target),
-        **({'time_offset': _plain(asdict(offset))} if offset else {}),
-        'quality': _plain(asdict(calibration.quality)),
-        'samples': [{key: _plain(value) for key, value in asdict(report).items()
+        'transform': se3.transform_values(T), 'rpy': se3.rpy(T),
+        'covariance': calibration.covariance.ravel(), 'target': calibration.target,
+        **({'time_offset': asdict(offset)} if offset else {}),
+        'quality': asdict(calibration.quality),
+        'samples': [{key: value for key, value in asdict(report).items()
                      if value is not None and value != ''} for report in calibration.samples],
-        'provenance': {**{k: v for k, v in provenance.items() if k != 'config'},
-                       'config': provenance.get('config', {})},  # long: after all others
+        'provenance': {**provenance, 'config': config},  # long: after all others
     }
 
 
@@ -89,17 +87,6 @@ def input_values(file: Path) -> dict[str, str]:
     with file.open('rb') as stream:
         digest = hashlib.file_digest(stream, 'sha256')
     return {'path': str(file.absolute()), 'sha256': digest.hexdigest()}
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with types of YAML."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value
 
 
 def config_of(calibration: Calibration) -> Config:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 import math
 import re
 from typing import Any
@@ -62,21 +62,23 @@ def table(calibration: Calibration) -> RenderableType:
     parent, child = calibration.parent_frame, calibration.child_frame
     title = Text(f'{calibration.name}: {child} in {parent}. T maps points of {child} into '
                  f'{parent}: p_{parent} = T @ p_{child}')
-    numbers = figures_table('', 'value', '1 sigma', '', right=(1, 2))
-    for row in transform_rows(calibration):
-        numbers.add_row(*row)
+    numbers = figures_table('', 'value', '1 sigma', '', rows=transform_rows(calibration),
+                            right=(1, 2))
     others = Table(box=None, show_header=False, pad_edge=False)
     for name, fact in (*facts(calibration), *details(calibration.target)):
         others.add_row(name, Text(fact))
     return Group(title, numbers, others)
 
 
-def figures_table(*heads: str, right: Iterable[int] = ()) -> Table:
-    """Return a table without rows; right: its columns of figures, which are never wrapped."""
-    rows = Table(*heads, box=box.SIMPLE_HEAD, pad_edge=False)
-    for k in right:
-        rows.columns[k].justify, rows.columns[k].no_wrap = 'right', True
-    return rows
+def figures_table(*heads: str, rows: Iterable[Iterable[str]] = (), right: Container[int] = (),
+                  title: str | None = None) -> Table:
+    """Return a table of texts; right: its columns of figures, which are never wrapped."""
+    table = Table(title=title, title_justify='left', box=box.SIMPLE_HEAD, pad_edge=False)
+    for k, head in enumerate(heads):
+        table.add_column(Text(head), justify='right' if k in right else 'left', no_wrap=k in right)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
 
 
 def budget_table(budget: Budget) -> RenderableType:
@@ -88,13 +90,13 @@ def budget_table(budget: Budget) -> RenderableType:
                  if (mapped / total) ** 2 < LISTED_SHARE]:
         terms[f'{len(small)} others'] = np.linalg.norm([terms.pop(name) for name in small], axis=0)
     terms[budget.total.name] = np.array([total, budget.total.translation, budget.total.rotation])
-    rows = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
-                         right=range(1, 5))
-    for name, (mapped, translation, rotation) in terms.items():
-        rows.add_row(name, f'{100 * (mapped / total) ** 2:.1f} %', f'{1e3 * mapped:.4f} mm',
-                     f'{1e3 * translation:.4f} mm', f'{math.degrees(rotation):.4f} degrees')
-    return Group(rows, Text(f'squares add up; {budget.samples} samples; mapped points: RMS over '
-                            'the field of view;\nposition, rotation: RMS of the axes'))
+    rows = ((name, f'{100 * (mapped / total) ** 2:.1f} %', f'{1e3 * mapped:.4f} mm',
+             f'{1e3 * translation:.4f} mm', f'{math.degrees(rotation):.4f} degrees')
+            for name, (mapped, translation, rotation) in terms.items())
+    causes = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
+                           rows=rows, right=range(1, 5))
+    return Group(causes, Text(f'squares add up; {budget.samples} samples; mapped points: RMS over '
+                              'the field of view;\nposition, rotation: RMS of the axes'))
 
 
 def transform_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:

@@ -18,6 +18,7 @@ from handeye_ros.config import content_of
 from handeye_ros.errors import unusable
 from handeye_ros.output import rendered
 from handeye_ros.results.calibration_file import require_format
+from handeye_ros.results.table import figures_table
 from rich.table import Table
 
 FORMAT_PREFIX = 'handeye_ros/verification/'
@@ -78,12 +79,8 @@ def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...
 
 def table(content: Mapping[str, Any]) -> Table:
     """Return the table of a verification."""
-    result = Table(title=title_of(content), title_justify='left')
-    for column in ('', *TABLE_COLUMNS):
-        result.add_column(column, justify='left' if not column else 'right')
-    for name, texts in table_rows(content):
-        result.add_row(name, *texts)
-    return result
+    return figures_table('', *TABLE_COLUMNS, right=range(1, 6), title=title_of(content),
+                         rows=((name, *texts) for name, texts in table_rows(content)))
 
 
 def sentence(content: Mapping[str, Any]) -> str:
