@@ -54,8 +54,6 @@ EDGE_KIND_NAMES = {'step': 'surface below in sight', 'shadow': 'surface below hi
                    'roof': 'side wall in sight', 'gap': 'nothing beyond',
                    'open': 'end not classified'}
 
-LISTED_SHARE = 0.005  # share of the variance: smaller causes are one row
-
 
 def table(calibration: Calibration) -> RenderableType:
     """Return the table of a calibration, for a rich console."""
@@ -83,16 +81,10 @@ def figures_table(*heads: str, rows: Iterable[Iterable[str]] = (), right: Contai
 
 def budget_table(budget: Budget) -> RenderableType:
     """Return the table of what the uncertainty comes from."""
-    total = budget.total.mapped
-    terms = {term.name: np.array([term.mapped, term.translation, term.rotation])
-             for term in budget.terms}
-    if small := [name for name, (mapped, *_) in terms.items()
-                 if (mapped / total) ** 2 < LISTED_SHARE]:
-        terms[f'{len(small)} others'] = np.linalg.norm([terms.pop(name) for name in small], axis=0)
-    terms[budget.total.name] = np.array([total, budget.total.translation, budget.total.rotation])
-    rows = ((name, f'{100 * (mapped / total) ** 2:.1f} %', f'{1e3 * mapped:.4f} mm',
-             f'{1e3 * translation:.4f} mm', f'{math.degrees(rotation):.4f} degrees')
-            for name, (mapped, translation, rotation) in terms.items())
+    rows = ((term.name, f'{100 * (term.mapped / budget.total.mapped) ** 2:.1f} %',
+             f'{1e3 * term.mapped:.4f} mm', f'{1e3 * term.translation:.4f} mm',
+             f'{math.degrees(term.rotation):.4f} degrees')
+            for term in (*budget.terms, budget.total))
     causes = figures_table('1 sigma by cause', 'share', 'mapped points', 'position', 'rotation',
                            rows=rows, right=range(1, 5))
     return Group(causes, Text(f'squares add up; {budget.samples} samples; mapped points: RMS over '

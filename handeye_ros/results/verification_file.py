@@ -23,7 +23,8 @@ from rich.table import Table
 
 FORMAT_PREFIX = 'handeye_ros/verification/'
 FORMAT = f'{FORMAT_PREFIX}1'
-TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma')
+TABLE_COLUMNS = ('measured', 'nominal', 'deviation', 'U (k = 2)', 'claimed, 1 sigma',
+                 'ISO 14253-1')
 SCATTER_ROWS = (('mean distance from the fit', 'mean'), ('its standard deviation', 'std'),
                 ('its maximum', 'maximum'), ('its RMS', 'rms'))
 LIMIT_ROWS = (('tolerance of lengths', 'tolerance', 'm'),
@@ -66,27 +67,29 @@ def verdict_style(verdict: str) -> str:
 def table_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield the measured values: a name, and the texts of TABLE_COLUMNS."""
     for q in content['quantities']:
-        nominal = q['nominal']
-        error = None if nominal is None else q['value'] - nominal
-        yield q['name'], tuple(formatted(v, q['unit']) for v in (
-            q['value'], nominal, error, content['k'] * q['std'],
-            q['claimed'] or None))  # a scatter claims nothing
-    for name, key in SCATTER_ROWS:
-        yield name, (formatted(content['scatter'][key], 'm'), '', '', '', '')
-    for name, key, unit in LIMIT_ROWS:
-        yield name, (formatted(content[key], unit), '', '', '', '')
+        nominal, U, error, decided = q['nominal'], content['k'] * q['std'], None, ''
+        if nominal is not None:
+            error = q['value'] - nominal
+            decided = decision(error, U, content[
+                'tolerance' if q['unit'] == 'm' else 'angle_tolerance'])
+        claimed = q['claimed'] or None  # a scatter claims nothing
+        figures = (formatted(v, q['unit']) for v in (q['value'], nominal, error, U, claimed))
+        yield q['name'], (*figures, decided)
+    for name, size, unit in (*((name, content['scatter'][key], 'm') for name, key in SCATTER_ROWS),
+                             *((name, content[key], unit) for name, key, unit in LIMIT_ROWS)):
+        yield name, (formatted(size, unit), '', '', '', '', '')
 
 
 def table(content: Mapping[str, Any]) -> Table:
     """Return the table of a verification."""
-    return figures_table('', *TABLE_COLUMNS, right=range(1, 6), title=title_of(content),
+    return figures_table('', *TABLE_COLUMNS, right=range(1, 7), title=title_of(content),
                          rows=((name, *texts) for name, texts in table_rows(content)))
 
 
 def sentence(content: Mapping[str, Any]) -> str:
     """Return a verification as one sentence: verdict, reasons, figures with units."""
     figures = []
-    for name, (measured, nominal, deviation, U, claimed) in table_rows(content):
+    for name, (measured, nominal, deviation, U, claimed, _) in table_rows(content):
         claims = f'; the calibration claims {claimed}, 1 sigma' if claimed else ''
         figures.append(f'{name} {measured}'
                        + (f' ± {U} (k = {content["k"]:g}{claims})' if U else '')
@@ -117,8 +120,7 @@ def protocol(content: Mapping[str, Any]) -> str:
         'protocol.html', t=content, number=digest.hexdigest()[:12], title=title_of(content),
         look=verdict_style(content['verdict']),
         columns=TABLE_COLUMNS, rows=list(table_rows(content)),
-        characteristics=list(_characteristics(content)), conformity=list(_conformity(content)),
-        formatted=formatted)
+        characteristics=list(_characteristics(content)), formatted=formatted)
 
 
 def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
@@ -129,14 +131,3 @@ def _characteristics(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str
             value = factor * (q['value'] - (q['nominal'] or 0.0))
             yield (q['characteristic'], meaning, q['name'], formatted(value, q['unit']),
                    formatted(factor * content['k'] * q['std'], q['unit']))
-
-
-def _conformity(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
-    """Yield name, |deviation| + U, tolerance and the decision of ISO 14253-1 of each quantity."""
-    for q in content['quantities']:
-        if q['nominal'] is None:
-            continue
-        deviation, U = abs(q['value'] - q['nominal']), content['k'] * q['std']
-        tolerance = content['tolerance'] if q['unit'] == 'm' else content['angle_tolerance']
-        yield (q['name'], f'{formatted(deviation, q["unit"])} ± {formatted(U, q["unit"])}',
-               formatted(tolerance, q['unit']), decision(deviation, U, tolerance))
