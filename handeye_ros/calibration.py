@@ -55,9 +55,14 @@ def calibration_of(samples: Sequence[Sample], rejects: Sequence[Reject], solutio
     problem = solution.problem
     used = [samples[i] for i in solution.used]
     measured, residuals, predicted = residuals_and_left_out(used, solution)
-    reports = [*_used_reports(used, problem, rms_by(measured.station, residuals, len(used))),
-               *_dropped_reports(samples, solution),
-               *(SampleReport(r.stamp, False, reason=r.reason) for r in rejects)]
+    own = rms_by(measured.station, residuals, len(used)).tolist()
+    reports = [SampleReport(sample.stamp, True, edges, residual,
+                            ONLY_FACE if problem.target.essential and not edges else '')
+               for sample, edges, residual in zip(used, edges_used(problem), own, strict=True)]
+    reports += [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
+                             f'residual is {square ** 0.5:.1f} times what its noise explains')
+                for i, square in solution.dropped_squares.items()]
+    reports += [SampleReport(r.stamp, False, reason=r.reason) for r in rejects]
     return assemble_calibration(
         config, problem.target.name, frame_id or 'laser',
         solution.estimate.X @ se3.inverse(T_sensor_plane(config)), solution.transform_covariance,
@@ -98,8 +103,8 @@ def _described_target(solution: Solution, config: Config) -> dict[str, Any]:
     described = solution.problem.target.describe(solution.estimate.state, solution.target_std)
     described |= reported_parameters(solution) | {'joint': _joint(solution)}
     described = {key: value for key, value in described.items() if not key.startswith(TIME_OFFSET)}
-    notes = notes_of(solution, config)
-    return described | ({'note': '; '.join(notes)} if notes else {})
+    notes = '; '.join(notes_of(solution, config))
+    return described | ({'note': notes} if notes else {})
 
 
 def _joint(solution: Solution) -> dict[str, Any]:
@@ -117,13 +122,6 @@ def _joint(solution: Solution) -> dict[str, Any]:
             'variance_factor': solution.variance_factor}
 
 
-def _used_reports(used: Sequence[Sample], problem: Problem, own: Array) -> list[SampleReport]:
-    """Return the reports of used samples; own: (n,) RMS residual of each."""
-    return [SampleReport(sample.stamp, True, edges, float(residual),
-                         ONLY_FACE if problem.target.essential and not edges else '')
-            for sample, edges, residual in zip(used, edges_used(problem), own, strict=True)]
-
-
 def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
     obs, target = problem.observations, problem.target
@@ -133,12 +131,6 @@ def edges_used(problem: Problem) -> list[str]:
     return [', '.join(target.kinds[k] for k in dict.fromkeys(obs.kind[first:last].tolist())
                       if target.kinds[k] in target.essential)
             for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
-
-
-def _dropped_reports(samples: Sequence[Sample], solution: Solution) -> list[SampleReport]:
-    return [SampleReport(samples[i].stamp, False, reason='contradicts the other samples: its '
-                         f'residual is {square ** 0.5:.1f} times what its noise explains')
-            for i, square in solution.dropped_squares.items()]
 
 
 def residuals_and_left_out(used: Sequence[Sample], solution: Solution,
@@ -283,86 +275,73 @@ def clock_estimate(solution: Solution, name: str) -> ClockEstimate | None:
     return ClockEstimate(best.value, math.hypot(conservative.std, conservative.value - best.value))
 
 
-def notes_of(solution: Solution, config: Config) -> list[str]:
-    """Return the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
-    return [*offset_notes(solution), *_bend_notes(solution), *_measure_notes(solution, config),
-            *_edge_notes(solution), *_surface_notes(solution)]
-
-
-def offset_notes(solution: Solution) -> list[str]:
-    """Return notes on the time offset and the drift of the clocks."""
-    offset, drift = (clock_estimate(solution, name) for name in (TIME_OFFSET, CLOCK_DRIFT))
-    if offset is None:
-        return []
-    notes = []
-    if offset.std > 0.5 * solution.problem.config.time_offset_std:
-        notes.append('the motion says nothing of the time offset, which is as time_offset and '
-                     'time_offset_std state it: sweep across the target, with changes of speed')
-    elif offset.std > 5e-4:  # s
-        notes.append(f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
-                     f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
-    if drift and abs(drift.value) > max(CONTRADICTION_SIGMAS * drift.std, LARGE_DRIFT):
-        notes.append('the clocks of profiles and poses drift apart by '
-                     f'{drift.value * 60e3:.1f} ms a minute, which was allowed for; the time '
-                     'offset is that of the middle of this recording: synchronise the clocks')
-    return notes
-
-
-def _bend_notes(solution: Solution) -> Iterator[str]:
-    """Yield the note on a laser line that is bent out of its plane, if the data show that."""
+def notes_of(solution: Solution, config: Config) -> Iterator[str]:
+    """Yield the remarks on an answer in words: clocks, laser, target, edges, surfaces."""
+    yield from offset_notes(solution)
     bend = block_estimates(solution.conservative).get(LINE_BEND)
     if bend and abs(bend.significance) > CONTRADICTION_SIGMAS and abs(bend.value) > SMALLEST_BEND:
         yield (f'the laser line is bent out of its plane by {abs(bend.value) * 1e3:.2f} +- '
                f'{bend.std * 1e3:.2f} mm from its middle to the ends of what the samples show: '
                'the transform is that of the plane which fits it best')
+    yield from _measure_notes(solution, config)
+    if lost := lost_edges(solution):
+        yield lost
+    problem = solution.problem
+    target = problem.target
+    seen = {target.kinds[k].partition('_')[0] for k in set(problem.observations.kind)}
+    for edge in sorted({name.partition('_')[0] for name in target.essential} - seen):
+        yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
+               'line if the target has one edge only')
+    shown = solution.full_problem.subset(solution.used).observations
+    other = ~np.isin(shown.error_source, problem.observations.error_source)
+    if not target.essential and other.any():
+        yield (f'{len(np.unique(shown.station[other]))} of {len(solution.used)} samples show '
+               f'other surfaces too than the {target.name} that was used in all of them')
+
+
+def offset_notes(solution: Solution) -> Iterator[str]:
+    """Yield the notes on the time offset and the drift of the clocks."""
+    offset, drift = (clock_estimate(solution, name) for name in (TIME_OFFSET, CLOCK_DRIFT))
+    if offset is None:
+        return
+    if offset.std > 0.5 * solution.problem.config.time_offset_std:
+        yield ('the motion says nothing of the time offset, which is as time_offset and '
+               'time_offset_std state it: sweep across the target, with changes of speed')
+    elif offset.std > 5e-4:  # s
+        yield (f'sweep faster once: the time offset is known to {offset.std * 1e3:.1f} ms '
+               f'only, that is {offset.std * 100:.2f} mm at 100 mm/s')
+    if drift and abs(drift.value) > max(CONTRADICTION_SIGMAS * drift.std, LARGE_DRIFT):
+        yield (f'the clocks of profiles and poses drift apart by {drift.value * 60e3:.1f} ms a '
+               'minute, which was allowed for; the time offset is that of the middle of this '
+               'recording: synchronise the clocks')
 
 
 def _measure_notes(solution: Solution, config: Config) -> Iterator[str]:
     """Yield the notes on measures of the target that contradict the configuration."""
     target, state = solution.problem.target, solution.estimate.state
-    stated, used = target.stated_values(config), target.stated_values(solution.problem.config)
-    best = block_estimates(solution)
-    values = dict(zip(target.labels, state[-len(target.labels):].tolist(), strict=True))
+    with_prior = target.stated_values(solution.problem.config)
+    best, estimates = block_estimates(solution), block_estimates(solution.conservative)
+    n = len(target.labels)
+    values = dict(zip(target.labels, state[-n:].tolist(), strict=True))
+    stds = dict(zip(target.labels, solution.target_std[-n:].tolist(), strict=True))
     # edge p may be either of the two stated lengths
     lengths = min((config.target.size, config.target.size[::-1]), key=lambda sizes: sum(
         abs(size - values[name]) for name, size in zip(PLATE_LENGTHS, sizes, strict=False)))
-    for name, estimate in block_estimates(solution.conservative).items():
-        if estimate.block.parameter is None or estimate.block.count > 1:
-            continue
-        first = values[name] - best[name].value
-        noted = abs(estimate.contradiction) > NOTED_SIGMAS
-        if used[name][1] > stated[name][1]:  # both lengths were freed, though one may be right
-            first = lengths[PLATE_LENGTHS.index(name)]
-            noted = abs(values[name] - first) > estimate.std
-        if noted:
-            yield _measure_note(name, first, values[name], estimate.std)
-    for label, (first, tolerance) in stated.items():
-        if label in used:
-            continue  # others were given up, to make the stations agree
-        k = target.labels.index(label) - len(target.labels)
-        estimated, std = float(state[k]), float(solution.target_std[k])
-        if abs(estimated - first) > NOTED_SIGMAS * math.hypot(std, tolerance):
-            yield _measure_note(label, first, estimated, std)
-
-
-def _measure_note(label: str, stated: float, estimated: float, std: float) -> str:
-    unit, scale = ('degrees', math.degrees(1)) if 'angle' in label else ('mm', 1e3)
-    return (f'the {label.replace("_", " ")} of the target is {estimated * scale:.3f} +- '
-            f'{std * scale:.3f} {unit}, not the configured {stated * scale:.3f}: the answer uses '
-            'the estimate')
-
-
-def _edge_notes(solution: Solution) -> Iterator[str]:
-    """Yield the edges that the answer does not use, and those never seen."""
-    target, lost = solution.problem.target, lost_edges(solution)
-    if lost:
-        yield lost
-    used = {target.kinds[k] for k in set(solution.problem.observations.kind)}
-    known, seen = ({name.partition('_')[0] for name in names if name in target.essential}
-                   for names in (target.essential, used))
-    for edge in sorted(known - seen):
-        yield (f'no sample shows edge {edge} of the target: cross it too, or set target.type to '
-               'line if the target has one edge only')
+    for name, (stated, tolerance) in target.stated_values(config).items():
+        value, std = values[name], stds[name]
+        if name in estimates:
+            stated, std = value - best[name].value, estimates[name].std
+            contradicts = abs(estimates[name].contradiction) > NOTED_SIGMAS
+            if with_prior[name][1] > tolerance:  # both lengths were freed, one may be right
+                stated = lengths[PLATE_LENGTHS.index(name)]
+                contradicts = abs(value - stated) > std
+        else:  # it was given up, to make the stations agree
+            contradicts = abs(value - stated) > NOTED_SIGMAS * math.hypot(std, tolerance)
+        if contradicts:
+            unit, scale = ('degrees', math.degrees(1)) if 'angle' in name else ('mm', 1e3)
+            yield (f'the {name.replace("_", " ")} of the target is {value * scale:.3f} +- '
+                   f'{std * scale:.3f} {unit}, not the configured {stated * scale:.3f}: the '
+                   'answer uses the estimate')
 
 
 def outliers_at_one_end(solution: Solution) -> str:
@@ -393,12 +372,3 @@ def lost_edges(solution: Solution) -> str:
                                         estimate.state, lost.config)
     return (f'the edges of {len(solution.without_edges)} of the {shown} samples that show one lie '
             'on none of the target' + (f': {where}' if where else ''))
-
-
-def _surface_notes(solution: Solution) -> Iterator[str]:
-    """Yield the note on samples that show other surfaces than the target, which may be one."""
-    seen, problem = solution.full_problem.subset(solution.used).observations, solution.problem
-    other = ~np.isin(seen.error_source, problem.observations.error_source)
-    if not problem.target.essential and other.any():
-        yield (f'{len(np.unique(seen.station[other]))} of {len(solution.used)} samples show other '
-               f'surfaces too than the {problem.target.name} that was used in all of them')
