@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 from handeye_ros import se3
 from handeye_ros.config import content_of
 from handeye_ros.data import Array
-from handeye_ros.errors import InputError, nearest, unusable
+from handeye_ros.errors import InputError, nearest, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.noise import whitening
 from handeye_ros.estimation.solve import Solution
@@ -247,7 +247,8 @@ def read_arm(path: Path) -> Arm:
         if arm.free.sum() != len(values):
             raise ValueError('errors of some joints are missing')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise unusable(path, 'it is no kinematics.yaml as handeye kinematics writes it') from error
+        raise unusable_file(
+            path, 'it is no kinematics.yaml as handeye kinematics writes it') from error
     return arm
 
 

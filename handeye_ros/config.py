@@ -26,7 +26,7 @@ from handeye_ros.errors import (
     path_of,
     require_type,
     UnknownKeyError,
-    unusable,
+    unusable_file,
 )
 import yaml
 
@@ -551,9 +551,9 @@ def content_of(path: Path) -> Any:
     try:
         return yaml.safe_load(path.read_text(encoding='utf-8'))
     except OSError as error:
-        raise unusable(path, error.strerror or str(error)) from error
+        raise unusable_file(path, error.strerror or str(error)) from error
     except BAD_YAML as error:
-        raise unusable(path, f'it is not valid YAML: {error}') from error
+        raise unusable_file(path, f'it is not valid YAML: {error}') from error
 
 
 def load(path: Path | str, config: Config | None = None) -> Config:

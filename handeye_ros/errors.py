@@ -54,7 +54,7 @@ def sentence_and_log(what: str, error: Exception) -> str:
     return f'{what} failed: {error!r}; the log shows where'
 
 
-def unusable(path: Path, reason: str) -> InputError:
+def unusable_file(path: Path, reason: str) -> InputError:
     """Return the error for a file that cannot be used."""
     return InputError(f'{path} cannot be used: {reason}')
 

@@ -63,13 +63,13 @@ def name_direction(direction: Array, frame: str) -> str:
     return f'the direction ({text}) of {frame}'
 
 
-def other_axes(direction: Array, frame: str) -> str:
+def axes_across(direction: Array, frame: str) -> str:
     """Return in words the two axes of a frame with the largest angles to a direction (3,)."""
     names = [name for _, name in sorted(zip(np.abs(direction), 'xyz', strict=True))]
     return f'{frame} {" or ".join(sorted(names[:2]))}'
 
 
-def other_sensor(frame: str, sensor: str) -> str:
+def wrong_sensor(frame: str, sensor: str) -> str:
     """Return in words that profiles are of another frame than that of a calibration, else ''."""
     if frame in ('', sensor):
         return ''

@@ -24,7 +24,7 @@ from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYP
 from handeye_ros.config import Config
 from handeye_ros.data import Array, NS, Profile, TimedPose
 from handeye_ros.errors import InputError
-from handeye_ros.output import write_atomically, write_errors_for
+from handeye_ros.output import write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import truth_file
 from mcap.reader import make_reader
 from mcap.summary import Summary
@@ -55,7 +55,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     """
     texts = dict(tables or {})
     if truth is not None:
-        texts[truth_file.NAME] = truth_file.text(truth)
+        texts[truth_file.NAME] = yaml_text(truth)
     config = config or Config()
     profile_topic, pose_topic, joint_topic = map(full_name, (
         config.profile_topic, config.pose_topic, config.joint_topic))

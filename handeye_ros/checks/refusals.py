@@ -18,7 +18,7 @@ from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.covariance import CORRECTED_ARM
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.estimation.target import Target
-from handeye_ros.frames import mount_frame, name_direction, other_axes
+from handeye_ros.frames import axes_across, mount_frame, name_direction
 from handeye_ros.se3 import mapped_covariance, worst_rotation, worst_translation
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -87,7 +87,7 @@ def require_rotations(poses: Array, frame: str, lost: str) -> None:
         raise DataError(
             f'all poses share one rotation axis ({name_direction(axes[0], frame)}; they turn by '
             f'{np.degrees(turns[0]):.1f} degrees RMS about it): {lost}; tilt the tool by 15 '
-            f'degrees or more about {other_axes(axes[0], frame)}', reason='one_axis')
+            f'degrees or more about {axes_across(axes[0], frame)}', reason='one_axis')
 
 
 def rms_turns_and_axes(poses: Array) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 """
 The command `handeye`: one module per group of verbs.
 
-A verb reads its arguments, calls one function of the library and prints what it returns.
+A verb reads its arguments, calls what computes, and prints or writes what that returns.
 """
 import atexit
 import gc

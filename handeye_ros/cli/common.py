@@ -129,9 +129,9 @@ def collect_samples(recording: 'Recording', settings: 'Config') -> 'Session':
 
 def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
     """Warn where the profiles are of another frame than the sensor of a calibration."""
-    from handeye_ros.frames import other_sensor
+    from handeye_ros.frames import wrong_sensor
     frame = next((profile.frame_id for profile in recording.profiles), '')
-    warn(*filter(None, [other_sensor(frame, calibration.child_frame)]))
+    warn(*filter(None, [wrong_sensor(frame, calibration.child_frame)]))
 
 
 @contextmanager

@@ -135,9 +135,8 @@ def check(
 
     The exit code is 0 if nothing has changed, 1 for a change, 2 and 3 if that cannot be told.
     """
-    from handeye_ros.output import write_atomically
+    from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.verification.check import check_recording, plain_values
-    import yaml
     calibration, settings = open_calibration(against, config, assignments)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
@@ -153,7 +152,7 @@ def check(
     if changed and len(checks) > 1:
         typer.echo(f'since {changed[0]}')
     if out:
-        write_atomically(out, yaml.safe_dump(plain_values(checks, str(against)), sort_keys=False))
+        write_atomically(out, yaml_text(plain_values(checks, str(against))))
     if changed:
         raise typer.Exit(NOT_AS_WANTED)
 

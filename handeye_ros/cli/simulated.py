@@ -11,6 +11,7 @@ from typing import Any
 from handeye_ros import __version__, se3
 from handeye_ros.bags import bag_write
 from handeye_ros.data import Array
+from handeye_ros.output import yaml_text
 from handeye_ros.results import truth_file
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.simulate import (
@@ -66,7 +67,7 @@ def write(name: str, seed: int, path: Path, force: bool = False) -> str:
         tables = made.tables
         values = truth(made.T_flange_sensor, noise=made.noise, settings=made.settings)
     if not made.profiles:
-        bag_write.write_folder(path, {**tables, truth_file.NAME: truth_file.text(values)},
+        bag_write.write_folder(path, {**tables, truth_file.NAME: yaml_text(values)},
                                force=force)
         return ', '.join(tables)
     bag_write.write(path, made.profiles, made.poses, truth=values, tables=tables, force=force,
@@ -85,4 +86,4 @@ def _write_cell(path: Path, recordings: Mapping[str, measuring.Messages],
         rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
         write_cloud(folder / PREFORM_FILE, [rows], 'frame base, metres')
 
-    bag_write.write_folder(path, {truth_file.NAME: truth_file.text(truth)}, fill, force)
+    bag_write.write_folder(path, {truth_file.NAME: yaml_text(truth)}, fill, force)

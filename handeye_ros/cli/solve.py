@@ -188,9 +188,8 @@ def compare(
 ) -> None:
     """Put the same samples through all estimators."""
     from handeye_ros import compare as comparing
-    from handeye_ros.output import write_atomically
+    from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.results.truth_file import true_transform
-    import yaml
     given, T_true = open_input(path, config, assignments), true_transform(path)
     with progress_bar('comparing') as update:
         if given.table:
@@ -204,4 +203,4 @@ def compare(
     if comparison.refusal:
         raise comparison.refusal
     if out:
-        write_atomically(out, yaml.safe_dump(comparing.plain_values(comparison), sort_keys=False))
+        write_atomically(out, yaml_text(comparing.plain_values(comparison)))

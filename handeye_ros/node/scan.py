@@ -26,7 +26,7 @@ from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
 from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
-from handeye_ros.frames import other_sensor
+from handeye_ros.frames import wrong_sensor
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import cloud
 from handeye_ros.node.state import MessageCount
@@ -67,7 +67,7 @@ class ScanNode(Node):
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
         seen = returns_of(profile)
-        if doubt := other_sensor(profile.frame_id, self._sensor):
+        if doubt := wrong_sensor(profile.frame_id, self._sensor):
             self.get_logger().warning(doubt, throttle_duration_sec=WARNING_PERIOD)
         self._keep(self._profiles, seen)
 

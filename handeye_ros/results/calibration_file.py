@@ -15,7 +15,7 @@ from typing import Any, get_args, get_type_hints, TypeVar
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, content_of, from_provenance
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
-from handeye_ros.errors import InputError, path_of, require_type, unusable
+from handeye_ros.errors import InputError, path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -154,9 +154,9 @@ def require_format(path: Path, text: str, kind: str) -> None:
     """Raise InputError for another format than the kind and its number NEWEST, or less."""
     number = text.removeprefix(kind)
     if number == text or not number.isdecimal():
-        raise unusable(path, f'its format is "{text}", expected {kind}{NEWEST}')
+        raise unusable_file(path, f'its format is "{text}", expected {kind}{NEWEST}')
     if int(number) > NEWEST:
-        raise unusable(path, f'its format {text} is newer than this version of handeye_ros '
+        raise unusable_file(path, f'its format {text} is newer than this version of handeye_ros '
                              f'({__version__}) can read; update the package')
 
 
@@ -165,7 +165,7 @@ class FileSection:
 
     def __init__(self, path: Path, values: Any, prefix: str = '') -> None:
         if not isinstance(values, dict):
-            raise unusable(path, f'{prefix.rstrip(".") or "the file"} is no mapping')
+            raise unusable_file(path, f'{prefix.rstrip(".") or "the file"} is no mapping')
         self.path, self.values, self._prefix = path, values, prefix
 
     def get(self, key: str, kind: type) -> Any:
@@ -200,7 +200,7 @@ class FileSection:
 
     def error(self, key: str, problem: str) -> InputError:
         """Return the error for a key."""
-        return unusable(self.path, f'{self._prefix}{key} {problem}')
+        return unusable_file(self.path, f'{self._prefix}{key} {problem}')
 
 
 @cache

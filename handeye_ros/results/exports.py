@@ -17,12 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
-from itertools import chain
 import json
 import math
 from pathlib import Path
 import re
-import shlex
 import shutil
 
 from handeye_ros import __version__, orientations, se3
@@ -121,33 +119,15 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
     return commented(calibration, mark, f'{notation.title}.') + '\n'.join(rows) + '\n'
 
 
-def joint(calibration: Calibration) -> str:
-    """Return the <joint> of a URDF that holds the calibration."""
-    return _from_template(calibration, template='joint.urdf.jinja')
-
-
-def _from_template(calibration: Calibration, template: str) -> str:
+def for_ros(calibration: Calibration, template: str) -> str:
     """Return a text for ROS by its template in results/assets."""
     T = calibration.T_flange_sensor
     # ROS takes letters, digits and underscores in the name of a node
     node = 'publish_' + re.sub(r'\W', '_', calibration.child_frame, flags=re.ASCII)
-    return rendered(template, c=calibration, comment=preamble(calibration), xyz=numbers(T[:3, 3]),
-                    rpy=numbers(se3.rpy(T)), arguments=arguments(calibration), node=node)
-
-
-def arguments(calibration: Calibration) -> dict[str, str]:
-    """Return the arguments of static_transform_publisher by name."""
-    T = calibration.T_flange_sensor
-    names = ('--x', '--y', '--z', '--qx', '--qy', '--qz', '--qw')
-    values = numbers(np.append(T[:3, 3], se3.quaternion(T))).split()
-    return {**dict(zip(names, values, strict=True)), '--frame-id': calibration.parent_frame,
-            '--child-frame-id': calibration.child_frame}
-
-
-def command(calibration: Calibration) -> str:
-    """Return the shell line that publishes the calibration on /tf_static."""
-    words = chain.from_iterable(arguments(calibration).items())
-    return 'ros2 run tf2_ros static_transform_publisher ' + shlex.join(words)
+    pose = map(float, (*T[:3, 3], *se3.quaternion(T)))
+    return rendered(template, c=calibration, comment=preamble(calibration), node=node,
+                    xyz=numbers(T[:3, 3]), rpy=numbers(se3.rpy(T)),
+                    pose=dict(zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'), pose, strict=True)))
 
 
 def easy_handeye2(calibration: Calibration) -> str:
@@ -189,9 +169,9 @@ class Format:
 
 FORMATS = {
     YAML: Format(calibration_file.NAME, calibration_file.text),
-    'urdf': Format('sensor.urdf.xacro', partial(_from_template, template='sensor.urdf.jinja')),
-    'launch': Format('static_transform.launch.py', partial(
-        _from_template, template='static_transform.launch.jinja')),
+    'urdf': Format('sensor.urdf.xacro', partial(for_ros, template='sensor.urdf.jinja')),
+    'launch': Format('static_transform.launch.py',
+                     partial(for_ros, template='static_transform.launch.jinja')),
     'easy_handeye2': Format('{name}.calib', easy_handeye2),
     'matrix': Format('matrix.txt', matrix),
     'json': Format('calibration.json', as_json),

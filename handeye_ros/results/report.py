@@ -69,8 +69,7 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
         settings=configuration.flatten(config).items(),
         inputs=[', '.join(f'{key} {value}' for key, value in item.items())
                 for item in calibration.provenance.get('inputs', ())],
-        uses=[('URDF or xacro', exports.joint(calibration)),
-              ('ROS 2, shell', exports.command(calibration))])
+        joint=exports.for_ros(calibration, 'joint.urdf.jinja'))
 
 
 def _residuals(stop: StopSnapshot) -> str:

@@ -3,26 +3,18 @@
 """Reads and writes truth.yaml of simulated recordings; errors of an answer against it."""
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import content_of
 from handeye_ros.data import Array
 from handeye_ros.results.calibration_file import FileSection, transform_from
 import numpy as np
-import yaml
 
 NAME = 'truth.yaml'
 SIDE_POINTS = 13  # points along each side of the field of view: fewer would be mostly its corners
 FIELD_TEXT = 'x within +-20 mm, range 160-190 mm'
-
-
-def text(values: Mapping[str, Any]) -> str:
-    """Return the text of truth.yaml."""
-    return str(yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None))
 
 
 def true_transform(bag: Path) -> Array | None:

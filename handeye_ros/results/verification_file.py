@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from handeye_ros.config import content_of
-from handeye_ros.errors import unusable
+from handeye_ros.errors import unusable_file
 from handeye_ros.output import rendered
 from handeye_ros.results.calibration_file import require_format
 from handeye_ros.results.table import figures_table
@@ -108,7 +108,7 @@ def protocol_of(path: Path) -> str | None:
     try:
         return protocol(content)  # which uses all of it
     except (TemplateError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise unusable(path, 'it is not the whole result of a verification: verify again'
+        raise unusable_file(path, 'it is not the whole result of a verification: verify again'
                        ) from error
 
 
