@@ -158,14 +158,13 @@ class ProfileConfig(Section, prefix='profile.'):
     range_sign: int = key(
         1, '1 if the range grows away from the sensor, -1 if towards it.', -1, 1, choices=(1, -1))
     rows: str = key(
-        'auto', 'What the rows of a message (its height) are: points of one profile, or '
-        'profiles; auto: profiles where each runs along the whole line.',
+        'auto', 'What the rows of a message are: points of one profile, or profiles; auto: '
+        'profiles where each runs along the whole line.',
         choices=('auto', 'points', 'profiles'))
     period: float = key(
         0.0, 'Time between the profiles of one message (s); 0: unknown, and only those messages '
         'are used during which the robot stood still.', 0.0, 60.0)
-    exposure: float = key(
-        0.0, 'Time that one profile averages over (s), with sampling.mode moving.', 0.0, 0.1)
+    exposure: float = key(0.0, 'Time that a profile averages over, in motion (s).', 0.0, 0.1)
     stamp: str = key('first', 'Which profile of a message its stamp belongs to.',
                      choices=('first', 'middle', 'last'))
     invalid: tuple[float, ...] = key(
@@ -194,16 +193,14 @@ class TargetConfig(Section, prefix='target.'):
     edge_angle_std: float = key(
         3e-4, '1 sigma of the angle between the edges of the plate (rad).', 0.0, 0.1)
     setback_std: float = key(
-        3e-5, '1 sigma of how far the seen end of a face lies inside its sharp edge: deburring, '
-        'smoothing (m).', 0.0, 0.01)
+        3e-5, '1 sigma of how far a face seems to end inside its sharp edge (m).', 0.0, 0.01)
     edge_angle_free: bool = key(
         False, 'Estimate the angle between the edges of the plate; otherwise a right angle.')
     angles: str = key(
         '', 'How a table of poses writes orientations: kuka-abc, fanuc-wpr, abb-quaternion, '
         'ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion x y z w, or roll '
         'pitch yaw, as its columns say.')
-    use_face: bool = key(
-        False, 'Use the face beside the straight edge (line) too; it must be flat.')
+    use_face: bool = key(False, 'Use the flat face beside the straight edge (line) too.')
 
 
 @dataclass(frozen=True)
@@ -221,8 +218,7 @@ class SamplingConfig(Section, prefix='sampling.'):
     still_rotation: float = key(
         2e-3, 'Largest change of orientation of a robot that stands still (rad).', 0.0, 0.1)
     settle_time: float = key(
-        0.1, 'Profiles this soon after the robot stopped, or this shortly before it starts, are '
-        'left out (s).', 0.0, 10.0)
+        0.1, 'Profiles so soon after a stop begins or before it ends are not used (s).', 0.0, 10.0)
     max_pose_gap: float = key(
         0.5, 'Poses further apart than this around a profile are too sparse (s).', 1e-3, 60.0)
     min_points: int = key(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
@@ -232,8 +228,7 @@ class SamplingConfig(Section, prefix='sampling.'):
         8e-3, 'A stop nearer than this to an earlier one (m), and turned by less than '
         'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0)
     new_rotation: float = key(
-        0.05, 'A stop turned by less than this against an earlier one (rad), and nearer than '
-        'new_translation, is not used; 0: every stop is used.', 0.0, 3.15)
+        0.05, 'The turn that goes with new_translation (rad); 0: every stop is used.', 0.0, 3.15)
 
     @property
     def by_itself(self) -> bool:
@@ -262,10 +257,8 @@ class TrackerConfig(Section, prefix='tracker.'):
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
     noise: float = key(2e-5, 'Noise of a reflector centre, each axis (m).', 1e-9, 0.01)
     h0: float = key(NOT_SET, 'Height of the reflector above the top of P3 (m).', -10.0, 10.0)
-    h1: float = key(NOT_SET, 'Height of the top of P3 above the origin of frame 2 (m).',
-                    -10.0, 10.0)
-    first_reading: float = key(
-        NOT_SET, 'Reading of P3 at the first pose of the bag (m).', -100.0, 100.0)
+    h1: float = key(NOT_SET, 'Height of the top of P3 above frame 2 (m).', -10.0, 10.0)
+    first_reading: float = key(NOT_SET, 'Reading of P3 at the first pose (m).', -100.0, 100.0)
     direction: tuple[float, ...] = key(
         (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.', -1.0, 1.0,
         length=(3,))
@@ -277,19 +270,15 @@ class NoiseConfig(Section, prefix='noise.'):
 
     sensor: float = key(3e-5, 'Range noise of one profile point (m).', 1e-9, 0.01)
     distortion: float = key(2e-5, "Smooth error of the sensor's field (m).", 0.0, 0.01)
-    line_bend: float = key(
-        1e-4, 'Bend of the laser line out of its plane, at its ends (m).', 0.0, 0.01)
-    flatness: float = key(
-        2e-5, 'Smooth deviation of the faces of the target from flat (m).', 0.0, 0.01)
+    line_bend: float = key(1e-4, 'Bend of the laser line, at its ends (m).', 0.0, 0.01)
+    flatness: float = key(2e-5, 'Smooth deviation of the faces from flat (m).', 0.0, 0.01)
     robot_translation: float = key(
         3e-5, 'Repeatability of the flange position, each axis (m).', 0.0, 0.01)
     robot_rotation: float = key(
         7e-5, 'Repeatability of the flange orientation, each axis (rad).', 0.0, 0.01)
-    stamps: float = key(
-        1e-4, 'Jitter of the stamps of profiles, of a robot that moves (s).', 0.0, 0.1)
+    stamps: float = key(1e-4, 'Jitter of the stamps of profiles, in motion (s).', 0.0, 0.1)
     robot_smooth: float = key(
-        1.5e-4, 'Error of the robot that varies smoothly over its workspace, each axis (m).',
-        0.0, 0.01)
+        1.5e-4, 'Smooth error of the robot over its workspace, each axis (m).', 0.0, 0.01)
     robot_class: str = key(
         '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
         'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
@@ -302,8 +291,7 @@ class LimitsConfig(Section, prefix='limits.'):
 
     translation: float = key(
         5e-3, 'Largest 1 sigma of the translation in its worst direction (m).', 0.0, 1.0)
-    rotation: float = key(
-        2e-2, 'Largest 1 sigma of the rotation about its worst axis (rad).', 0.0, 1.0)
+    rotation: float = key(2e-2, 'Largest 1 sigma of the rotation, worst axis (rad).', 0.0, 1.0)
     points: float = key(
         2e-3, 'Largest 1 sigma of the points that the samples show, in the frame of the result, '
         'on average and in the worst direction (m).', 0.0, 1.0)
@@ -331,11 +319,9 @@ class GuidanceConfig(Section, prefix='guidance.'):
     reach: float = key(
         0.3, 'Largest distance of a proposed flange position from the first sample (m).', 0.0, 5.0)
     tilt: float = key(
-        0.44, 'Largest tilt of the proposed viewing direction, from the first sample (rad).',
-        0.05, 1.2)
+        0.44, 'Largest tilt of a proposed view from that of the first sample (rad).', 0.05, 1.2)
     turn: float = key(
-        1.75, 'Largest proposed turn about the viewing direction, from the first sample (rad).',
-        0.0, 3.15)
+        1.75, 'Largest turn of a proposed view about itself, from the first (rad).', 0.0, 3.15)
 
 
 @dataclass(frozen=True)
@@ -364,8 +350,7 @@ class VerifyConfig(Section, prefix='verify.'):
         (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '
         'empty: everything.', -50.0, 50.0, length=(0, 4))
     tolerance: float = key(3e-4, 'Largest error of a length that passes (m).', 1e-9, 0.02)
-    angle_tolerance: float = key(
-        1.7453e-3, 'Largest error of an angle that passes (rad).', 1e-9, 0.05)
+    angle_tolerance: float = key(1.7453e-3, 'Largest angle error that passes (rad).', 1e-9, 0.05)
 
 
 @dataclass(frozen=True)
@@ -393,8 +378,7 @@ class Config(Section):
     robot_base_frame: str = key(
         '', 'Frame id of the robot base; empty: that of the poses (of the transform tree: base).')
     robot_effector_frame: str = key('flange', 'Frame id of the flange.')
-    sensor_frame: str = key(
-        'camera', 'Frame id of a sensor whose files name none (points, hand_eye).')
+    sensor_frame: str = key('camera', 'Frame id of a sensor whose files name none.')
     pose_source: str = key(
         'topic', 'Where flange poses come from: PoseStamped messages (topic) or the transform '
         'tree (tf).', choices=('topic', 'tf'))
@@ -404,9 +388,7 @@ class Config(Section):
     kinematics: str = key(
         '', 'A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm '
         'at the joint values of joint_topic; empty: those of the controller.')
-    time_offset: float = key(
-        0.0, "Added to the profiles' stamps (s), for a sensor that stamps late or early.",
-        -10.0, 10.0)
+    time_offset: float = key(0.0, 'Added to the stamps of the profiles (s).', -10.0, 10.0)
     time_offset_std: float = key(
         0.05, 'How well time_offset is known (s, 1 sigma), with sampling.mode moving.', 1e-6, 1.0)
     rotation_lag_std: float = key(
@@ -560,7 +542,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     """
     Return a configuration (default: the defaults) with the values of a ROS parameter file.
 
-    Also of a dump of the node (`ros2 param dump`) with any name and namespace. Raises InputError.
+    Also of a dump of the node (`ros2 param dump`) in any namespace. Raises InputError.
     """
     file = path_of('path', path)
     return with_values(config or Config(), _node_values(content_of(file), file), str(path))
@@ -570,24 +552,21 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     """
     Return the dotted values of our node in a parameter file; raises InputError without any.
 
-    The sections are the patterns for every node, and our node's name in any namespace. A node may
-    have been renamed: the dump of one has nearly all keys, unlike the section of another node.
+    They are those of the patterns for every node, and of our node's name in any namespace.
     """
-    sections, known = dict(_sections(content, '')), {p.key for p in parameters()}
-    general = [name for name in sections if name.split('/')[-1] in ('*', '**')]
-    named = [name for name in sections if name.split('/')[-1] == NODE_NAME] or [
-        name for name, keys in sections.items() if 2 * len(known & keys.keys()) > len(known)]
-    if not sections:
-        raise InputError(f'{path} holds no parameters of the node; expected the form of a ROS '
-                         'parameter file: "/**:", below it "ros__parameters:", below it the keys')
-    if len(named) > 1 or not named and not general:
-        names = ', '.join(named or sections)
-        raise InputError(f'{path} holds the parameters of {names}' + (
-            f': keep those of one "{NODE_NAME}"' if named else
-            f', and none of them is "{NODE_NAME}": give the calibration a section of that name, '
-            'or "/**"'))
+    sections = dict(_sections(content, ''))
+    last = {name: name.split('/')[-1] for name in sections}
+    general = [name for name in sections if last[name] in ('*', '**')]
+    own = [name for name in sections if last[name] == NODE_NAME]
+    if not general and not own:
+        raise InputError(f'{path} holds the parameters of {", ".join(sections) or "no node"}, and '
+                         f'none of them is "{NODE_NAME}": give the calibration a section "/**:" '
+                         'or of that name, below it "ros__parameters:", below it the keys')
+    if len(own) > 1:
+        raise InputError(f'{path} holds the parameters of {", ".join(own)}: keep those of one '
+                         f'"{NODE_NAME}"')
     values: dict[str, Any] = {}
-    for name in dict.fromkeys([*general, *named]):
+    for name in (*general, *own):
         values |= sections[name]
     return {key: value for key, value in values.items() if not key.startswith(EVERY_NODES)}
 

@@ -157,7 +157,7 @@ def require_format(path: Path, text: str, kind: str) -> None:
         raise unusable_file(path, f'its format is "{text}", expected {kind}{NEWEST}')
     if int(number) > NEWEST:
         raise unusable_file(path, f'its format {text} is newer than this version of handeye_ros '
-                             f'({__version__}) can read; update the package')
+                            f'({__version__}) can read; update the package')
 
 
 class FileSection:

@@ -108,8 +108,8 @@ def protocol_of(path: Path) -> str | None:
     try:
         return protocol(content)  # which uses all of it
     except (TemplateError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise unusable_file(path, 'it is not the whole result of a verification: verify again'
-                       ) from error
+        raise unusable_file(
+            path, 'it is not the whole result of a verification: verify again') from error
 
 
 def protocol(content: Mapping[str, Any]) -> str:
