@@ -19,7 +19,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from handeye_ros import se3
-from handeye_ros.config import content_of
+from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
 from handeye_ros.errors import InputError, nearest, unusable_file
 from handeye_ros.estimation.covariance import CORRECTED_ARM
@@ -228,7 +228,7 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
 def read_arm(path: Path) -> Arm:
     """Return the arm of a kinematics.yaml, or of the folder that holds it; raises InputError."""
     path = path / KINEMATICS_FILE if path.is_dir() else path
-    content = content_of(path)
+    content = read_yaml(path)
     try:
         require_format(path, str(content.get('format')), FORMAT)
         stored = content['joints']

@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 
 from handeye_ros import __version__
 from handeye_ros.bags.reader import SUFFIXES
-from handeye_ros.config import content_of
+from handeye_ros.config import read_yaml
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.output import csv_text, rendered, write_atomically
 from handeye_ros.tables import Table
@@ -256,7 +256,7 @@ def _figures_in(folder: Path) -> Row:
     """Return the numbers and WORD_KEYS of the result in a folder, by column."""
     values: Row = {}
     for file in sorted(folder.glob('*.yaml')):
-        content = content_of(file)
+        content = read_yaml(file)
         transform = content.get('transform', {})
         config = content.get('provenance', {}).get('config', {})
         groups = [('', {**content, 'target': config.get('target.type')}),

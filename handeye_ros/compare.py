@@ -378,14 +378,13 @@ def tables(comparison: Comparison) -> RenderableType:
 
 def plain_values(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison as plain values, in SI units, for YAML."""
-    rows: list[dict[str, Any]] = []
-    for row in comparison.rows:
+    def values(row: Row) -> dict[str, Any]:
         if row.T_flange_sensor is None:
-            rows.append({'name': row.name, 'failure': row.failure})
-            continue
+            return {'name': row.name, 'failure': row.failure}
         figures = {name: getattr(row, name) for name in ROW_FIGURES}
-        rows.append({'name': row.name, 'transform': se3.transform_values(row.T_flange_sensor),
-                     **{name: value for name, value in figures.items()
-                        if value is not None or not name.startswith('error')}})
+        return {'name': row.name, 'transform': se3.transform_values(row.T_flange_sensor),
+                **{name: value for name, value in figures.items() if value is not None}}
+
     return {'format': FORMAT, 'samples_used': comparison.used,
-            'samples_rejected': comparison.rejected, 'estimators': rows}
+            'samples_rejected': comparison.rejected,
+            'estimators': list(map(values, comparison.rows))}

@@ -528,7 +528,7 @@ def _with_record(config: Config, key: str, value: Any) -> Config:
     return replace(config, record=tuple((n, t) for n, t in record.items() if t))
 
 
-def content_of(path: Path) -> Any:
+def read_yaml(path: Path) -> Any:
     """Return the content of a YAML file; raises InputError."""
     try:
         return yaml.safe_load(path.read_text(encoding='utf-8'))
@@ -545,7 +545,7 @@ def load(path: Path | str, config: Config | None = None) -> Config:
     Also of a dump of the node (`ros2 param dump`) in any namespace. Raises InputError.
     """
     file = path_of('path', path)
-    return with_values(config or Config(), _node_values(content_of(file), file), str(path))
+    return with_values(config or Config(), _node_values(read_yaml(file), file), str(path))
 
 
 def _node_values(content: Any, path: Path) -> dict[str, Any]:

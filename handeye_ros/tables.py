@@ -52,8 +52,8 @@ class Table:
         if None in names:
             raise TableError(path, f'cannot read the column header "{header[names.index(None)]}"; '
                              'expected a name with its unit, such as base_x [mm]')
-        self._units = {m[1]: SPELLINGS.get(m[2], m[2]) for m in names if m}
-        if len(self._units) != len(header):
+        units = {m[1]: SPELLINGS.get(m[2], m[2]) for m in names if m}
+        if len(units) != len(header):
             raise TableError(path, 'two columns have the same name')
         if not rows:
             raise TableError(path, 'holds no rows')
@@ -61,7 +61,8 @@ class Table:
             if len(row) != len(header):
                 raise TableError(path, f'row {number} has {len(row)} values, the header '
                                  f'{len(header)}')
-        self._columns = dict(zip(self._units, zip(*rows, strict=True), strict=True))
+        self._columns = {name: (unit, texts) for (name, unit), texts in zip(
+            units.items(), zip(*rows, strict=True), strict=True)}
 
     def has(self, names: Sequence[str]) -> bool:
         """Return whether the table has all of these columns."""
@@ -69,15 +70,13 @@ class Table:
 
     def kind(self, name: str) -> str:
         """Return the kind of quantity in a column, from its unit."""
-        unit = self._units.get(name)
+        unit, _ = self._columns.get(name, ('', ()))
         return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
 
     def renamed(self, names: Mapping[str, str]) -> Table:
         """Return the table with other names of some columns; their units stay."""
         other = copy(self)
-        other._columns, other._units = (
-            {names.get(name, name): value for name, value in values.items()}
-            for values in (self._columns, self._units))
+        other._columns = {names.get(name, name): column for name, column in self._columns.items()}
         return other
 
     @property
@@ -88,7 +87,7 @@ class Table:
     def text(self, name: str) -> list[str]:
         """Return the words of a column; raises TableError."""
         self._require([name])
-        return [value.strip() for value in self._columns[name]]
+        return [value.strip() for value in self._columns[name][1]]
 
     def values(self, names: Sequence[str], kind: str, unit: str | None = None) -> Array:
         """
@@ -144,8 +143,8 @@ class Table:
                 raise TableError(self.path, f'has no column {name}{nearest(name, others)}')
 
     def _values(self, name: str, kind: str, default: str | None) -> Array:
-        column = self._columns[name]
-        unit = self._units[name] or default
+        stated, column = self._columns[name]
+        unit = stated or default
         factors: Mapping[Any, float] = UNITS.get(kind, {None: 1.0})
         if unit not in factors:
             raise TableError(self.path, f'the column {name} ' + (

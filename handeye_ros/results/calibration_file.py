@@ -13,7 +13,7 @@ import sys
 from typing import Any, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
-from handeye_ros.config import Config, content_of, from_provenance
+from handeye_ros.config import Config, from_provenance, read_yaml
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError, path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
@@ -111,7 +111,7 @@ def file_of(path: Path) -> Path:
 def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
     path = path_of('path', path)
-    file = FileSection(path, content_of(path))
+    file = FileSection(path, read_yaml(path))
     require_format(path, file.get('format', str), FORMAT)
     T = transform_from(path, 'transform', file.get('transform', dict))
     _check_rpy(file, T)

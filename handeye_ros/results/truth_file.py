@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handeye_ros import se3
-from handeye_ros.config import content_of
+from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
 from handeye_ros.results.calibration_file import FileSection, transform_from
 import numpy as np
@@ -26,7 +26,7 @@ def true_transform(bag: Path) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / NAME
     if not path.is_file():
         return None
-    values = FileSection(path, content_of(path)).get('T_flange_sensor', dict)
+    values = FileSection(path, read_yaml(path)).get('T_flange_sensor', dict)
     return transform_from(path, 'T_flange_sensor', values)
 
 

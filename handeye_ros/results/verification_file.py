@@ -14,7 +14,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from handeye_ros.config import content_of
+from handeye_ros.config import read_yaml
 from handeye_ros.errors import unusable_file
 from handeye_ros.output import rendered
 from handeye_ros.results.calibration_file import require_format
@@ -100,7 +100,7 @@ def sentence(content: Mapping[str, Any]) -> str:
 
 def protocol_of(path: Path) -> str | None:
     """Return the protocol of a verification in a file, None of another file; raises InputError."""
-    content = content_of(path)
+    content = read_yaml(path)
     if not isinstance(content, dict) or not str(content.get('format')).startswith(FORMAT_PREFIX):
         return None
     require_format(path, str(content['format']), FORMAT_PREFIX)
