@@ -143,7 +143,7 @@ def fetched(browser: Any, path: str) -> str:
 def downloaded(browser: Any) -> None:
     """Take the files of the answer, and look at the profile of a sample."""
     for link, words in (('yaml', 'format: handeye_ros/calibration/'), ('urdf', '<origin xyz='),
-                        ('report.html', 'data:image/svg+xml')):
+                        ('report.html', 'What was seen at each stop')):
         assert browser.find_elements('css selector', f'#files [href="read/file?name={link}"]')
         assert words in fetched(browser, f'read/file?name={link}')
     browser.find_element('css selector', '#samples summary').click()
