@@ -8,6 +8,7 @@ R = Exp(dr) R_hat, t = t_hat + dt, as in geometry_msgs.
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import cast
 
 from handeye_ros.data import Array
@@ -74,6 +75,13 @@ def transform_values(T: Array) -> dict[str, dict[str, float]]:
     """Return a transform (4, 4) as plain values: translation x y z, rotation x y z w."""
     return {'translation': dict(zip('xyz', map(float, T[:3, 3]), strict=True)),
             'rotation': dict(zip('xyzw', map(float, quaternion(T)), strict=True))}
+
+
+def from_values(values: Mapping[str, Mapping[str, float]]) -> Array:
+    """Return the transform (4, 4) of plain values, as transform_values gives them."""
+    translation, rotation = values['translation'], values['rotation']
+    return from_quaternion(np.array([translation[axis] for axis in 'xyz']),
+                           np.array([rotation[axis] for axis in 'xyzw']))
 
 
 def rpy(T: Array) -> Array:

@@ -130,13 +130,12 @@ def read_calibration(path: Path | str) -> Calibration:
 def transform_from(path: Path, key: str, values: Any) -> Array:
     """Return the transform (4, 4) of plain values, which a file holds under a key."""
     section = FileSection(path, values, f'{key}.')
-    translation, rotation = section.section('translation'), section.section('rotation')
-    quaternion = np.array([rotation.get(key, float) for key in 'xyzw'])
-    length = float(np.linalg.norm(quaternion))
+    found = {part: {axis: section.section(part).get(axis, float) for axis in axes}
+             for part, axes in (('translation', 'xyz'), ('rotation', 'xyzw'))}
+    length = math.hypot(*found['rotation'].values())
     if abs(length - 1) > 1e-6:
         raise section.error('rotation', f'is a quaternion of length {length:.6g}, expected 1')
-    return se3.from_quaternion(np.array([translation.get(key, float) for key in 'xyz']),
-                               quaternion)
+    return se3.from_values(found)
 
 
 def _check_rpy(file: FileSection, T: Array) -> None:

@@ -49,11 +49,6 @@ ESTIMATES = (
     ('flatness_error', 'target, flatness', FOUND_TEXT.format('{} mm'), 1e3, 4),
 )
 
-# What the profile shows beyond an edge, by the kind of its end.
-EDGE_KIND_NAMES = {'step': 'surface below in sight', 'shadow': 'surface below hidden',
-                   'roof': 'side wall in sight', 'gap': 'nothing beyond',
-                   'open': 'end not classified'}
-
 
 def table(calibration: Calibration) -> RenderableType:
     """Return the table of a calibration, for a rich console."""
@@ -157,13 +152,13 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the other estimates, of target, sensor and robot, in mm and degrees."""
     for key, value in target.items():
         row = next((row for row in ESTIMATES if re.fullmatch(row[0], key)), None)
+        name = f'target {key.replace("_", " ")}'
         if key == 'pose':
-            x, y, z = (1e3 * value['translation'][axis] for axis in 'xyz')
-            yield f'{_name(key)}, x y z', f'{x:.3f} {y:.3f} {z:.3f} mm'
-            q = np.array([value['rotation'][axis] for axis in 'xyzw'])
-            angles = se3.rpy(se3.from_quaternion(np.zeros(3), q))
-            yield f'{_name(key)}, rpy', ' '.join(f'{math.degrees(a):.4f}' for a in angles
-                                                 ) + ' degrees'
+            T = se3.from_values(value)
+            x, y, z = 1e3 * T[:3, 3]
+            yield f'{name}, x y z', f'{x:.3f} {y:.3f} {z:.3f} mm'
+            roll, pitch, yaw = np.degrees(se3.rpy(T))
+            yield f'{name}, rpy', f'{roll:.4f} {pitch:.4f} {yaw:.4f} degrees'
         elif key.endswith('_std') or key == 'joint':
             continue
         elif row:
@@ -173,19 +168,9 @@ def details(target: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             std = target.get(f'{key}_std')
             sigma = '' if std is None else (
                 f', 1 sigma {std * factor:.{digits}f}' if std else ', given')
-            yield label or _name(key), text + sigma
+            yield label or name, text + sigma
         else:
-            yield _name(key), str(value)
-
-
-def _name(key: str) -> str:
-    """Return the name for a key of the target."""
-    setback = re.fullmatch(rf'setback_(\w+)_({"|".join(EDGE_KIND_NAMES)})', key)
-    if not setback:
-        return f'target {key.replace("_", " ")}'
-    edge, kind = setback.groups()
-    name = {'p': ' p', 'q': ' q', 'p_far': ' opposite p', 'q_far': ' opposite q'}.get(edge, '')
-    return f'set-back of edge{name}, {EDGE_KIND_NAMES[kind]}'
+            yield name, str(value)
 
 
 def error_sentence(errors: Errors, over: str = 'the field of view') -> str:
