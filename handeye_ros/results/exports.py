@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from datetime import datetime, UTC
 from functools import partial
 import json
-import math
 from pathlib import Path
 import re
 import shutil
@@ -54,17 +53,15 @@ def preamble(calibration: Calibration, units: str = SI_TEXT) -> tuple[str, ...]:
     """Return lines that explain the numbers: direction, frames, units, uncertainty."""
     parent, child = one_line(calibration.parent_frame), one_line(calibration.child_frame)
     std = np.sqrt(np.diag(calibration.covariance))
-    position = ', '.join(f'{axis} {s * 1e3:.3f}' for axis, s in zip('xyz', std[:3], strict=True))
-    turns = ', '.join(f'{axis} {math.degrees(s):.4f}'
-                      for axis, s in zip('xyz', std[3:], strict=True))
+    (x, y, z), (rx, ry, rz) = 1e3 * std[:3], np.degrees(std[3:])
     return (
         f'Hand-eye calibration {one_line(calibration.name)} ({one_line(calibration.method)}), '
         f'written by handeye_ros {__version__}.',
         f'The pose of {child} in {parent}: p_{parent} = T @ p_{child}, so it maps points of '
         f'{child} into {parent}.',
         f'Parent frame {parent}, child frame {child}. {units}',
-        f'1 sigma of the position: {position} mm; of the rotation about the axes of {parent}: '
-        f'{turns} degrees.')
+        f'1 sigma of the position: x {x:.3f}, y {y:.3f}, z {z:.3f} mm; of the rotation about the '
+        f'axes of {parent}: x {rx:.4f}, y {ry:.4f}, z {rz:.4f} degrees.')
 
 
 def commented(calibration: Calibration, mark: str = '# ', units: str = SI_TEXT) -> str:
