@@ -50,10 +50,11 @@ EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.
 
 
 def key(default: Any, description: str, minimum: float | None = None,
-        maximum: float | None = None, **limits: Any) -> Any:
+        maximum: float | None = None, unit: str = '', **limits: Any) -> Any:
     """Declare a key, with the range of a number; limits: choices, length and integers."""
     return field(default=default, metadata={
-        'description': description, 'minimum': minimum, 'maximum': maximum, **limits})
+        'description': description + (f' In {unit}.' if unit else ''), 'minimum': minimum,
+        'maximum': maximum, 'unit': unit, **limits})
 
 
 @dataclass(frozen=True)
@@ -65,15 +66,10 @@ class Parameter:
     description: str
     minimum: float | None = None
     maximum: float | None = None
+    unit: str = ''  # of a number: m, rad or s
     choices: tuple[Any, ...] = ()
     length: tuple[int, ...] = ()  # of a list; empty: any
     integers: bool = False  # a list of them
-
-    @property
-    def unit(self) -> str:
-        """Return the unit that the description names, empty if none."""
-        match = re.search(r'\((m|rad|s)[,)]|\bin (m|s)\b', self.description)
-        return '' if match is None else match[1] or match[2]
 
     def checked(self, value: Any) -> Any:
         """Return a value in the type of the default; raises BadValueError for a wrong one."""
@@ -162,9 +158,9 @@ class ProfileConfig(Section, prefix='profile.'):
         'profiles where each runs along the whole line.',
         choices=('auto', 'points', 'profiles'))
     period: float = key(
-        0.0, 'Time between the profiles of one message (s); 0: unknown, and only those messages '
-        'are used during which the robot stood still.', 0.0, 60.0)
-    exposure: float = key(0.0, 'Time that a profile averages over, in motion (s).', 0.0, 0.1)
+        0.0, 'Time between the profiles of one message; 0: unknown, and only those messages '
+        'are used during which the robot stood still.', 0.0, 60.0, 's')
+    exposure: float = key(0.0, 'Time that a profile averages over, in motion.', 0.0, 0.1, 's')
     stamp: str = key('first', 'Which profile of a message its stamp belongs to.',
                      choices=('first', 'middle', 'last'))
     invalid: tuple[float, ...] = key(
@@ -184,16 +180,16 @@ class TargetConfig(Section, prefix='target.'):
 
     type: str = key(  # noqa: A003
         'plate', 'plate, line, plane, sphere or wedge; from files: points, hand_eye or tracker.')
-    radius: float = key(0.0, 'Radius of the sphere in m; 0: unknown, estimated.', 0.0, 10.0)
+    radius: float = key(0.0, 'Radius of the sphere; 0: unknown, estimated.', 0.0, 10.0, 'm')
     size: tuple[float, ...] = key(
-        (), 'Lengths of the plate along its edges p and q in m; empty: unknown, only the two '
-        'edges that meet in the corner are used.', 0.0, 10.0, length=(0, 2))
-    radius_std: float = key(5e-5, '1 sigma of the radius of the sphere (m).', 0.0, 0.1)
-    size_std: float = key(1e-4, '1 sigma of each length of the plate (m).', 0.0, 0.1)
+        (), 'Lengths of the plate along its edges p and q; empty: unknown, only the two '
+        'edges that meet in the corner are used.', 0.0, 10.0, 'm', length=(0, 2))
+    radius_std: float = key(5e-5, '1 sigma of the radius of the sphere.', 0.0, 0.1, 'm')
+    size_std: float = key(1e-4, '1 sigma of each length of the plate.', 0.0, 0.1, 'm')
     edge_angle_std: float = key(
-        3e-4, '1 sigma of the angle between the edges of the plate (rad).', 0.0, 0.1)
+        3e-4, '1 sigma of the angle between the edges of the plate.', 0.0, 0.1, 'rad')
     setback_std: float = key(
-        3e-5, '1 sigma of how far a face seems to end inside its sharp edge (m).', 0.0, 0.01)
+        3e-5, '1 sigma of how far a face seems to end inside its sharp edge.', 0.0, 0.01, 'm')
     edge_angle_free: bool = key(
         False, 'Estimate the angle between the edges of the plate; otherwise a right angle.')
     angles: str = key(
@@ -212,23 +208,23 @@ class SamplingConfig(Section, prefix='sampling.'):
         '~/take_sample or ~/take (manual), or of single profiles while the robot moves (moving).',
         choices=('still', 'manual', 'moving'))
     still_time: float = key(
-        0.5, 'The robot stands still when its pose has not changed for this long (s).', 0.05, 60.0)
+        0.5, 'The robot stands still when its pose did not change for this long.', 0.05, 60.0, 's')
     still_translation: float = key(
-        5e-4, 'Largest change of position of a robot that stands still (m).', 0.0, 0.1)
+        5e-4, 'Largest change of position of a robot that stands still.', 0.0, 0.1, 'm')
     still_rotation: float = key(
-        2e-3, 'Largest change of orientation of a robot that stands still (rad).', 0.0, 0.1)
+        2e-3, 'Largest change of orientation of a robot that stands still.', 0.0, 0.1, 'rad')
     settle_time: float = key(
-        0.1, 'Profiles so soon after a stop begins or before it ends are not used (s).', 0.0, 10.0)
+        0.1, 'Profiles so soon after a stop begins or before it ends are unused.', 0.0, 10.0, 's')
     max_pose_gap: float = key(
-        0.5, 'Poses further apart than this around a profile are too sparse (s).', 1e-3, 60.0)
+        0.5, 'Poses further apart than this around a profile are too sparse.', 1e-3, 60.0, 's')
     min_points: int = key(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
     min_crossing_angle: float = key(
-        0.44, 'A laser line that crosses an edge at a smaller angle is not used (rad).', 0.0, 1.5)
+        0.44, 'A laser line that crosses an edge at a smaller angle is not used.', 0.0, 1.5, 'rad')
     new_translation: float = key(
-        8e-3, 'A stop nearer than this to an earlier one (m), and turned by less than '
-        'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0)
+        8e-3, 'A stop nearer than this to an earlier one, and turned by less than '
+        'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0, 'm')
     new_rotation: float = key(
-        0.05, 'The turn that goes with new_translation (rad); 0: every stop is used.', 0.0, 3.15)
+        0.05, 'The turn that goes with new_translation; 0: every stop is used.', 0.0, 3.15, 'rad')
 
     @property
     def by_itself(self) -> bool:
@@ -255,10 +251,10 @@ class TrackerConfig(Section, prefix='tracker.'):
     """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
 
     file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
-    noise: float = key(2e-5, 'Noise of a reflector centre, each axis (m).', 1e-9, 0.01)
-    h0: float = key(NOT_SET, 'Height of the reflector above the top of P3 (m).', -10.0, 10.0)
-    h1: float = key(NOT_SET, 'Height of the top of P3 above frame 2 (m).', -10.0, 10.0)
-    first_reading: float = key(NOT_SET, 'Reading of P3 at the first pose (m).', -100.0, 100.0)
+    noise: float = key(2e-5, 'Noise of a reflector centre, each axis.', 1e-9, 0.01, 'm')
+    h0: float = key(NOT_SET, 'Height of the reflector above the top of P3.', -10.0, 10.0, 'm')
+    h1: float = key(NOT_SET, 'Height of the top of P3 above frame 2.', -10.0, 10.0, 'm')
+    first_reading: float = key(NOT_SET, 'Reading of P3 at the first pose.', -100.0, 100.0, 'm')
     direction: tuple[float, ...] = key(
         (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.', -1.0, 1.0,
         length=(3,))
@@ -268,17 +264,17 @@ class TrackerConfig(Section, prefix='tracker.'):
 class NoiseConfig(Section, prefix='noise.'):
     """Prior noise, 1 sigma; the data correct it."""
 
-    sensor: float = key(3e-5, 'Range noise of one profile point (m).', 1e-9, 0.01)
-    distortion: float = key(2e-5, "Smooth error of the sensor's field (m).", 0.0, 0.01)
-    line_bend: float = key(1e-4, 'Bend of the laser line, at its ends (m).', 0.0, 0.01)
-    flatness: float = key(2e-5, 'Smooth deviation of the faces from flat (m).', 0.0, 0.01)
+    sensor: float = key(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
+    distortion: float = key(2e-5, "Smooth error of the sensor's field.", 0.0, 0.01, 'm')
+    line_bend: float = key(1e-4, 'Bend of the laser line, at its ends.', 0.0, 0.01, 'm')
+    flatness: float = key(2e-5, 'Smooth deviation of the faces from flat.', 0.0, 0.01, 'm')
     robot_translation: float = key(
-        3e-5, 'Repeatability of the flange position, each axis (m).', 0.0, 0.01)
+        3e-5, 'Repeatability of the flange position, each axis.', 0.0, 0.01, 'm')
     robot_rotation: float = key(
-        7e-5, 'Repeatability of the flange orientation, each axis (rad).', 0.0, 0.01)
-    stamps: float = key(1e-4, 'Jitter of the stamps of profiles, in motion (s).', 0.0, 0.1)
+        7e-5, 'Repeatability of the flange orientation, each axis.', 0.0, 0.01, 'rad')
+    stamps: float = key(1e-4, 'Jitter of the stamps of profiles, in motion.', 0.0, 0.1, 's')
     robot_smooth: float = key(
-        1.5e-4, 'Smooth error of the robot over its workspace, each axis (m).', 0.0, 0.01)
+        1.5e-4, 'Smooth error of the robot over its workspace, each axis.', 0.0, 0.01, 'm')
     robot_class: str = key(
         '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
         'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
@@ -290,14 +286,14 @@ class LimitsConfig(Section, prefix='limits.'):
     """Largest uncertainty and inconsistency of a trusted answer."""
 
     translation: float = key(
-        5e-3, 'Largest 1 sigma of the translation in its worst direction (m).', 0.0, 1.0)
-    rotation: float = key(2e-2, 'Largest 1 sigma of the rotation, worst axis (rad).', 0.0, 1.0)
+        5e-3, 'Largest 1 sigma of the translation in its worst direction.', 0.0, 1.0, 'm')
+    rotation: float = key(2e-2, 'Largest 1 sigma of the rotation, worst axis.', 0.0, 1.0, 'rad')
     points: float = key(
         2e-3, 'Largest 1 sigma of the points that the samples show, in the frame of the result, '
-        'on average and in the worst direction (m).', 0.0, 1.0)
+        'on average and in the worst direction.', 0.0, 1.0, 'm')
     scatter: float = key(
         8.0, 'Largest RMS residual, as a multiple of what the configured noise makes.', 1.0, 1e6)
-    residual: float = key(1e-3, 'Largest RMS residual (m).', 0.0, 1.0)
+    residual: float = key(1e-3, 'Largest RMS residual.', 0.0, 1.0, 'm')
 
 
 @dataclass(frozen=True)
@@ -314,14 +310,13 @@ class GuidanceConfig(Section, prefix='guidance.'):
     """The accuracy wanted, and the limits of proposed poses against the first sample."""
 
     accuracy: float = key(
-        3e-4, 'Wanted 1 sigma of mapped points over the field of view (m): with it, the samples '
-        'are enough.', 1e-6, 0.1)
+        3e-4, '1 sigma of mapped points in the field of view that is enough.', 1e-6, 0.1, 'm')
     reach: float = key(
-        0.3, 'Largest distance of a proposed flange position from the first sample (m).', 0.0, 5.0)
+        0.3, 'Largest distance of a proposed flange position to the first sample.', 0.0, 5.0, 'm')
     tilt: float = key(
-        0.44, 'Largest tilt of a proposed view from that of the first sample (rad).', 0.05, 1.2)
+        0.44, 'Largest tilt of a proposed view from that of the first sample.', 0.05, 1.2, 'rad')
     turn: float = key(
-        1.75, 'Largest turn of a proposed view about itself, from the first (rad).', 0.0, 3.15)
+        1.75, 'Largest turn of a proposed view about itself, from the first.', 0.0, 3.15, 'rad')
 
 
 @dataclass(frozen=True)
@@ -335,22 +330,22 @@ class VerifyConfig(Section, prefix='verify.'):
         '', 'File of the calibration that is verified; empty: the answer of the node.')
     lengths: tuple[float, ...] = key(
         (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
-        'height of the teeth (m).', 1e-6, 10.0)
-    radius: float = key(0.0, 'Nominal radius of the balls (m); 0: unknown.', 0.0, 10.0)
+        'height of the teeth.', 1e-6, 10.0, 'm')
+    radius: float = key(0.0, 'Nominal radius of the balls; 0: unknown.', 0.0, 10.0, 'm')
     reference: tuple[float, ...] = key(
-        (), 'The point as a tip of the robot touched it (m, base); empty: not touched.',
-        -50.0, 50.0, length=(0, 3))
-    aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma (m).', 0.0, 0.1)
+        (), 'The point as a tip of the robot touched it (base); empty: not touched.',
+        -50.0, 50.0, 'm', length=(0, 3))
+    aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma.', 0.0, 0.1, 'm')
     flank: float = key(
-        0.0, "Horizontal way of a tooth's flank (m); 0: a quarter of the pitch.", 0.0, 1.0)
+        0.0, "Horizontal way of a tooth's flank; 0: a quarter of the pitch.", 0.0, 1.0, 'm')
     certificate: float = key(
         0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference by the artefact's "
-        'certificate (m).', 0.0, 0.1)
+        'certificate.', 0.0, 0.1, 'm')
     near: tuple[float, ...] = key(
-        (), 'Only what comes into this ball of the base takes part: x, y, z and radius (m); '
-        'empty: everything.', -50.0, 50.0, length=(0, 4))
-    tolerance: float = key(3e-4, 'Largest error of a length that passes (m).', 1e-9, 0.02)
-    angle_tolerance: float = key(1.7453e-3, 'Largest angle error that passes (rad).', 1e-9, 0.05)
+        (), 'Only what comes into this ball of the base takes part: x, y, z and radius; '
+        'empty: everything.', -50.0, 50.0, 'm', length=(0, 4))
+    tolerance: float = key(3e-4, 'Largest error of a length that passes.', 1e-9, 0.02, 'm')
+    angle_tolerance: float = key(1.7453e-3, 'Largest angle error that passes.', 1e-9, 0.05, 'rad')
 
 
 @dataclass(frozen=True)
@@ -388,12 +383,12 @@ class Config(Section):
     kinematics: str = key(
         '', 'A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm '
         'at the joint values of joint_topic; empty: those of the controller.')
-    time_offset: float = key(0.0, 'Added to the stamps of the profiles (s).', -10.0, 10.0)
+    time_offset: float = key(0.0, 'Added to the stamps of the profiles.', -10.0, 10.0, 's')
     time_offset_std: float = key(
-        0.05, 'How well time_offset is known (s, 1 sigma), with sampling.mode moving.', 1e-6, 1.0)
+        0.05, 'How well time_offset is known (1 sigma), in sampling.mode moving.', 1e-6, 1.0, 's')
     rotation_lag_std: float = key(
-        1e-3, 'By how much later than its position the robot may report its rotation (s, 1 '
-        'sigma), with sampling.mode moving; 0: not at all.', 0.0, 0.1)
+        1e-3, 'By how much later than its position the robot may report its rotation (1 '
+        'sigma), with sampling.mode moving; 0: not at all.', 0.0, 0.1, 's')
     clock_drift_std: float = key(
         1e-4, 'By how much faster the clock of the profiles may run than that of the poses (1 '
         'sigma, seconds per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
