@@ -209,12 +209,9 @@ def scan(
                 yield points
                 update(f'{count.profiles} profiles, {count.points} points')
         write_cloud(out, pieces(), f'frame {scanner.frame}, metres')
-    dropped = [f'{number} {reason}' for number, reason in (
-        (count.without_pose, 'profiles without a pose'),
-        (count.out_of_limits, 'points outside the limits'),
-        (count.thinned, 'points thinned out')) if number]
-    typer.echo(f'{count.profiles} profiles, {count.returns} returns' + (
-        f'; left out: {", ".join(dropped)}' if dropped else ''))
+    typer.echo(f'{count.profiles} profiles, {count.returns} returns')
+    typer.echo(f'left out: {count.without_pose} profiles without a pose, {count.out_of_limits} '
+               f'points outside the limits, {count.thinned} thinned out')
     typer.echo(f'wrote {out.absolute()}: {count.points} points in {scanner.frame}')
 
 
