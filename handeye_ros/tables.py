@@ -121,7 +121,7 @@ class Table:
                    if self.has(other.columns(prefix))]
         if fitting and not self.has(names):
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
-                             f'target.angles {" or ".join(fitting)} reads, of the flange only')
+                             f'--angles {" or ".join(fitting)} reads, of the flange only')
         self._require([*_axes(prefix), *names])
         if notation.angle:
             numbers = self.values(names, ANGLE, notation.angle if angles else None)

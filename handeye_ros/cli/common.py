@@ -41,6 +41,12 @@ ConfigFile = Annotated[NoPath, typer.Option(
 Assignments = Annotated[list[str], typer.Option(
     '--set', metavar='KEY=VALUE', help='Set a key of the configuration; may be repeated. Plain '
     'numbers are metres, radians and seconds; 20mm and 0.1deg are understood.')]
+KinematicsFile = Annotated[NoPath, File('--kinematics', help=(
+    'A kinematics.yaml, for a bag that holds joint values: the flange poses are those of its '
+    'corrected arm.'))]
+Angles = Annotated[str, typer.Option(
+    metavar='NOTATION', help='How a table of poses writes orientations: kuka-abc, fanuc-wpr, '
+    'abb-quaternion, ur-rotation-vector, staubli-rxryrz or yaskawa-rxryrz.')]
 CalibrationFile = Annotated[Path, File(
     '--calibration', help='The calibration.yaml of this sensor.')]
 MeasureConfig = Annotated[NoPath, typer.Option(
@@ -65,10 +71,12 @@ class OpenedInput:
     table: 'TableInput | None' = None
 
 
-def open_input(path: Path, config: Path | None, assignments: list[str]) -> OpenedInput:
+def open_input(path: Path, config: Path | None, assignments: list[str], angles: str = '',
+               kinematics: Path | None = None) -> OpenedInput:
     """Return what a bag, a session's folder or a table holds; print warnings about it."""
     stored = stored_session(path)
-    settings = configuration(config, assignments, stored.config if stored else None)
+    settings = configuration(config, assignments, stored.config if stored else None, angles,
+                             kinematics)
     from handeye_ros import tabulated
     if is_table(path) or tabulated.is_solved_from_files(settings):
         with progress_bar('reading the files'):
@@ -81,23 +89,34 @@ def open_input(path: Path, config: Path | None, assignments: list[str]) -> Opene
     return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings))
 
 
-def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None
-                  ) -> 'Config':
-    """Return the base (default: the defaults) with the keys of a file, and those set by hand."""
+def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
+                  angles: str = '', kinematics: Path | None = None) -> 'Config':
+    """
+    Return the base (default: the defaults) with the keys of a file, and those set by hand.
+
+    angles: the notation of a table of poses; kinematics: a kinematics.yaml, with its frames.
+    """
     from handeye_ros.config import Config, load, with_assignments
     from handeye_ros.units import assignment_in_si
     base = base or Config()
-    return with_assignments(load(file, base) if file else base, map(assignment_in_si, assignments))
+    given = [f'target.angles={angles}'] if angles else []
+    if kinematics:
+        from handeye_ros.arm import read_arm
+        arm = read_arm(kinematics)
+        given += [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
+                  f'robot_effector_frame={arm.flange}']
+    given += map(assignment_in_si, assignments)  # what is set wins
+    return with_assignments(load(file, base) if file else base, given)
 
 
-def open_calibration(file: Path, config: Path | None, assignments: list[str]
-                     ) -> 'tuple[Calibration, Config]':
+def open_calibration(file: Path, config: Path | None, assignments: list[str],
+                     kinematics: Path | None = None) -> 'tuple[Calibration, Config]':
     """Return a calibration, and the settings to measure with it."""
     from handeye_ros.config import load
     from handeye_ros.results.calibration_file import read_calibration, use_config
     calibration = read_calibration(file)
     settings = use_config(calibration, load(config) if config else None)
-    return calibration, configuration(None, assignments, settings)
+    return calibration, configuration(None, assignments, settings, kinematics=kinematics)
 
 
 def stored_session(path: Path) -> 'Stored | None':

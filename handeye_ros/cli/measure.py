@@ -14,6 +14,7 @@ from handeye_ros.cli.common import (
     collect_samples,
     File,
     Folder,
+    KinematicsFile,
     Length,
     MeasureConfig,
     NoPath,
@@ -54,6 +55,7 @@ def verify(
     calibration: CalibrationFile,
     config: MeasureConfig = None,
     assignments: Assignments = [],
+    kinematics: KinematicsFile = None,
     out: OutFile = None,
     protocol: Annotated[NoPath, File(help=(
         'Write a protocol for the file of an inspector (HTML; print it to PDF).'))] = None,
@@ -75,7 +77,7 @@ def verify(
     if protocol:
         html_file(protocol)
     routine = routine_of(name)
-    opened, settings = open_calibration(calibration, config, assignments)
+    opened, settings = open_calibration(calibration, config, assignments, kinematics)
     settings = settings_for(routine, settings, len(bags))
     if routine.in_passes:
         measured, rejects = stations_of_passes(_passes(bags, opened, settings), settings), ()
@@ -128,6 +130,7 @@ def check(
     against: Annotated[Path, File(help='The calibration.yaml that is to be checked.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
+    kinematics: KinematicsFile = None,
     out: OutFile = None,
 ) -> None:
     """
@@ -137,7 +140,7 @@ def check(
     """
     from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.verification.check import check_recording, plain_values
-    calibration, settings = open_calibration(against, config, assignments)
+    calibration, settings = open_calibration(against, config, assignments, kinematics)
     checks: list[tuple[str, Check]] = []
     for bag in bags:
         recording = read_bag(bag, settings)
@@ -185,6 +188,7 @@ def scan(
     out: Annotated[Path, typer.Option(metavar='CLOUD', help='The file to write: .ply or .pcd.')],
     config: MeasureConfig = None,
     assignments: Assignments = [],
+    kinematics: KinematicsFile = None,
     voxel: Annotated[str, Length(
         help='Keep one point of each cube with this edge (0.2mm, or metres).')] = '0',
     limits: Annotated[tuple[str, str], typer.Option(
@@ -200,7 +204,7 @@ def scan(
     from handeye_ros.scanning.cloud import require_format, write_cloud
     from handeye_ros.scanning.scan import Scanner, ScanOptions
     require_format(out)
-    sensor, settings = open_calibration(calibration, config, assignments)
+    sensor, settings = open_calibration(calibration, config, assignments, kinematics)
     scanner = Scanner(sensor, settings, ScanOptions.of_texts(limits, incidence, voxel, std))
     count = scanner.count
     with stream_recording(bag, settings, 'reading the poses', sensor) as (source, track, update):

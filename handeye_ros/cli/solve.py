@@ -9,6 +9,7 @@ import sys
 from typing import Annotated
 
 from handeye_ros.cli.common import (
+    Angles,
     app,
     Assignments,
     ConfigFile,
@@ -16,6 +17,7 @@ from handeye_ros.cli.common import (
     File,
     Folder,
     Input,
+    KinematicsFile,
     NoPath,
     open_input,
     OutFile,
@@ -36,6 +38,8 @@ def solve(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],
+    angles: Angles = '',
+    kinematics: KinematicsFile = None,
     out: Annotated[NoPath, Folder(
         help='Where calibration.yaml is written; if not given, the folder NAME in output_dir, or '
         'in out.')] = None,
@@ -46,7 +50,7 @@ def solve(
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
     from handeye_ros.results.truth_file import errors_against, true_transform
-    given = open_input(path, config, assignments)
+    given = open_input(path, config, assignments, angles, kinematics)
     settings = given.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
     T_true, causes = true_transform(path), None
@@ -184,13 +188,14 @@ def compare(
     path: Input,
     config: ConfigFile = None,
     assignments: Assignments = [],
+    angles: Angles = '',
     out: OutFile = None,
 ) -> None:
     """Put the same samples through all estimators."""
     from handeye_ros import compare as comparing
     from handeye_ros.output import write_atomically, yaml_text
     from handeye_ros.results.truth_file import true_transform
-    given, T_true = open_input(path, config, assignments), true_transform(path)
+    given, T_true = open_input(path, config, assignments, angles), true_transform(path)
     with progress_bar('comparing') as update:
         if given.table:
             comparison = comparing.compare_files(given.table, T_true, progress=update)

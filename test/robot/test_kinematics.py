@@ -214,8 +214,8 @@ def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
     arm, found = read_arm(tmp_path / 'out'), read_calibration(tmp_path / 'out/calibration.yaml')
     assert found.quality.holdout_rms < 6e-5
     assert (found.parent_frame, arm.kinds) == ('flange', GEOMETRY)
-    again = handeye('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--set',
-                    'kinematics=out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
+    again = handeye('solve', ROOT / 'bags/arm', '--set', 'target.type=sphere', '--kinematics',
+                    'out/kinematics.yaml', '--budget', '--out', 'again', cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     shares = re.search(r'corrected arm .* ([\d.]+) %', again.stdout)
     assert shares and float(shares[1]) > 50, 'the arm is told apart from a station that is wrong'

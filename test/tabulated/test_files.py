@@ -244,7 +244,7 @@ INVERTED = 'set calibration_type to the other one, or, if it is right, give the 
     ('hand_eye', lambda text: in_order('flange', 'yzwx')(in_order('target', 'yzwx')(text)), 3,
      'with the quaternions of both as w x y z they agree'),
     ('hand_eye', replaced(*((f'flange_{old}', f'flange_{new}') for old, new in (
-        ('qx', 'rx'), ('qy', 'ry'), ('qz', 'rz')))), 2, 'target.angles ur-rotation-vector or '
+        ('qx', 'rx'), ('qy', 'ry'), ('qz', 'rz')))), 2, '--angles ur-rotation-vector or '
      'staubli-rxryrz or yaskawa-rxryrz reads'),
     ('small_tracker', rows(lambda lines: lines[:3] * 2 + lines[40:]), 3, 'arc spans 5.9 degrees'),
     ('small_tracker', rows(lambda lines: lines[:40] + lines[40:70][::-1] + lines[70:]), 3,
@@ -293,7 +293,7 @@ def test_the_notation_of_a_controller_is_named(
     np.savetxt(tmp_path / 'cell' / 'poses.csv', values, delimiter=',', header=header, comments='',
                fmt='%.12g')
     line = ['solve', *given('hand_eye', tmp_path / 'cell'),
-            *(('--set', f'target.angles={angles}') if angles else ())]
+            *(('--angles', angles) if angles else ())]
     refused(handeye(*line), 3, words)
     if told := words.partition('set target.angles to ')[2]:
         assert handeye(*line, '--set', f'target.angles={told}').returncode == 0
