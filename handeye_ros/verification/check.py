@@ -45,7 +45,7 @@ from handeye_ros.targets.target import out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
     largest_displacement,
-    Numbers,
+    Indices,
     require_stations,
     root_of,
 )
@@ -152,8 +152,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     """
     comparison_of_all = _comparison(samples, calibration, config, others)
 
-    def compared_at(stops: Numbers
-                    ) -> tuple[tuple[_Comparison, _Residuals], Array, Array, Numbers]:
+    def compared_at(stops: Indices
+                    ) -> tuple[tuple[_Comparison, _Residuals], Array, Array, Indices]:
         rest = replace(comparison_of_all, problem=comparison_of_all.problem.subset(stops))
         obs, rows = rest.problem.observations, rest.residuals()
         require_stations([len(np.unique(obs.station))])

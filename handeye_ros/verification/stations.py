@@ -33,7 +33,7 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import edge_error_factor, ObservationRows
-from handeye_ros.verification.fit import Numbers, StationSet
+from handeye_ros.verification.fit import Indices, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
@@ -128,7 +128,7 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
     return rows.observations()
 
 
-def _common(points: Array, stop: Numbers, dimension: int) -> tuple[Array, Array]:
+def _common(points: Array, stop: Indices, dimension: int) -> tuple[Array, Array]:
     """
     Return the distances (k,) of features from the one point, line or plane that they share.
 

@@ -37,7 +37,7 @@ from handeye_ros.verification.fit import (
     Fit,
     fit_shape,
     fit_without_outliers,
-    Numbers,
+    Indices,
     Quantity,
     refit_shape,
     Scatter,
@@ -140,10 +140,10 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
 
-    def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
+    def fitted(groups: Indices) -> tuple[tuple[Shape, Fit], Array, Array, Indices]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
         fit = fit_shape(shape, X, calibration.covariance, smooth_std)
-        return (shape, fit), fit.residuals, fit.wrt_unknowns, shape.stations.group_of_point
+        return (shape, fit), fit.white_distances, fit.wrt_unknowns, shape.stations.group_of_point
 
     (shape, fit), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(fit.scatter.p, fit.p_error) < UNEXPLAINED_P and not routine.in_passes:
@@ -160,7 +160,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
+        quantities, fit.scatter, fit.detectable_error, fit.weakest_direction, fit.nominal_chi2,
         fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
         recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
@@ -205,12 +205,12 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
     failed = [*violated, *_points_off(stations, limits), *shown]
     if failed:
         return 'fail', (*failed, *contradiction, *notes)
-    if fit.smallest_error > limits.tolerance:
+    if fit.detectable_error > limits.tolerance:
         return 'insensitive', (
-            f'an error of the calibration would show only from {mm(fit.smallest_error)} on '
+            f'an error of the calibration would show only from {mm(fit.detectable_error)} on '
             f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}' + (
                 hidden or ': turn the sensor more between the stops' + _or_measure(
-                    used, fit.smallest_error, limits.tolerance, ', or')), *contradiction, *notes)
+                    used, fit.detectable_error, limits.tolerance, ', or')), *contradiction, *notes)
     undecided = [*contradiction, *open_values, *suggested]
     return 'undecided' if undecided else 'pass', (*undecided, *notes)
 
