@@ -4,11 +4,11 @@
 Fits a shape to measured points, and estimates the calibration error from the deviations.
 
 The calibration is fixed, as it is in use. The parameters q of the shape minimise the distances
-r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of poses,
-r = J dq + G dX + S s + n, where n and s, the smooth error of the robot, have unit covariance. The
-error of q is -pinv(J) (G dX + S s + n), and the residuals are M (G dX + S s + n),
-M = I - J pinv(J). An error dX of the calibration enters through G: its claimed covariance C is
-never part of the measurement's own uncertainty.
+r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of poses, a shape that
+is off by dq has r = J dq + E e + n: e are the errors of the calibration and the smooth ones of the
+robot, n the noise of unit covariance. The error of the fitted q is -pinv(J) (E e + n), and what is
+left of the distances is M (E e + n), M = I - J pinv(J). An error of the calibration enters through
+E: its claimed covariance is never part of the measurement's own uncertainty.
 """
 from __future__ import annotations
 
@@ -335,7 +335,8 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
 
 def _likeliest(A: Array, b: Array, prior: Array) -> tuple[Array, Array, float]:
     """Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum."""
-    covariance, explained = np.linalg.inv(A.T @ A + np.diag(prior)), A.T @ b
+    covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
+    explained = A.T @ b
     x = covariance @ explained
     return x, covariance, float(b @ b - explained @ x)
 
