@@ -207,16 +207,14 @@ def read(path: Path, config: Config) -> PosePairs:
 
 def _other_notations(table: Table, config: Config,
                      pairs_of: Callable[[Table, Config], PosePairs]) -> Iterator[Misreading]:
-    """Yield the angles of the flange as other controllers would mean them; one such each."""
-    used, found = table.notation('flange', config.target.angles), list[Array]()
+    """Yield the angles of the flange as other controllers mean them, of the same columns first."""
+    used = table.notation('flange', config.target.angles)
+    columns = used.columns('flange')
     for name, notation in sorted(NOTATIONS.items(), key=lambda one: one[1].labels != used.labels):
+        names = notation.columns('flange')
         if used.angle and notation.angle:
-            columns, names = used.columns('flange'), notation.columns('flange')
-            pairs = pairs_of(table.renamed(dict(zip(columns, names, strict=True))),
-                             with_values(config, {'target.angles': name}))
-            if not any(np.allclose(pairs.robot, one, rtol=0, atol=1e-9) for one in found):
-                found.append(pairs.robot)
-                yield Misreading(
-                    f'the flange written as {name}', f'set target.angles to {name}' + (
-                        '' if names == columns else f' and name the columns {", ".join(names)}'),
-                    pairs)
+            yield Misreading(
+                f'the flange written as {name}', f'set target.angles to {name}' + (
+                    '' if names == columns else f' and name the columns {", ".join(names)}'),
+                pairs_of(table.renamed(dict(zip(columns, names, strict=True))),
+                         with_values(config, {'target.angles': name})))

@@ -263,8 +263,8 @@ def solve(problem: TableProblem) -> TableAnswer:
 
 
 def _misreading(problem: TableProblem, before: float) -> DataError | None:
-    """Return what to say if exactly one other reading explains values of a misfit before (m)."""
-    explaining = []
+    """Return what to say if other readings explain values of a misfit before (m), all alike."""
+    explaining = list[tuple[Array, str]]()
     for words, remedy, values in problem.misreadings:
         try:
             values.require_determined()
@@ -272,6 +272,7 @@ def _misreading(problem: TableProblem, before: float) -> DataError | None:
         except DataError:
             continue
         if answer.agrees and answer.misfit < CLEAR_SHARE * before:
-            explaining.append(f'the values contradict each other, but with {words} they agree to '
-                              f'{mm(answer.misfit)}: {remedy}')
-    return DataError(explaining[0], reason='convention') if len(explaining) == 1 else None
+            explaining.append((answer.X, f'the values contradict each other, but with {words} '
+                               f'they agree to {mm(answer.misfit)}: {remedy}'))
+    alike = explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining)
+    return DataError(explaining[0][1], reason='convention') if alike else None

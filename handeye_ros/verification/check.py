@@ -151,8 +151,8 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
         station = some.problem.observations.station
         require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = np.hstack([some.moved(name)[1] for name in MOVABLE])
-        unknowns = np.hstack([some.errors, moves * np.sqrt(np.tile(_prior(MOVE_SCALES[-1]), 2))])
+        sigmas = np.sqrt(_move_variances(MOVE_SCALES[-1]))
+        unknowns = np.hstack([some.errors, *(some.moved(name)[1] * sigmas for name in MOVABLE)])
         white = scipy.linalg.solve_triangular(
             np.linalg.cholesky(some.noise),
             np.column_stack([unknowns, some.linear.residuals]), lower=True)
@@ -171,11 +171,12 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shown(target_axes, target_shows, target_frame(config))} on, one '
-            f'of the sensor from {_shown(sensor_axes, sensor_shows, mount_frame(config))} on')
+            f'have shown from {_in_words(target_axes, target_shows, target_frame(config))} on, '
+            f'one of the sensor from {_in_words(sensor_axes, sensor_shows, mount_frame(config))} '
+            'on')
     else:
         likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
-        verdict, sentence = _change_found(likeliest, odds)
+        verdict, sentence = _causes_in_words(likeliest, odds)
     starts = passes or sorted([*(one.stamp for one in samples), *(one.stamp for one in others)])
     left_out = sorted({bisect_right(starts, samples[k].stamp) for k in left_out})
     if left_out:
@@ -290,7 +291,8 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
                        float(calibration.target.get('robot_position_error', 0.0)))
 
 
-def _prior(scale: float) -> Array:
+def _move_variances(scale: float) -> Array:
+    """Return the prior variances (6,) of a move (m, rad) of a scale (m)."""
     return np.repeat([scale, scale / TURN_LEVER], 3) ** 2
 
 
@@ -317,10 +319,10 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     for _ in range(MOST_ITERATIONS):
         r, D, lever = comparison.moved(name, move)
         gain = np.linalg.solve(comparison.covariance, D).T
-        C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _prior(scale))))
+        C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _move_variances(scale))))
         r = r + D @ move
         move = C @ gain @ r
-        likelihood = [comparison.likelihood(r, D * _prior(s) @ D.T) for s in MOVE_SCALES]
+        likelihood = [comparison.likelihood(r, D * _move_variances(s) @ D.T) for s in MOVE_SCALES]
         scale = MOVE_SCALES[int(np.argmax(likelihood))]
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
     displacement, std = largest_displacement(lever, move, C)
@@ -345,7 +347,7 @@ def _robot_likelihood(comparison: _Comparison) -> float:
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
     smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTH_FACTORS)
-    likelihood = [comparison.likelihood(r, D * _prior(scale) @ D.T * kernel)
+    likelihood = [comparison.likelihood(r, D * _move_variances(scale) @ D.T * kernel)
                   for scale in MOVE_SCALES
                   for kernel in (smooth, smoother, station[:, None] == station)]
     return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
@@ -359,14 +361,14 @@ def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
     """
     _, D, _ = comparison.moved(name)
     information = D.T @ np.linalg.solve(comparison.covariance, D)
-    occam = np.linalg.slogdet(np.eye(6) + information * _prior(1e-3))[1]
+    occam = np.linalg.slogdet(np.eye(6) + information * _move_variances(1e-3))[1]
     sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64  # with 95 %
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
 
 
-def _change_found(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
+def _causes_in_words(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
     """Return verdict and sentence; likeliest: the causes, the most likely first."""
     sums = np.cumsum([odds[cause.name] for cause in likeliest])
     named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]
@@ -377,7 +379,7 @@ def _change_found(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tup
     return ' or '.join(cause.name for cause in named), sentence
 
 
-def _shown(axes: Array, shifts: Array, frame: str) -> str:
+def _in_words(axes: Array, shifts: Array, frame: str) -> str:
     """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
     named = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
     unseen = ' or '.join(name for size, name in named if np.isnan(size))

@@ -439,7 +439,7 @@ def fit_without_outliers(groups: Indices,
 
     def of_groups(_: object, used: Indices) -> tuple[T, Array, Indices]:
         fit, r, wrt_unknowns, group_of_point = fitted(used)
-        squares, freedom = _predicted(r, wrt_unknowns, group_of_point, used)
+        squares, freedom = _left_out_squares(r, wrt_unknowns, group_of_point, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
         return fit, squares, freedom
 
@@ -451,8 +451,8 @@ def fit_without_outliers(groups: Indices,
     return of_groups(None, groups)[0], p, []
 
 
-def _predicted(r: Array, wrt_unknowns: Array, group_of_point: Indices, groups: Indices
-               ) -> tuple[Array, Indices]:
+def _left_out_squares(r: Array, wrt_unknowns: Array, group_of_point: Indices, groups: Indices
+                      ) -> tuple[Array, Indices]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 
