@@ -34,7 +34,7 @@ from handeye_ros.data import (
     Sample,
     TimedPose,
 )
-from handeye_ros.errors import InputError, mm
+from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.noise import covariance_parts
 from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
@@ -119,11 +119,18 @@ class Check:
 def check_recording(profiles: Iterable[AnyProfile], poses: Sequence[TimedPose],
                     calibration: Calibration, config: Config) -> Check:
     """
-    Return the check by a recording: by its stops, or with sampling.mode moving by a sweep.
+    Return the check by a recording: by its stops, or by a sweep without stops.
 
     Raises DataError, and InputError for a calibration without a target to compare with.
     """
-    session = pipeline.gather(list(profiles), poses, config)
+    profiles = list(profiles)
+    try:
+        session = pipeline.gather(profiles, poses, config)
+    except DataError as error:
+        if error.reason != 'no_stops' or not calibration.time_offset:
+            raise
+        config = replace(config, sampling=replace(config.sampling, mode='moving'))
+        session = pipeline.gather(profiles, poses, config)
     if not config.sampling.moving:
         return check(session.samples, calibration, config, session.rejects)
     answer = pipeline.answer_session(session, config)

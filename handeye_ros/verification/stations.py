@@ -182,35 +182,34 @@ def _in_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> li
 def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
                         ) -> tuple[Sequence[Sample], str]:
     """
-    Return the samples with the pieces of one surface only, and its description.
+    Return the samples with the pieces of one surface only, and in words which it is.
 
-    It is the plane nearest to the sensor of those that at least half of the stops see.
+    It is the plane nearest to the sensor of those that at least half of the stops see; without
+    one all pieces take part. T: (n, 4, 4) sensor planes in the base.
     """
     pieces = [(k, f) for k, s in enumerate(samples) for f in s.features
               if isinstance(f, FaceLine)]
-    stop = np.array([k for k, _ in pieces])
+    stop, free = np.array([k for k, _ in pieces]), np.arange(len(pieces))
+    if len(free) == len(np.unique(stop)):
+        return samples, ''
     ends = np.array([_ends_in_base(f, T[k]) for k, f in pieces])
-    surfaces, free = [], np.arange(len(stop))
-    least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS)
-    while len(stop) > len(np.unique(stop)) and len(np.unique(stop[free])) >= least:
+    depth = range_sign * np.array([f.centre[1] for _, f in pieces])
+    least, surfaces = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS), []
+    while len(np.unique(stop[free])) >= least:
         away, nearest = _distances_from_common(ends[free], stop[free], 2)
         on = away <= max(SAME_SURFACE, FAR_RATIO * float(np.median(nearest)))
-        if len(np.unique(stop[free][on])) >= least:
-            surfaces.append([pieces[row] for row in free[on].tolist()])
+        if len(np.unique(stop[free[on]])) >= least:
+            surfaces.append(free[on])
         free = free[~on]
     if not surfaces:
         return samples, ''
-
-    def depth(surface: list[tuple[int, FaceLine]]) -> float:
-        return float(np.median([range_sign * piece.centre[1] for _, piece in surface]))
-
-    chosen = min(surfaces, key=depth)
-    on_chosen = {id(piece) for _, piece in chosen}
+    chosen = min(surfaces, key=lambda surface: np.median(depth[surface]))
+    kept = {id(pieces[row][1]) for row in chosen.tolist()}
     sentence = '' if len(surfaces) < 2 else (
         f'of {len(surfaces)} surfaces in sight it is the nearest, '
-        f'{1e3 * abs(depth(chosen)):.0f} mm from the sensor, at {len({k for k, _ in chosen})} of '
-        f'{len(samples)} stops')
-    return [replace(s, features=tuple(f for f in s.features if id(f) in on_chosen))
+        f'{1e3 * abs(np.median(depth[chosen])):.0f} mm from the sensor, at '
+        f'{len(np.unique(stop[chosen]))} of {len(samples)} stops')
+    return [replace(s, features=tuple(f for f in s.features if id(f) in kept))
             for s in samples], sentence
 
 
