@@ -150,14 +150,15 @@ class TrackerSession(TableProblem):
         sigmas = off / np.array([np.hypot(rms(piece.sigma), piece.part.startswith('face')
                                           * self.config.noise.sensor) for piece in self.pieces])
         excess = {part: max(rms(sigmas[parts == part]), 1.0) for part in UNKNOWNS}
-        if max(excess.values()) > LARGEST_RMS or sigmas[~is_swept].max() > LARGEST_OF_ROW:
-            worst = int(sigmas.argmax())
-            number, part = self.samples[worst]
+        limit = np.where(is_swept, np.inf, LARGEST_OF_ROW)  # a single profile matters little
+        limit[[excess[part] > LARGEST_RMS for part in parts]] = LARGEST_RMS
+        worst = int(np.argmax(sigmas / limit))
+        if sigmas[worst] > limit[worst]:
             raise DataError(
-                f'the points contradict each other, most of all {part} of '
-                f'{"the profile" if is_swept[worst] else "row"} {number}, by '
-                f'{mm(float(off[worst]))}: measure it again or leave it out, and check which face '
-                'is which and the noise of both instruments', reason='misfit')
+                f'the points contradict each other, most of all {parts[worst]} of '
+                f'{"the profile" if is_swept[worst] else "row"} {self.pieces[worst].sample}, by '
+                f'{mm(float(off[worst]))}: measure again or leave that row out, and check which '
+                'face is which and the noise of both instruments', reason='misfit')
         # generalised cross-validation: each point predicted by a fit without it
         share = np.array([UNKNOWNS[part] / len(self.measured.parts[part]) for part in parts])
         return TableAnswer(
@@ -187,8 +188,12 @@ class TrackerSession(TableProblem):
         parts, direction = self.measured.parts, chain.direction
         _, centre, radius = jing2020.fit_swept_ball(parts['swept_ball'], self.q30, direction)
         pivot, axis = jing2020.fit_arc(parts['arc'])
+        start, along = parts['line'].mean(axis=0), jing2020.fit_line(parts['line'])
         T_sensor_tracker = se3.inverse(jing2020.link_frame(self.measured) @ chain.T_flange_sensor)
-        swept = {part: jing2020.swept(parts[part], self.q30, direction) for part in SWEPT_PARTS}
+        planes = {}
+        for face in ('face_c', 'face_d'):
+            points = jing2020.swept(parts[f'swept_{face}'], self.q30, direction)
+            planes[face] = points.mean(axis=0), jing2020.fit_plane(points)
 
         def beside(points: Array, start: Array, along: Array) -> Array:
             return np.asarray(np.linalg.norm(np.cross(points - start, along), axis=1))
@@ -199,14 +204,13 @@ class TrackerSession(TableProblem):
             if part == 'arc':
                 return np.hypot((points - pivot) @ axis, beside(points, pivot, axis) - reach)
             if part == 'line':
-                line = parts['line']
-                return beside(points, line.mean(axis=0), jing2020.fit_line(line))
+                return beside(points, start, along)
             in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT_PARTS
                          else se3.apply(T_sensor_tracker, points))
             if part == 'swept_ball':
                 return np.linalg.norm(in_sensor - centre, axis=1) - radius
-            face = swept[f'swept_{part.removeprefix("swept_")}']
-            return (in_sensor - face.mean(axis=0)) @ jing2020.fit_plane(face)
+            middle, normal = planes[part.removeprefix('swept_')]
+            return (in_sensor - middle) @ normal
 
         return np.array([rms(off(piece.part, piece.points)) for piece in self.pieces])
 

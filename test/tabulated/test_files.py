@@ -153,7 +153,7 @@ def test_the_samples_of_the_tracker_are_its_rows_and_the_profiles(tmp_path: Path
     kind, x, y, z = lines[row].split(',')
     lines[row] = f'{kind}, {float(x) + 3}, {y}, {float(z) - 3}'
     file.write_text('\n'.join(lines))
-    with pytest.raises(DataError, match=f'face_d of row {row}, by .* measure it again or leave'):
+    with pytest.raises(DataError, match=f'face_d of row {row}, by .* or leave that row out'):
         calibrate(read_configured('small_tracker', tmp_path / 'cell'))
     file.write_text(text)
     read = read_configured('small_tracker', tmp_path / 'cell')
