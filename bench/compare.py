@@ -31,8 +31,8 @@ from handeye_ros.errors import DataError
 from handeye_ros.published import cn105021139a, wu2017
 from handeye_ros.simulate import SCENARIOS, settings, simulate_samples
 from handeye_ros.simulate.measured import laser_tracker
-from handeye_ros.tabulated.hand_eye import Views
-from handeye_ros.tabulated.points import Pairs
+from handeye_ros.tabulated.hand_eye import PosePairs
+from handeye_ros.tabulated.points import PointPairs
 from handeye_ros.tabulated.tracker import Piece, sweep_from, TrackerSession
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -70,7 +70,7 @@ def two_frames(seed: int) -> dict[str, np.ndarray]:
     base = rng.uniform(-0.15, 0.15, (10, 3))
     exact = se3.apply(se3.inverse(T), base)
     camera = exact + 3e-5 * rng.normal(size=(10, 3))
-    found = {'points': Pairs(Config(), camera, base).solve().X,
+    found = {'points': PointPairs(Config(), camera, base).solve().X,
              'Wu 2017, best of 210': wu2017.solve(camera, base).T_base_camera}
     return {name: trials.errors(X, T, exact) for name, X in found.items()}
 
@@ -115,7 +115,7 @@ class Poses:
         T = se3.inverse(T) if self.on_base else T
         config = with_values(Config(), {
             'calibration_type': 'eye_on_base' if self.on_base else 'eye_in_hand'}, 'cell')
-        poses = Views(config, views, T)
+        poses = PosePairs(config, views, T)
         yield 'A X = X B', poses.solve().X
         (camera, camera_turn), (robot, robot_turn) = np.square([self.camera, self.robot])
         known, _ = poses.fit_with_variances(poses.closed_form(), np.array(

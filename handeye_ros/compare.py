@@ -20,7 +20,7 @@ from handeye_ros.calibration import measured_points
 from handeye_ros.checks.refusals import missing_motion, require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Reject, rms, Sample
-from handeye_ros.errors import DataError, SingularError
+from handeye_ros.errors import DataError, InputError, SingularError
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import least_squares_estimate
@@ -29,8 +29,8 @@ from handeye_ros.published import chen2023, cn105021139a, jing2020, wu2017, zhen
 from handeye_ros.results.table import figures_table
 from handeye_ros.results.truth_file import errors_against, field_points, FIELD_TEXT
 from handeye_ros.sampling.session import Session
-from handeye_ros.tabulated.hand_eye import Views
-from handeye_ros.tabulated.values import Input, solve, Values
+from handeye_ros.tabulated.hand_eye import PosePairs
+from handeye_ros.tabulated.values import PairedRows, solve, TableProblem
 from handeye_ros.targets import line, plate, TARGETS
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,7 @@ class _GivenTransform(Problem):
         return super().free_columns[6:]
 
 
-Given: TypeAlias = ComparedStations | Values
+Given: TypeAlias = ComparedStations | PairedRows
 
 
 @dataclass(frozen=True)
@@ -164,15 +164,15 @@ def _zheng(stations: ComparedStations) -> Array:
     return np.asarray(T @ to_plane)
 
 
-def _from_files(values: Values) -> Array:
-    answer = solve(values)
-    answer.require_trusted(values)
+def _from_files(pairs: PairedRows) -> Array:
+    answer = solve(pairs)
+    answer.require_trusted(pairs)
     return answer.X
 
 
-def _park(views: Views) -> Array:
-    views.require_determined()
-    return np.asarray(views.closed_form()[0])
+def _park(pairs: PosePairs) -> Array:
+    pairs.require_determined()
+    return np.asarray(pairs.closed_form()[0])
 
 
 ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
@@ -206,9 +206,6 @@ ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
         Estimator('closed form (Park and Martin 1994)', _park),
         Estimator('CN105021139A', lambda given: cn105021139a.solve_motions(
             *cn105021139a.motions(given.robot, given.seen))),
-    ),
-    'tracker': (
-        Estimator('tracker', lambda given: given.chain().T_flange_sensor),
     ),
 }
 """By target, its own method first."""
@@ -293,20 +290,23 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
                      progress)
 
 
-def compare_files(given: Input, T_true: Array | None = None, folds: int = FOLD_COUNT,
+def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
                   progress: Progress = lambda text: None) -> Comparison:
     """Return the rows of all estimators for values read from files; see `compare`."""
-    values, refusal = given.values, None
-    progress(values.name)
+    if not isinstance(given, PairedRows):
+        raise InputError(f'for target.type {given.name} there is one estimator alone: use '
+                         '"handeye solve"')
+    refusal = None
+    progress(given.name)
     start = time.perf_counter()
-    answer = solve(values, given.otherwise)
+    answer = solve(given)
     try:
-        answer.require_trusted(values)
+        answer.require_trusted(given)
     except DataError as error:
         refusal = error
     seconds = time.perf_counter() - start
-    agreed = values.subset(np.flatnonzero(answer.used))
-    return _compared(agreed, answer.X, refusal, seconds, len(values) - len(agreed), T_true, folds,
+    agreed = given.subset(np.flatnonzero(answer.used))
+    return _compared(agreed, answer.X, refusal, seconds, len(given) - len(agreed), T_true, folds,
                      progress)
 
 

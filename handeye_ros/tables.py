@@ -102,6 +102,13 @@ class Table:
         """Return points, (n, 3) in metres, of the columns PREFIX_x, PREFIX_y, PREFIX_z."""
         return self.values(_axes(prefix), LENGTH)
 
+    def notation(self, prefix: str, angles: str = '') -> orientations.Notation:
+        """Return how orientations are written: as stated, or by the names of the columns."""
+        if angles:
+            return orientations.notation_of(angles)
+        urdf = self.has(orientations.RPY.columns(prefix))
+        return orientations.RPY if urdf else orientations.QUATERNION
+
     def poses(self, prefix: str, angles: str = '') -> Array:
         """
         Return transforms (n, 4, 4): the translation as points, the rotation as a quaternion.
@@ -110,12 +117,7 @@ class Table:
         of a notation, those of a controller (PREFIX_a, _b, _c of KUKA), in its units where the
         header says none. Raises TableError, and UnknownNameError for the notation.
         """
-        notation, length = orientations.QUATERNION, None
-        if angles:
-            notation = orientations.notation_of(angles)
-            length = notation.length
-        elif self.has(orientations.RPY.columns(prefix)):
-            notation = orientations.RPY
+        notation = self.notation(prefix, angles)
         names = notation.columns(prefix)
         fitting = [name for name, other in orientations.NOTATIONS.items()
                    if self.has(other.columns(prefix))]
@@ -132,7 +134,7 @@ class Table:
             if off.max() > QUATERNION_TOLERANCE:
                 raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
                                  'unit quaternion')
-        positions = self.values(_axes(prefix), LENGTH, length)
+        positions = self.values(_axes(prefix), LENGTH, notation.length if angles else None)
         return se3.transform(notation.rotation(numbers).as_matrix(), positions)
 
     def _require(self, names: Sequence[str]) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
     from handeye_ros.sampling.trajectory import Trajectory
-    from handeye_ros.tabulated.values import Input as TableInput
+    from handeye_ros.tabulated.values import TableProblem
 
 File, Folder, Length = (partial(typer.Option, metavar=name) for name in ('FILE', 'DIR', 'L'))
 NoPath = Optional[Path]  # noqa: UP045 - the typer of Jazzy does not know `Path | None`
@@ -68,7 +68,7 @@ class OpenedInput:
     settings: 'Config'
     inputs: 'Sequence[Any]'
     session: 'Session | None' = None
-    table: 'TableInput | None' = None
+    table: 'TableProblem | None' = None
 
 
 def open_input(path: Path, config: Path | None, assignments: list[str], angles: str = '',

@@ -80,10 +80,9 @@ def solve(
     if causes:
         show(causes)
     if T_true is not None:
-        values = given.table.values if given.table else None
         errors = errors_against(calibration.T_flange_sensor, T_true,
-                                values.field() if values else None)
-        typer.echo(table.error_sentence(errors, *([values.over] if values else [])))
+                                given.table.field() if given.table else None)
+        typer.echo(table.error_sentence(errors, *([given.table.over] if given.table else [])))
     typer.echo(saved)
 
 

@@ -140,17 +140,21 @@ class LiveVerification:
         live = self._live
         live.process_all()
         in_order = [[result for _, result in sorted(part.items())] for part in self._parts]
-        return live.run_job(VERIFYING, partial(self._accept, self._parts), verification_of,
+        file = live.config.verify.calibration or live.answer.saved
+        return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
                             self.routine, in_order, self._calibration(), live.config)
 
-    def _accept(self, parts: Sequence[object], result: Verification) -> str:
-        """Write the verdict on parts, and end their verification; return the message."""
+    def _accept(self, parts: Sequence[object], file: str, result: Verification) -> str:
+        """
+        Write the verdict on parts, and end their verification; return the message.
+
+        file: of the calibration, '' where it was not saved.
+        """
         live = self._live
-        verified = live.config.verify.calibration
         name = f'verification_{result.routine}.yaml'
         content = plain_values(
             result, (live.config.profile_topic, live.config.pose_origin[0]),
-            Path(verified).expanduser() if verified else None)
+            Path(file).expanduser() if file else None)
         saved = exports.write({name: yaml_text(content)}, live.folders.own(live.config), {name})
         self.verdict = sentence(content)
         text = f'{self.verdict}; {saved}'

@@ -9,11 +9,11 @@ from pathlib import Path
 from handeye_ros.config import Config
 from handeye_ros.errors import BadValueError, InputError
 from handeye_ros.tabulated import hand_eye, points, tracker
-from handeye_ros.tabulated.values import Input, Values
+from handeye_ros.tabulated.values import TableProblem
 
-FILE_TARGETS: dict[str, tuple[type[Values], Callable[[Path, Config], Input]]] = {
-    values.name: (values, read) for values, read in (
-        (points.Pairs, points.read), (hand_eye.Views, hand_eye.read),
+FILE_TARGETS: dict[str, tuple[type[TableProblem], Callable[[Path, Config], TableProblem]]] = {
+    problem.name: (problem, read) for problem, read in (
+        (points.PointPairs, points.read), (hand_eye.PosePairs, hand_eye.read),
         (tracker.TrackerSession, tracker.read))}
 
 
@@ -34,8 +34,8 @@ def is_solved_from_files(config: Config) -> bool:
     return True
 
 
-def read(path: Path, config: Config) -> Input:
-    """Return the values of the configuration's target in a file; raises InputError, DataError."""
+def read(path: Path, config: Config) -> TableProblem:
+    """Return what a file holds of the configuration's target; raises InputError, DataError."""
     if not is_solved_from_files(config):
         fitting = list(FILE_TARGETS)
         raise InputError(f'{path} is a table of measured values, and target.type '

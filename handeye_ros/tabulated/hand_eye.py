@@ -8,42 +8,42 @@ view the pose of the target predicted by the robot's pose, X and the fixed targe
 with the measured one.
 
 How large the errors of each cause are is estimated too: variance components by restricted maximum
-likelihood (Patterson and Thompson 1971, Biometrika 58:545). A weak prior prevents zero variances
-from few residuals.
+likelihood (Patterson and Thompson 1971, Biometrika 58:545), by the steps of Zhou et al. 2019 (J.
+Computational and Graphical Statistics 28:350). A weak prior prevents zero variances from few
+residuals.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handeye_ros import orientations, se3
+from handeye_ros import se3
 from handeye_ros.checks.refusals import require_rotations
-from handeye_ros.config import Config
+from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
-from handeye_ros.estimation.least_squares import (
-    adjust,
-    Adjusted,
-    chi2_isf,
-    inverse_roots,
-    Rows,
-    System,
-)
+from handeye_ros.estimation.least_squares import adjust, Adjusted, inverse_roots, Rows, System
 from handeye_ros.frames import mount_frame, mount_poses
+from handeye_ros.orientations import NOTATIONS
 from handeye_ros.published.cn105021139a import solve_motions
+from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, TableAnswer
+from handeye_ros.tabulated.values import Indices, Misreading, PairedRows, TableAnswer
 import numpy as np
 
 PAIRS, SEED = 2000, 0  # of poses, drawn for the closed form
 LARGEST_ANGLE = 3.0  # angle above which a rotation axis is uncertain (rad)
 MINIMUM = 5  # fewer do not show how large the noise is
 SMALLEST_VARIANCE = 1e-18  # m^2 or rad^2: a smaller scatter is rounding
+# of the causes, up to a factor, where nothing is known: 0.1 mm, 1 mrad and 0.3 mrad
+TYPICAL_VARIANCES = 1e-8 * np.array([1e-8, 1e-6, 1e-7])
+PRIOR_FREEDOM = 0.5  # degrees of freedom of the prior of each variance, about the typical one
+LIKELIHOOD_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Views(Lists):
+class PosePairs(PairedRows):
     """
     Poses (n, 4, 4) at the same times.
 
@@ -60,17 +60,18 @@ class Views(Lists):
     prefixes = ('target', 'flange')
 
     def require_determined(self) -> None:
+        """Raise DataError for few poses, and for poses that turn about one axis or none."""
         if len(self) < MINIMUM:
             raise TooFewError('A X = X B', MINIMUM, 'poses', len(self))
         require_rotations(self.robot, mount_frame(self.config), 'the position along it is free')
 
     def solve(self) -> TableAnswer:
         """Return the least squares, weighted by the noise that its residuals show."""
-        state = self.closed_form()
-        fit, whiten = self.fit_with_variances(state, _first_variances(self.differences(state),
-                                                                      self.causes(state)))
+        fit, whiten = self.fit_with_variances(self.closed_form(), TYPICAL_VARIANCES)
+        typical = TYPICAL_VARIANCES * fit.variance_factor
         for _ in range(2):
-            fit, whiten = self.fit_with_variances(fit.state, self.variances(fit.state, fit.used))
+            fit, whiten = self.fit_with_variances(
+                fit.state, self.likeliest_variances(fit.state, fit.used, typical))
         state, used = fit.state, fit.used
         off = _lengths(self.differences(state))
         left_out = _lengths(np.asarray(np.linalg.solve(whiten[used], fit.left_out[..., None])))
@@ -84,9 +85,12 @@ class Views(Lists):
                            angle, target)
 
     def fit_with_variances(self, state: Array, variances: Array) -> tuple[Adjusted[Array], Array]:
-        """Return the fit for variances (3,) of the causes, and what whitens the views."""
-        whiten = inverse_roots(np.tensordot(np.maximum(variances, SMALLEST_VARIANCE),
-                                            self.causes(state), 1))
+        """
+        Return the fit for variances (3,) of the causes, and what whitens the views (n, 6, 6).
+
+        state: (2, 4, 4) to start from.
+        """
+        whiten = inverse_roots(np.tensordot(variances, self.causes(state), 1))
 
         def rows(state: Array) -> Rows:
             return Rows((whiten @ self.differences(state)[..., None]).ravel(),
@@ -98,7 +102,7 @@ class Views(Lists):
 
     def closed_form(self) -> Array:
         """
-        Return the state by pairs of poses, rotation first.
+        Return the state (2, 4, 4) by pairs of poses, rotation first.
 
         Park and Martin 1994 (IEEE Trans. Robotics and Automation 10:717), least squares
         throughout. Raises SingularError, TooFewError.
@@ -140,31 +144,30 @@ class Views(Lists):
         return np.array([own * ([1] * 3 + [0] * 3), own * ([0] * 3 + [1] * 3),
                          turned @ np.swapaxes(turned, 1, 2)])
 
-    def variances(self, state: Array, used: Index) -> Array:
-        """Return the most likely variances (3,) of the causes, from the views that are used."""
-        residuals, jacobian = self.differences(state)[used], self.derivatives(state)[used]
-        parts = self.causes(state)[:, used]
-        start = _first_variances(residuals, parts)
+    def likeliest_variances(self, state: Array, used: Indices, typical: Array) -> Array:
+        """
+        Return the most likely variances (3,) of the causes, from the views that are used.
 
-        def unlikely(logarithms: Array) -> float:
-            """Return twice the negative logarithm of the restricted likelihood, and the prior."""
-            variances = np.exp(logarithms)
-            whiten = inverse_roots(np.tensordot(variances, parts, 1))
-            Q, R = np.linalg.qr((whiten @ jacobian).reshape(-1, 12))
-            whitened = (whiten @ residuals[..., None]).ravel()
-            off = whitened - Q @ (Q.T @ whitened)
-            determinants = (np.log(np.abs(np.diag(R))).sum()
-                            - np.log(np.einsum('nii->ni', whiten)).sum())
-            # the prior counts for half a degree of freedom, about the start
-            return float(off @ off + 2 * determinants
-                         + 0.5 * (logarithms + start / variances).sum())
+        typical: (3,) about which they are expected, and from which they are sought.
+        """
+        r, J = self.differences(state)[used], self.derivatives(state)[used]
+        parts, variances = self.causes(state)[:, used], typical
+        for _ in range(LIKELIHOOD_STEPS):
+            weight = np.linalg.inv(np.tensordot(variances, parts, 1))
+            weighted = weight @ J
+            C = np.linalg.inv(np.einsum('nia,nib->ab', J, weighted))
+            # the weighted residuals of the least squares, and what of each part they show
+            left = (weight @ r[..., None])[..., 0] - weighted @ (
+                C @ np.einsum('nia,ni->a', weighted, r))
+            shown = np.einsum('ni,cnij,nj->c', left, parts, left)
+            expected = np.einsum('nij,cnji->c', weight, parts) - np.einsum(
+                'nia,cnij,nja->c', weighted @ C, parts, weighted)
+            variances = np.maximum(SMALLEST_VARIANCE, variances * np.sqrt(
+                (shown * variances + PRIOR_FREEDOM * typical / variances)
+                / (expected * variances + PRIOR_FREEDOM)))
+        return variances
 
-        from scipy.optimize import minimize  # 0.1 s, only for this target
-        found = minimize(unlikely, np.log(start), method='Nelder-Mead',
-                         options={'xatol': 1e-2, 'fatol': 1e-3})
-        return np.asarray(np.exp(found.x))
-
-    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
+    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
         Z = se3.mean_pose(self.robot[fitted] @ X @ self.seen[fitted])
         return _lengths(self.subset(measured).differences(np.stack([X, Z])))[:, 0]
 
@@ -174,69 +177,44 @@ def _lengths(differences: Array) -> Array:
     return np.asarray(np.linalg.norm(differences.reshape(-1, 2, 3), axis=2))
 
 
-def _first_variances(residuals: Array, parts: Array) -> Array:
-    """Return half of the variance (c,) that each cause alone would need; some may be wrong."""
-    seen = np.median(_lengths(residuals), axis=0) ** 2 / chi2_isf(0.5, 3)
-    made = np.einsum('cnii->cni', parts).reshape(len(parts), -1, 2, 3).mean(axis=(1, 3))
-    alone = np.divide(seen, made, out=np.full(made.shape, np.inf), where=made > 0)
-    return np.asarray(np.maximum(alone.min(axis=1) / 2, 1e-24))
-
-
-def read(path: Path, config: Config) -> Input:
+def read(path: Path, config: Config) -> PosePairs:
     """
     Read the columns flange_x ... and target_x ... as in Table.poses, each with its unit.
 
     target.angles: how a controller writes the poses of the flange. Raises TableError.
     """
-    table, stated = Table(path), config.target.angles
-    flange, target = table.poses('flange', stated), table.poses('target')
+    def pairs_of(table: Table, config: Config) -> PosePairs:
+        flange = table.poses('flange', config.target.angles)
+        return PosePairs(config, table.poses('target'), mount_poses(flange, config),
+                         frame=config.sensor_frame, inputs=[input_values(path)])
 
-    def views(flange: Array, target: Array = target) -> Views:
-        return Views(config, target, mount_poses(flange, config))
-
-    def otherwise() -> Iterator[Misreading]:
-        yield Misreading(
-            'one of the two lists inverted', 'set calibration_type to the other one, or, if it is '
-            'right, give the flange in the base and the target in the camera',
-            views(se3.inverse(flange)))
-        yield from views(flange).in_other_units()
-        order = 'name the columns in the order of their values'
-        w_last = bool(stated)  # as abb-quaternion, they were read as w x y z
-        yield Misreading(f'flange quaternions as {"x y z w" if w_last else "w x y z"}', order,
-                         views(_reordered(flange, w_last)))
-        yield Misreading('target quaternions as w x y z', order, views(flange, _reordered(target)))
-        yield Misreading('the quaternions of both as w x y z', order,
-                         views(_reordered(flange), _reordered(target)))
-        for name, remedy, poses in _other_notations(table, stated, flange):
-            yield Misreading(f'the flange written as {name}', remedy, views(poses))
-
-    return views(flange).read_from(path, otherwise)
+    table = Table(path)
+    pairs = pairs_of(table, config)
+    pairs.require_plausible()
+    inverted = Misreading(
+        'one of the two lists inverted', 'set calibration_type to the other one, or, if it is '
+        'right, give the flange in the base and the target in the camera',
+        replace(pairs, robot=se3.inverse(pairs.robot)))
+    w_first = [Misreading(f'{" and ".join(prefixes)} quaternions as w x y z',
+                          'name the columns in the order of their values',
+                          pairs_of(table.renamed({
+                              f'{prefix}_q{old}': f'{prefix}_q{new}' for prefix in prefixes
+                              for old, new in zip('xyzw', 'wxyz', strict=True)}), config))
+               for prefixes in (('flange',), ('target',), ('flange', 'target'))]
+    return replace(pairs, misreadings=[*pairs.in_other_units(), inverted, *w_first,
+                                       *_other_notations(table, config, pairs_of)])
 
 
-def _other_notations(table: Table, stated: str, read: Array) -> Iterator[tuple[str, str, Array]]:
-    """
-    Yield notations, the remedy, and the poses (n, 4, 4) of the flange that these give.
-
-    stated: how they were read; read: as that gives them.
-    """
-    used = orientations.notation_of(stated) if stated else orientations.RPY
-    columns, known = used.columns('flange'), [read]
-    if not (used.angle and table.has(columns)):
-        return
-    for name, notation in sorted(orientations.NOTATIONS.items(),
-                                 key=lambda item: item[1].labels != used.labels):
-        if notation.angle:
-            names = notation.columns('flange')
-            poses = table.renamed(dict(zip(columns, names, strict=True))).poses('flange', name)
-            if not any(np.allclose(poses, one, rtol=0, atol=1e-9) for one in known):
-                known.append(poses)
-                remedy = f'set target.angles to {name}'
-                if names != columns:
-                    remedy += f' and name the columns {", ".join(names)}'
-                yield name, remedy, poses
-
-
-def _reordered(T: Array, w_last: bool = False) -> Array:
-    """Return the poses (n, 4, 4) with their quaternions read as w x y z, or as x y z w."""
-    shift = 1 if w_last else -1
-    return se3.from_quaternion(T[:, :3, 3], np.roll(se3.quaternion(T), shift, axis=1))
+def _other_notations(table: Table, config: Config,
+                     pairs_of: Callable[[Table, Config], PosePairs]) -> Iterator[Misreading]:
+    """Yield the angles of the flange as other controllers mean them, of the same columns first."""
+    used = table.notation('flange', config.target.angles)
+    columns = used.columns('flange')
+    for name, notation in sorted(NOTATIONS.items(), key=lambda one: one[1].labels != used.labels):
+        names = notation.columns('flange')
+        if used.angle and notation.angle:
+            yield Misreading(
+                f'the flange written as {name}', f'set target.angles to {name}' + (
+                    '' if names == columns else f' and name the columns {", ".join(names)}'),
+                pairs_of(table.renamed(dict(zip(columns, names, strict=True))),
+                         with_values(config, {'target.angles': name})))

@@ -3,7 +3,6 @@
 """Points in two frames from a file: the sensor is beside the robot (Wu 2017)."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,8 +11,9 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, TooFewError
 from handeye_ros.estimation.least_squares import adjust, Rows, System
+from handeye_ros.results.calibration_file import input_values
 from handeye_ros.tables import Table
-from handeye_ros.tabulated.values import Index, Input, Lists, Misreading, TableAnswer
+from handeye_ros.tabulated.values import Indices, Misreading, PairedRows, TableAnswer
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +23,7 @@ SMALLEST_SIGMA = 1e-9  # m; the noise is estimated, from this on
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs(Lists):
+class PointPairs(PairedRows):
     """The same points (n, 3) in the frame of the sensor and in the robot's base; metres."""
 
     name = 'points'
@@ -34,7 +34,7 @@ class Pairs(Lists):
     prefixes = ('camera', 'base')
 
     def require_determined(self) -> None:
-        """Raise for few points, and for points that are (nearly) collinear."""
+        """Raise DataError for few points, and for points that are (nearly) collinear."""
         if len(self) < MINIMUM:
             raise TooFewError('the transform between two sets of points', MINIMUM, 'points',
                               len(self))
@@ -65,20 +65,18 @@ class Pairs(Lists):
         R = Rotation.align_vectors(self.robot - robot, self.seen - seen)[0].as_matrix()
         return se3.transform(R, robot - R @ seen)
 
-    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
+    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
         off = se3.apply(X, self.seen[measured]) - self.robot[measured]
         return np.asarray(np.linalg.norm(off, axis=1))
 
 
-def read(path: Path, config: Config) -> Input:
+def read(path: Path, config: Config) -> PointPairs:
     """Read the columns camera_x ... and base_x ..., each with its unit; raises TableError."""
     table = Table(path)
-    values = Pairs(config, table.points('camera'), table.points('base'))
-
-    def otherwise() -> Iterator[Misreading]:
-        yield from values.in_other_units()
-        yield Misreading('one of the two lists mirrored', 'use right-handed frames: check the '
-                         'signs and the order of the axes of both lists',
-                         replace(values, seen=-values.seen))
-
-    return values.read_from(path, otherwise)
+    pairs = PointPairs(config, table.points('camera'), table.points('base'),
+                       frame=config.sensor_frame, inputs=[input_values(path)])
+    pairs.require_plausible()
+    mirrored = Misreading('one of the two lists mirrored', 'use right-handed frames: check the '
+                          'signs and the order of the axes of both lists',
+                          replace(pairs, seen=-pairs.seen))
+    return replace(pairs, misreadings=[*pairs.in_other_units(), mirrored])

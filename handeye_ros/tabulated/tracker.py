@@ -8,11 +8,10 @@ faces that meet in a ridge show the block, profiles with an arc the ball; all ot
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +26,7 @@ from handeye_ros.errors import (
     degrees,
     FeatureError,
     InputError,
+    mm,
     UnusableMessageError,
 )
 from handeye_ros.frames import T_sensor_plane
@@ -37,20 +37,17 @@ from handeye_ros.results.calibration_file import input_values
 from handeye_ros.results.truth_file import field_points, FIELD_TEXT
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.tables import LENGTH, Table, TableError
-from handeye_ros.tabulated.values import Index, Input, TableAnswer, Values
+from handeye_ros.tabulated.values import TableAnswer, TableProblem
 import numpy as np
 
 FEWEST_POINTS = {'arc': 6, 'line': 3, 'ball': 1, 'face_c': 3, 'face_d': 3}  # points in the file
+SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
 # unknowns that a fit to the points of a part has
 UNKNOWNS = {'arc': 6, 'line': 4, 'face_c': 3, 'face_d': 3,
             'swept_ball': 6, 'swept_face_c': 3, 'swept_face_d': 3}
-SMALLEST_ANGLE = 0.17  # smallest angle between the faces, and of the arc (rad)
-ORDER_CHECK_POINTS = 20  # points of arc and line whose order is checked
-ONE_WAY = 0.75  # smallest share of steps in one direction; about half for unordered points
+IN_ORDER = 0.9  # correlation of the places of arc and line with their order, at least
 LARGEST_TURN = 0.35  # largest angle between the sweep (by the ball) and the line (rad)
-OUTLIER_SIGMAS = 6.0  # sigmas of a point that is left out,
-OUTLIER_RATIO = 4.0  # if it is also as many times the median distance of its part
-LARGEST_RMS = 3.0  # sigmas of the points that remain
+LARGEST_RMS, LARGEST_OF_ROW = 3.0, 10.0  # sigmas of the points of a part, of a row of the file
 NOISE_DRAWS, SEED = 100, 0  # of the noise, for the covariance
 # of the sweep
 RIDGE_ANGLE = 0.35  # smallest angle between two faces that meet (rad)
@@ -60,8 +57,6 @@ SMALLEST_WAY = 0.02  # m
 FEWEST_PROFILES = 5
 # consecutive profiles without two faces that do not end a run of block profiles
 MOST_MISSED_PROFILES = 3
-
-SWEPT_PARTS = ('swept_ball', 'swept_face_c', 'swept_face_d')
 
 
 class Piece(NamedTuple):
@@ -82,7 +77,7 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerSession(Values):
+class TrackerSession(TableProblem):
     """
     The points of both instruments.
 
@@ -110,8 +105,8 @@ class TrackerSession(Values):
         """Return T_sensor_plane (4, 4)."""
         return T_sensor_plane(self.config)
 
-    def subset(self, samples: Index) -> TrackerSession:
-        return replace(self, pieces=[self.pieces[i] for i in samples])
+    def field(self) -> Array:
+        return field_points()
 
     @cached_property
     def measured(self) -> jing2020.Readings:
@@ -121,37 +116,23 @@ class TrackerSession(Values):
         return jing2020.Readings(parts | {'ball': self.ball[None]},
                                  self.config.tracker.h0 + self.config.tracker.h1, self.q30)
 
-    def by_part(self, values: Any, statistic: Callable[[Any], Any]) -> Array:
-        """Return for each piece (n,) the statistic of the values (n,) of its part."""
-        parts, index = np.unique([piece.part for piece in self.pieces], return_inverse=True)
-        return np.array([statistic(values[index == k]) for k in range(len(parts))])[index]
-
     def chain(self) -> jing2020.Result:
         """Return the published answer, of the sensor plane; raises DataError."""
         direction = self.axes[:3, :3].T @ np.array(self.config.tracker.direction)
         return jing2020.solve(self.measured, direction / np.linalg.norm(direction))
 
     def require_determined(self) -> None:
-        """Raise for points in the wrong order, a short arc, parallel faces, a crooked sweep."""
-        parts = (self.measured.parts['arc'], self.measured.parts['line'])
-        arc, line = (points[np.linspace(
-            0, len(points) - 1, min(len(points), ORDER_CHECK_POINTS)).astype(int)]
-                     for points in parts)
-        centre, axis = jing2020.fit_arc(self.measured.parts['arc'])
+        """Raise DataError for points in the wrong order, and for a sweep beside the line."""
+        arc, line = self.measured.parts['arc'], self.measured.parts['line']
+        centre, axis = jing2020.fit_arc(arc)
         spokes = arc - centre
-        turns = np.cross(spokes[:-1], spokes[1:]) @ axis
-        for what, steps in (('arc', turns), ('line', np.diff(line @ jing2020.fit_line(line)))):
-            if max((steps > 0).mean(), (steps < 0).mean()) < ONE_WAY:
+        middle = spokes.mean(axis=0)
+        turns = np.arctan2(np.cross(middle, spokes) @ axis, spokes @ middle)
+        for what, places in (('arc', turns), ('line', line @ jing2020.fit_line(line))):
+            if abs(np.corrcoef(places, np.arange(len(places)))[0, 1]) < IN_ORDER:
                 raise DataError(f'the points of the {what} go back and forth; list them in the '
                                 'order measured')
-        turn = np.arctan2(np.linalg.norm(np.cross(spokes[0], spokes[-1])), spokes[0] @ spokes[-1])
-        if turn < SMALLEST_ANGLE:
-            raise DataError(f'the arc spans {np.degrees(turn):.1f} degrees; turn R2 by 30 degrees '
-                            'or more')
         chain = self.chain()
-        if min(*chain.angles, *(np.pi - chain.angles)) < SMALLEST_ANGLE:
-            raise DataError('the two faces of the block are nearly parallel; use faces at 45 '
-                            'degrees or more')
         turn = math.acos(min(1.0, float(chain.direction @ chain.T_flange_sensor[2, :3])))
         if turn > LARGEST_TURN:
             raise DataError(
@@ -160,62 +141,55 @@ class TrackerSession(Values):
                 'measured towards larger readings of P3')
 
     def solve(self) -> TableAnswer:
-        """Return the published answer without wrong points, its covariance by draws of noise."""
+        """Return the published answer, its covariance by draws of noise; raises DataError."""
+        chain = self.chain()
+        X, off = chain.T_flange_sensor, self.residuals(chain)
+        parts = np.array([piece.part for piece in self.pieces])
+        is_swept = np.isin(parts, SWEPT_PARTS)
         # the distance of a reflector from a swept face has the noise of both instruments
-        sigma = np.array([np.hypot(rms(piece.sigma), piece.part.startswith('face')
-                                   * self.config.noise.sensor) for piece in self.pieces])
-        every = used = np.arange(len(self))
-        for _ in range(3):  # wrong points bend the first fit
-            off = self.residuals(self.subset(used).chain().T_flange_sensor, used, every)
-            good = off < np.maximum(OUTLIER_SIGMAS * sigma,
-                                    OUTLIER_RATIO * self.by_part(off, np.median))
-            used = np.flatnonzero(good)
-        agreed = self.subset(used)
-        chain = agreed.chain()
-        X, off = chain.T_flange_sensor, self.residuals(chain.T_flange_sensor, used, every)
-        excess = self.by_part(np.where(good, off / sigma, np.nan),
-                              lambda known: np.sqrt(np.nanmean(known ** 2)))
-        if excess.max() > LARGEST_RMS:
+        sigmas = off / np.array([np.hypot(rms(piece.sigma), piece.part.startswith('face')
+                                          * self.config.noise.sensor) for piece in self.pieces])
+        excess = {part: max(rms(sigmas[parts == part]), 1.0) for part in UNKNOWNS}
+        limit = np.where(is_swept, np.inf, LARGEST_OF_ROW)  # a single profile matters little
+        limit[[excess[part] > LARGEST_RMS for part in parts]] = LARGEST_RMS
+        worst = int(np.argmax(sigmas / limit))
+        if sigmas[worst] > limit[worst]:
             raise DataError(
-                'the points contradict each other, most of all those of '
-                f'{self.pieces[int(excess.argmax())].part}: check which face is which, h0 and h1, '
-                'the readings of P3, and the noise of both instruments', reason='misfit')
+                f'the points contradict each other, most of all {parts[worst]} of '
+                f'{"the profile" if is_swept[worst] else "row"} {self.pieces[worst].sample}, by '
+                f'{mm(float(off[worst]))}: measure again or leave that row out, and check which '
+                'face is which and the noise of both instruments', reason='misfit')
         # generalised cross-validation: each point predicted by a fit without it
-        share = np.array([UNKNOWNS[piece.part] / len(self.measured.parts[piece.part])
-                          for piece in agreed.pieces])
-        left_out = off[good] / (1 - np.minimum(share / 2, 0.5))
+        share = np.array([UNKNOWNS[part] / len(self.measured.parts[part]) for part in parts])
         return TableAnswer(
-            X, agreed.covariance(X, excess[good]), good, off,
-            rms(off[good]), rms(left_out),
+            X, self.covariance(X, excess), np.ones(len(off), dtype=bool), off, rms(off),
+            rms(off / (1 - np.minimum(share / 2, 0.5))),
             target={'radius': chain.radius, 'face_angle': float(chain.angles[0])})
 
-    def covariance(self, X: Array, excess: Array) -> Array:
+    def covariance(self, X: Array, excess: Mapping[str, float]) -> Array:
         """
         Return the covariance (6, 6) of the chain around X.
 
-        excess: (n,) the residuals over their noise.
+        excess: the residuals of each part over their noise.
         """
         rng, of_ball = np.random.default_rng(SEED), self.config.tracker.noise
-        # each coordinate of a point by the tracker, but not the reading of P3
-        sigmas = [scale * piece.sigma[:, None] * [1, 1, piece.part not in SWEPT_PARTS]
-                  for piece, scale in zip(self.pieces, np.maximum(excess, 1.0), strict=True)]
         off = []
         for _ in range(NOISE_DRAWS):
-            pieces = [piece._replace(points=piece.points + sigma * rng.normal(size=sigma.shape))
-                      for piece, sigma in zip(self.pieces, sigmas, strict=True)]
+            # of each coordinate of a point by the tracker, but not of the reading of P3
+            pieces = [piece._replace(points=piece.points + rng.normal(size=piece.points.shape) * (
+                          excess[piece.part] * piece.sigma[:, None]
+                          * [1, 1, piece.part not in SWEPT_PARTS])) for piece in self.pieces]
             session = replace(self, pieces=pieces, ball=self.ball + of_ball * rng.normal(size=3))
             off.append(se3.difference(session.chain().T_flange_sensor, X))
         return np.asarray(np.transpose(off) @ off / NOISE_DRAWS)
 
-    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
-        """Return the RMS distances of measured pieces from what the fitted ones show with X."""
-        known = self.subset(fitted).measured
-        parts = known.parts
-        line, along = parts['line'].mean(axis=0), jing2020.fit_line(parts['line'])
+    def residuals(self, chain: jing2020.Result) -> Array:
+        """Return the RMS distance (n,) of each piece from what all show by the chain (m)."""
+        parts, direction = self.measured.parts, chain.direction
+        _, centre, radius = jing2020.fit_swept_ball(parts['swept_ball'], self.q30, direction)
         pivot, axis = jing2020.fit_arc(parts['arc'])
-        direction, centre, radius = jing2020.fit_swept_ball(
-            parts['swept_ball'], self.q30, X[2, :3])
-        T_sensor_tracker = se3.inverse(jing2020.link_frame(known) @ X)
+        start, along = parts['line'].mean(axis=0), jing2020.fit_line(parts['line'])
+        T_sensor_tracker = se3.inverse(jing2020.link_frame(self.measured) @ chain.T_flange_sensor)
         planes = {}
         for face in ('face_c', 'face_d'):
             points = jing2020.swept(parts[f'swept_{face}'], self.q30, direction)
@@ -230,7 +204,7 @@ class TrackerSession(Values):
             if part == 'arc':
                 return np.hypot((points - pivot) @ axis, beside(points, pivot, axis) - reach)
             if part == 'line':
-                return beside(points, line, along)
+                return beside(points, start, along)
             in_sensor = (jing2020.swept(points, self.q30, direction) if part in SWEPT_PARTS
                          else se3.apply(T_sensor_tracker, points))
             if part == 'swept_ball':
@@ -238,14 +212,10 @@ class TrackerSession(Values):
             middle, normal = planes[part.removeprefix('swept_')]
             return (in_sensor - middle) @ normal
 
-        pieces = self.subset(measured).pieces
-        return np.array([rms(off(piece.part, piece.points)) for piece in pieces])
-
-    def field(self) -> Array:
-        return field_points()
+        return np.array([rms(off(piece.part, piece.points)) for piece in self.pieces])
 
 
-def read(path: Path, config: Config) -> Input:
+def read(path: Path, config: Config) -> TrackerSession:
     """Read the reflector's points, and the bag of the sweep; raises InputError, DataError."""
     known = config.tracker
     if not any(known.direction):
@@ -263,9 +233,10 @@ def read(path: Path, config: Config) -> Input:
                          'size, so they have no default; see config/tracker.yaml')
     pieces, ball = read_table(file, known.noise)
     swept, q30 = sweep_from(recording.profiles, recording.poses, config)
-    return Input(TrackerSession(config, [*pieces, *swept], ball, q30),
-                 recording.profiles[0].frame_id or 'laser',
-                 (*recording.inputs, input_values(file)), warnings=tuple(recording.warnings))
+    return TrackerSession(config, [*pieces, *swept], ball, q30,
+                          frame=recording.profiles[0].frame_id or 'laser',
+                          inputs=[*recording.inputs, input_values(file)],
+                          warnings=recording.warnings)
 
 
 def read_table(path: Path, noise: float) -> tuple[list[Piece], Array]:
@@ -305,24 +276,25 @@ def sweep_from(profiles: Sequence[AnyProfile], poses: Sequence[TimedPose], confi
         raise DataError('no profile lies within the time of the poses; record both together')
     q3 = config.tracker.first_reading + _ways(interpolate(poses, [
         first, *(p.stamp for p in inside)]))
-    ball: list[Piece] = []
-    blocks: list[tuple[int, list[Piece]]] = []
-    for index, profile in enumerate(inside):
+    ball, runs, latest = list[Piece](), [list[Piece]()], 0
+    for index, (profile, reading) in enumerate(zip(inside, q3.tolist(), strict=True)):
         with suppress(UnusableMessageError, FeatureError):
-            seen = [Piece(profile.stamp, part, np.insert(points, 2, q3[index], axis=1), sigma)
+            seen = [Piece(profile.stamp, part, np.insert(points, 2, reading, axis=1), sigma)
                     for part, points, sigma in _seen(profile.read().points, config)]
             if len(seen) == 1:
                 ball += seen
-            else:
-                blocks.append((index, seen))
-    # the rim of the ball shows so little that two lines may fit it as well
-    cuts = 1 + np.flatnonzero(np.diff([index for index, _ in blocks]) > 1 + MOST_MISSED_PROFILES)
-    block = max((blocks[first:last] for first, last in pairwise([0, *cuts, len(blocks)])), key=len)
-    for what, count in (('ball', len(ball)), ('block', len(block))):
+                continue
+            # the rim of the ball shows so little that two lines may fit it as well
+            if index > latest + 1 + MOST_MISSED_PROFILES:
+                runs.append([])
+            runs[-1] += seen
+            latest = index
+    block = max(runs, key=len)
+    for what, count in (('ball', len(ball)), ('block', len(block) // 2)):
         if count < FEWEST_PROFILES:
             raise DataError(f'{count} profiles show the {what}; sweep over it slowly, at least '
                             f'{FEWEST_PROFILES} profiles')
-    return [*ball, *(piece for _, two in block for piece in two)], (q3.min() + q3.max()) / 2
+    return [*ball, *block], (q3.min() + q3.max()) / 2
 
 
 def _ways(T: Array) -> Array:

@@ -9,10 +9,9 @@ as other units and notations would give them: what fits is named, never used.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, KW_ONLY, replace
 import math
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 from handeye_ros import se3
@@ -24,9 +23,8 @@ from handeye_ros.checks.refusals import (
 )
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration
-from handeye_ros.errors import DataError, degrees, mm, TooFewError
+from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import chi2_isf, single_threaded
-from handeye_ros.results.calibration_file import input_values
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
@@ -36,22 +34,34 @@ SHORTEST_REACH, LONGEST_REACH = 0.02, 50.0  # m: what a sensor or a robot reache
 REGION_PROBABILITY = 0.99  # probability of the region that a covariance from few rows is to hold
 CLEAR_SHARE = 0.2  # of the misfit: a misreading with more does not explain the values
 
-Index: TypeAlias = NDArray[np.intp]
+Indices: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Values(ABC):
+class TableProblem(ABC):
     """
-    The values of a target's files. A sample is a row of a table, or a profile.
+    What is read from the files of a target, and how it is solved.
+
+    A sample is a row of a table, or what a profile shows.
+
+    frame: of the sensor
+    inputs: path and sha256 of every file
+    warnings: what was lost in reading
+    misreadings: the values as other units and notations would give them
 
     name: of the target
-    calibration_types: supported calibration types
+    calibration_types: that it can have
     advice: what makes an answer more certain
     check: what to check where values contradict each other
     over: `field` in words
     """
 
     config: Config
+    _: KW_ONLY
+    frame: str = ''
+    inputs: Sequence[dict[str, str]] = ()
+    warnings: Sequence[str] = ()
+    misreadings: Sequence[Misreading] = ()
 
     name: ClassVar[str]
     calibration_types: ClassVar[tuple[str, ...]]
@@ -62,15 +72,7 @@ class Values(ABC):
     @property
     @abstractmethod
     def samples(self) -> Sequence[tuple[int, str]]:
-        """Return of each sample its row number, or its stamp, and its kind."""
-
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.samples)
-
-    @abstractmethod
-    def subset(self, samples: Index) -> Values:
-        """Return some samples (ascending indices)."""
+        """Return of each sample its row number, or its stamp (ns), and its kind."""
 
     @abstractmethod
     def require_determined(self) -> None:
@@ -81,12 +83,8 @@ class Values(ABC):
         """Return the answer; raises DataError."""
 
     @abstractmethod
-    def residuals(self, X: Array, fitted: Index, measured: Index) -> Array:
-        """Return distances (m) of `measured` samples for X, the target fitted to `fitted` ones."""
-
-    @abstractmethod
     def field(self) -> Array:
-        """Return points (k, 3) in the frame of the values over which errors are reported."""
+        """Return points (k, 3) in the frame of the values over which errors are reported (m)."""
 
     @property
     def axes(self) -> Array:
@@ -95,9 +93,9 @@ class Values(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Lists(Values):
+class PairedRows(TableProblem):
     """
-    Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row.
+    Points (n, 3) or poses (n, 4, 4), as the sensor sees them and by the robot, row by row (m).
 
     prefixes: of the columns of both
     """
@@ -107,24 +105,34 @@ class Lists(Values):
 
     prefixes: ClassVar[tuple[str, str]]
 
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.seen)
+
     @property
     def samples(self) -> Sequence[tuple[int, str]]:
-        return [(row, '') for row in range(1, len(self.seen) + 1)]
+        return [(row, '') for row in range(1, len(self) + 1)]
 
-    def subset(self, samples: Index) -> Self:
-        return replace(self, seen=self.seen[samples], robot=self.robot[samples])
+    def subset(self, rows: Indices) -> Self:
+        """Return some rows (ascending indices)."""
+        return replace(self, seen=self.seen[rows], robot=self.robot[rows])
+
+    @abstractmethod
+    def residuals(self, X: Array, fitted: Indices, measured: Indices) -> Array:
+        """Return distances (m) of `measured` rows for X, the target fitted to `fitted` ones."""
 
     def field(self) -> Array:
         return _positions(self.seen)
 
     @property
-    def reach(self) -> tuple[float, ...]:
+    def reach(self) -> tuple[float, float]:
         """Return the typical distances (m) of both lists from the origins of their frames."""
-        return tuple(float(np.median(np.linalg.norm(_positions(values), axis=1)))
-                     for values in (self.seen, self.robot))
+        seen, robot = (float(np.median(np.linalg.norm(_positions(values), axis=1)))
+                       for values in (self.seen, self.robot))
+        return seen, robot
 
-    def read_from(self, path: Path, otherwise: Callable[[], Iterator[Misreading]]) -> Input:
-        """Return what was read; raises DataError for lists that no sensor and robot can give."""
+    def require_plausible(self) -> None:
+        """Raise DataError for lists that no sensor and robot can give."""
         rows = np.hstack([values.reshape(len(self), -1) for values in (self.seen, self.robot)])
         first = np.unique(rows, axis=0, return_index=True)[1]
         if len(first) < len(self):
@@ -134,12 +142,13 @@ class Lists(Values):
                             'each row once')
         if max(self.reach) < SHORTEST_REACH or min(self.reach) > LONGEST_REACH:
             (seen, robot), (near, far) = self.prefixes, self.reach
-            raise DataError(f'the positions of the {seen} are typically {near:.3g} m from the '
-                            f'origin, those of the {robot} {far:.3g} m, as in no cell: '
-                            f'{_unit_of(seen, robot)}', reason='convention')
-        return Input(self, self.config.sensor_frame, (input_values(path),), tuple(otherwise()))
+            raise DataError(
+                f'the positions of the {seen} are typically {near:.3g} m from the origin, those '
+                f'of the {robot} {far:.3g} m, as in no cell: correct the units in the header, of '
+                f'{seen}_x, {seen}_y, {seen}_z and {robot}_x, {robot}_y, {robot}_z',
+                reason='convention')
 
-    def stated(self, covariance: Array, used: Index) -> Array:
+    def stated(self, covariance: Array, used: Indices) -> Array:
         """
         Return a covariance (6, 6) with the region that holds, by Fisher's F.
 
@@ -152,23 +161,18 @@ class Lists(Values):
 
     def in_other_units(self) -> Iterator[Misreading]:
         """Yield the values with one list in another unit, as far as they then are of a cell."""
-        first, second = self.prefixes
         for factor, words in ((1e3, 'larger'), (1e-3, 'smaller')):
-            for prefix, seen, robot in ((first, factor, 1.0), (second, 1.0, factor)):
-                other = replace(self, seen=scaled(self.seen, seen),
-                                robot=scaled(self.robot, robot))
+            for prefix, other in zip(self.prefixes, (
+                    replace(self, seen=scaled(self.seen, factor)),
+                    replace(self, robot=scaled(self.robot, factor))), strict=True):
                 if SHORTEST_REACH < min(other.reach) and max(other.reach) < LONGEST_REACH:
-                    yield Misreading(f'the positions of the {prefix} 1000 times {words}',
-                                     _unit_of(prefix), other)
+                    yield Misreading(
+                        f'the positions of the {prefix} 1000 times {words}', 'correct the unit in '
+                        f'the header of {prefix}_x, {prefix}_y, {prefix}_z', other)
 
 
 def _positions(values: Array) -> Array:
     return values if values.ndim == 2 else values[:, :3, 3]
-
-
-def _unit_of(*prefixes: str) -> str:
-    return 'correct the unit in the header of ' + ', and of '.join(
-        ', '.join(f'{prefix}_{axis}' for axis in 'xyz') for prefix in prefixes)
 
 
 def scaled(values: Array, factor: float) -> Array:
@@ -183,7 +187,7 @@ class Misreading(NamedTuple):
 
     words: str
     remedy: str
-    values: Lists
+    values: TableProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,12 +215,8 @@ class TableAnswer:
     @property
     def agrees(self) -> bool:
         """Return whether few samples were dropped, and the others fit."""
-        return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE) and self.fits
-
-    @property
-    def fits(self) -> bool:
-        """Return whether the used samples fit."""
-        return self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE
+        return bool(1 - self.used.mean() <= LARGEST_DROPPED_SHARE
+                    and self.residual_rms <= LARGEST_RMS and self.angle_rms <= LARGEST_ANGLE)
 
     @property
     def misfit(self) -> float:
@@ -224,78 +224,55 @@ class TableAnswer:
         off = float(np.quantile(self.off, 1 - LARGEST_DROPPED_SHARE))
         return off if self.angle_rms <= LARGEST_ANGLE else math.inf
 
-    def require_trusted(self, values: Values) -> None:
-        """Raise DataError for an answer beyond the limits of the values that it is of."""
-        require_certain(self.covariance, values.config, values.advice)
-        require_left_out(self.holdout_rms, self.residual_rms, values.config.limits.residual)
-
-
-@dataclass(frozen=True, eq=False)
-class Input:
-    """
-    What was read.
-
-    frame: of the sensor
-    inputs: path and sha256 of every file
-    otherwise: what the values would be with other units and notations
-    warnings: what was lost
-    """
-
-    values: Values
-    frame: str
-    inputs: tuple[dict[str, str], ...]
-    otherwise: tuple[Misreading, ...] = ()
-    warnings: tuple[str, ...] = ()
+    def require_trusted(self, problem: TableProblem) -> None:
+        """Raise DataError for an answer beyond the limits of the problem that it is of."""
+        require_certain(self.covariance, problem.config, problem.advice)
+        require_left_out(self.holdout_rms, self.residual_rms, problem.config.limits.residual)
 
 
 @single_threaded
-def calibrate(given: Input) -> Calibration:
+def calibrate(problem: TableProblem) -> Calibration:
     """Return the calibration; raises DataError when the files do not determine an answer."""
-    values = given.values
-    answer = solve(values, given.otherwise)
-    answer.require_trusted(values)
-    warnings = {'warnings': list(given.warnings)} if given.warnings else {}
+    answer = solve(problem)
+    answer.require_trusted(problem)
+    warnings = {'warnings': list(problem.warnings)} if problem.warnings else {}
     return assemble_calibration(
-        values.config, values.name, given.frame, answer.X @ se3.inverse(values.axes),
+        problem.config, problem.name, problem.frame, answer.X @ se3.inverse(problem.axes),
         answer.covariance, answer.residual_rms, answer.holdout_rms, answer.target,
         [report_of_row(number, kind, used, off) for (number, kind), used, off in zip(
-            values.samples, answer.used, answer.off, strict=True)],
-        {'inputs': list(given.inputs), **warnings})
+            problem.samples, answer.used, answer.off, strict=True)],
+        {'inputs': list(problem.inputs), **warnings})
 
 
-def solve(values: Values, otherwise: Sequence[Misreading] = ()) -> TableAnswer:
+def solve(problem: TableProblem) -> TableAnswer:
     """Return the answer of values that agree; raises DataError, which names a misreading."""
     misfit = math.inf
     try:
-        values.require_determined()
-        answer = values.solve()
+        problem.require_determined()
+        answer = problem.solve()
         misfit = answer.misfit
-        if not answer.agrees:
-            turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
-            off, dropped = f'{mm(answer.residual_rms)}{turned} RMS', np.sum(~answer.used)
-            raise DataError(
-                (f'{dropped} of {len(values)} samples contradict the others, which agree to {off}'
-                 if answer.fits else f'no transform brings {len(values) - dropped} of '
-                 f'{len(values)} samples together better than {off}') + f': {values.check}',
-                reason='misfit')
-        values.subset(np.flatnonzero(answer.used)).require_determined()
-    except TooFewError:
-        raise
+        if answer.agrees:
+            return answer
+        turned = f' and {degrees(answer.angle_rms)}' if answer.angle_rms else ''
+        raise DataError(
+            f'no transform brings all samples together: the {answer.used.sum()} of '
+            f'{len(answer.used)} that agree best differ by {mm(answer.residual_rms)}{turned} RMS: '
+            f'{problem.check}', reason='misfit')
     except DataError as error:
-        raise _misreading(otherwise, misfit) or error from None
-    return answer
+        raise _misreading(problem, misfit) or error from None
 
 
-def _misreading(otherwise: Sequence[Misreading], before: float) -> DataError | None:
-    """Return what to say if exactly one other reading explains values of a misfit before (m)."""
-    explaining = []
-    for words, remedy, values in otherwise:
+def _misreading(problem: TableProblem, before: float) -> DataError | None:
+    """Return what to say if other readings explain values of a misfit before (m), all alike."""
+    explaining = list[tuple[Array, str]]()
+    for words, remedy, values in problem.misreadings:
         try:
             values.require_determined()
             answer = values.solve()
         except DataError:
             continue
         if answer.agrees and answer.misfit < CLEAR_SHARE * before:
-            explaining.append(f'the values contradict each other, but with {words} they agree to '
-                              f'{mm(answer.misfit)}: {remedy}')
-    return DataError(explaining[0], reason='convention') if len(explaining) == 1 else None
+            explaining.append((answer.X, f'the values contradict each other, but with {words} '
+                               f'they agree to {mm(answer.misfit)}: {remedy}'))
+    alike = explaining and all(np.allclose(X, explaining[0][0], atol=1e-9) for X, _ in explaining)
+    return DataError(explaining[0][1], reason='convention') if alike else None

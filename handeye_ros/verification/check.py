@@ -3,15 +3,15 @@
 """
 Whether a calibration still holds, by a short recording of its target; if not, what has changed.
 
-r = g(p; target) are the residuals of the recording at the answer of the calibration. With nothing
-changed, r = G dX + J dη + e: dX, dη are the errors of the calibration's transform and target with
-their joint covariance, e is the noise. A moved target adds T m, a moved sensor -G m, m a twist; a
-changed robot adds an error of each pose, smooth over the poses or white. Each has a normal prior,
-averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is reported if the
-causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality the probability
-of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not distinguish several
-causes, the sentence names these and their odds; if nothing changed, the smallest change that would
-have shown.
+With nothing changed, the residuals r of the recording at the answer of the calibration are
+r = E e + n: e are the errors of the calibration's transform and target, by their joint covariance,
+and those of the robot, smooth over the poses; n is the noise. A move m of target or sensor adds
+D m; a changed robot adds an error of each pose, smooth over the poses or white. Each has a normal
+prior, averaged over MOVE_SCALES, so each cause has a marginal likelihood. A change is reported if
+the causes together are LEAST_EVIDENCE times as likely as none: by Markov's inequality the
+probability of a false alarm is at most 1 / LEAST_EVIDENCE (Wald 1945). If the stops do not
+distinguish several causes, the sentence names these and their odds; if nothing changed, the
+smallest change that would have shown.
 """
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ from handeye_ros.data import (
 from handeye_ros.errors import DataError, InputError, mm
 from handeye_ros.estimation.blocks import wrt_smooth
 from handeye_ros.estimation.noise import covariance_parts
-from handeye_ros.estimation.problem import Estimate, linearise, Problem, UNUSED
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
 from handeye_ros.frames import mount_frame, name_direction, target_frame
 from handeye_ros.sampling.stops import evenly
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import out_of_face
 from handeye_ros.verification.fit import (
     fit_without_outliers,
+    Indices,
     largest_displacement,
-    Numbers,
     require_stations,
     root_of,
 )
@@ -65,7 +65,8 @@ MOST_ITERATIONS = 6
 NAMED_FROM = 0.95  # probability with which one cause, or some together, are named
 KEPT_SAMPLES = 30  # samples of a sweep: neighbours share the errors of the robot
 UNSEEN_SHIFT = 0.01  # m: a shift that would show only from here on is called unseen
-NO_MOVE = np.zeros(6)  # no move
+NO_MOVE = np.zeros(6)
+MOVABLE = 'target', 'sensor'
 ROBOT_CHANGED = ('the poses of the robot err otherwise than before (mastering, a joint, wear), '
                  'or repeat worse than noise.robot_* says: check the robot before the sensor')
 MORE_STOPS = ('Repeat some of them with the sensor turned by 90 degrees about its z, and by 25 '
@@ -150,129 +151,124 @@ def check(samples: Sequence[Sample], calibration: Calibration, config: Config,
     samples are single profiles. Raises DataError, and InputError for a calibration without a
     target to compare with.
     """
-    comparison_of_all = _comparison(samples, calibration, config, others)
+    of_all = _comparison(samples, calibration, config, others)
 
-    def compared_at(stops: Numbers
-                    ) -> tuple[tuple[_Comparison, _Residuals], Array, Array, Numbers]:
-        rest = replace(comparison_of_all, problem=comparison_of_all.problem.subset(stops))
-        obs, rows = rest.problem.observations, rest.residuals()
-        require_stations([len(np.unique(obs.station))])
+    def compared_at(stops: Indices) -> tuple[_Comparison, Array, Array, Indices]:
+        some = replace(of_all, problem=of_all.problem.subset(stops))
+        station = some.problem.observations.station
+        require_stations([len(np.unique(station))])
         # whatever moved, and however the calibration errs
-        moves = np.hstack([rows.by[name] for name in ('target', 'sensor')])
-        errors = np.hstack([rows.errors, moves * np.sqrt(np.tile(_prior(MOVE_SCALES[-1]), 2))])
-        factor = np.linalg.cholesky(rows.noise)
-        white = scipy.linalg.solve_triangular(factor, np.column_stack([errors, rows.r]),
-                                              lower=True)
-        return (rest, rows), white[:, -1], white[:, :-1], stops[obs.station]
+        sigmas = np.sqrt(_move_variances(MOVE_SCALES[-1]))
+        unknowns = np.hstack([some.errors, *(some.moved(name)[1] * sigmas for name in MOVABLE)])
+        white = scipy.linalg.solve_triangular(
+            np.linalg.cholesky(some.noise),
+            np.column_stack([unknowns, some.linear.residuals]), lower=True)
+        return some, white[:, -1], white[:, :-1], stops[station]
 
-    (comparison, rows), _, left_out = fit_without_outliers(
-        np.unique(comparison_of_all.problem.observations.station), compared_at)
-    causes = (_moved(comparison, 'target'), _moved(comparison, 'sensor'),
-              _Cause('robot', _robot_likelihood(comparison, rows), ROBOT_CHANGED))
-    likelihood = np.array([cause.likelihood for cause in causes])
-    together = float(np.logaddexp.reduce(likelihood))
-    evidence = together - math.log(len(causes)) - rows.likelihood(0.0)
+    comparison, _, left_out = fit_without_outliers(
+        np.unique(of_all.problem.observations.station), compared_at)
+    r = comparison.linear.residuals
+    target, sensor = (_moved(comparison, name) for name in MOVABLE)
+    causes = target, sensor, _Cause('robot', _robot_likelihood(comparison), ROBOT_CHANGED)
+    together = float(np.logaddexp.reduce([cause.likelihood for cause in causes]))
+    evidence = together - math.log(len(causes)) - comparison.likelihood(r)
     odds = {cause.name: float(np.exp(cause.likelihood - together)) for cause in causes}
-    target_axes, target_shows = _smallest_shifts(rows.by['target'], rows.covariance)
-    sensor_axes, sensor_shows = _smallest_shifts(rows.by['sensor'], rows.covariance)
+    (target_axes, target_shows), (sensor_axes, sensor_shows) = (
+        _smallest_shifts(comparison, name) for name in MOVABLE)
     if evidence < math.log(LEAST_EVIDENCE):
         verdict, sentence = 'unchanged', (
             'the calibration holds, and the target is where it was. A shift of the target would '
-            f'have shown from {_shown(target_axes, target_shows, target_frame(config))} on, one '
-            f'of the sensor from {_shown(sensor_axes, sensor_shows, mount_frame(config))} on')
+            f'have shown from {_in_words(target_axes, target_shows, target_frame(config))} on, '
+            f'one of the sensor from {_in_words(sensor_axes, sensor_shows, mount_frame(config))} '
+            'on')
     else:
         likeliest = sorted(causes, key=lambda cause: -cause.likelihood)
-        verdict, sentence = _change_found(likeliest, odds)
+        verdict, sentence = _causes_in_words(likeliest, odds)
     starts = passes or sorted([*(one.stamp for one in samples), *(one.stamp for one in others)])
     left_out = sorted({bisect_right(starts, samples[k].stamp) for k in left_out})
     if left_out:
         what = 'profiles of the passes' if passes else 'stops'
         sentence += f'. Left out, as they contradict the others: {what} {left_out}'
-    target, sensor, _ = causes
     return Check(
-        samples[0].stamp, verdict, sentence, len(comparison.problem.poses),
-        rms(rows.r), math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift,
-        sensor.turn, sensor.displacement, sensor.std,
-        target_shows.tolist(), target_axes.tolist(), sensor_shows.tolist(), sensor_axes.tolist(),
-        left_out)
-
-
-@dataclass(frozen=True, eq=False)
-class _Residuals:
-    """
-    Residuals r (m,), without a change r = errors @ e + n, and derivatives by (m, 6) of changes.
-
-    errors (m, k): of the calibration and smooth ones of the robot, e of unit covariance
-    noise (m, m): covariance of n, of blocks
-    by: the change of target or sensor, or of the pose of the own stop, for robot
-    lever: (m, 3) of the points from what target or sensor turns about
-    """
-
-    r: Array
-    errors: Array
-    noise: Array
-    by: Mapping[str, Array]
-    lever: Mapping[str, Array]
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Return the covariance (m, m) without a change."""
-        return self.noise + self.errors @ self.errors.T
-
-    def likelihood(self, added: Array | float, r: Array | None = None) -> float:
-        """Return the log marginal likelihood; added: covariance (m, m) of a change."""
-        factor = np.linalg.cholesky(self.covariance + added)
-        z = scipy.linalg.solve_triangular(factor, self.r if r is None else r, lower=True)
-        return float(-0.5 * z @ z - np.log(np.diag(factor)).sum())
+        samples[0].stamp, verdict, sentence, len(comparison.problem.poses), rms(r),
+        math.exp(min(evidence, 700.0)), odds, target.shift, target.turn, sensor.shift, sensor.turn,
+        sensor.displacement, sensor.std, target_shows.tolist(), target_axes.tolist(),
+        sensor_shows.tolist(), sensor_axes.tolist(), left_out)
 
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
     """
-    A recording with the calibration that it is compared with.
+    A recording with the calibration that it is compared with; it has m residuals.
 
     calibrated: sensor plane in the mount, and target
     root (6 + k, 6 + k): R R' is their joint covariance
-    middle (3,): of the points, about which the target turns
     noise_scale: factor of the stated noise; smooth: 1 sigma of the robot's smooth error (m)
     """
 
     problem: Problem
     calibrated: Estimate
     root: Array
-    middle: Array
     noise_scale: float
     smooth: float
 
-    def residuals(self, cause: str = '', move: Array = NO_MOVE) -> _Residuals:
-        """Return the residuals after a move of the target or the sensor."""
-        problem, estimate = self.problem, self.calibrated
-        if cause == 'sensor':
-            estimate = replace(estimate, X=se3.perturb(estimate.X, move))
-        elif cause == 'target':  # as if all else had moved back
-            there = se3.transform(np.eye(3), self.middle)
-            moved = there @ se3.perturb(np.eye(4), move) @ se3.inverse(there)
-            problem = replace(problem, poses=se3.inverse(moved) @ problem.poses)
-        linear = linearise(problem, estimate)
-        noise = np.zeros((len(linear.residuals),) * 2)
-        for stops in problem.station_groups:
+    @cached_property
+    def linear(self) -> Linear:
+        """Return the residuals if nothing has changed, and their derivatives."""
+        return linearise(self.problem, self.calibrated)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Return the covariance (m, m) of the noise, of blocks."""
+        noise = np.zeros((len(self.linear.residuals),) * 2)
+        for stops in self.problem.station_groups:
             noise[stops.rows[:, :, None], stops.rows[:, None]] = (
-                self.noise_scale ** 2 * covariance_parts(linear, stops).sum(axis=0))
+                self.noise_scale ** 2 * covariance_parts(self.linear, stops).sum(axis=0))
+        return noise
+
+    @cached_property
+    def errors(self) -> Array:
+        """Return derivatives (m, k) by the errors of calibration and robot, in their sigmas."""
         # the set-backs of the ends of each kind at each edge
-        obs, out = problem.observations, out_of_face(linear) * problem.config.target.setback_std
+        obs, linear = self.problem.observations, self.linear
+        out = out_of_face(linear) * self.problem.config.target.setback_std
         ends = np.unique(np.column_stack([obs.kind, obs.ending])[obs.ending > 0], axis=0)
         setbacks = [np.where((obs.kind == k) & (obs.ending == e), out, 0.0) for k, e in ends]
         # what all stops share was part of the calibration too
-        basis = problem.smooth_error_basis
+        basis = self.problem.smooth_error_basis
         smooth = (basis - basis.mean(axis=0))[obs.station] * self.smooth
-        lever = obs.in_base(problem.poses, estimate.X) - self.middle
-        return _Residuals(
-            linear.residuals,
-            np.column_stack([linear.jacobian @ self.root, wrt_smooth(linear.wrt_pose, smooth),
-                             *setbacks]), noise,
-            {'target': np.hstack([linear.wrt_base, np.cross(lever, linear.wrt_base)]),
-             'sensor': -linear.jacobian[:, :6], 'robot': linear.wrt_pose},
-            {'target': lever, 'sensor': linear.lever})
+        return np.column_stack([linear.jacobian @ self.root, wrt_smooth(linear.wrt_pose, smooth),
+                                *setbacks])
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Return the covariance (m, m) of the residuals if nothing has changed."""
+        return self.noise + self.errors @ self.errors.T
+
+    def likelihood(self, r: Array, added: Array | float = 0.0) -> float:
+        """Return the log likelihood of residuals r (m,); added: covariance (m, m) of a change."""
+        factor = np.linalg.cholesky(self.covariance + added)
+        z = scipy.linalg.solve_triangular(factor, r, lower=True)
+        return float(-0.5 * z @ z - np.log(np.diag(factor)).sum())
+
+    def moved(self, name: str, move: Array = NO_MOVE) -> tuple[Array, Array, Array]:
+        """
+        Return the residuals (m,) as if what has moved (target, sensor) had moved back.
+
+        And their derivatives (m, 6) by the move, and the points (m, 3) from what it turns about:
+        the middle of the points, or the sensor's origin.
+        """
+        problem, X = self.problem, self.calibrated.X
+        middle = problem.points_in_base(X).mean(axis=0)
+        if name == 'sensor':
+            linear = linearise(problem, replace(self.calibrated, X=se3.perturb(X, move)))
+            return linear.residuals, -linear.jacobian[:, :6], linear.lever
+        there = se3.transform(np.eye(3), middle)
+        back = se3.inverse(there @ se3.perturb(np.eye(4), move) @ se3.inverse(there))
+        linear = linearise(replace(problem, poses=back @ problem.poses), self.calibrated)
+        lever = linear.problem.points_in_base(X) - middle
+        return linear.residuals, np.hstack([
+            linear.wrt_base, np.cross(lever, linear.wrt_base)]), lever
 
 
 def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Config,
@@ -298,12 +294,12 @@ def _comparison(samples: Sequence[Sample], calibration: Calibration, config: Con
     require_stations([len(np.unique(problem.observations.station))], others)
     obs = target.reassign(problem.observations, problem.points_in_base(X), state, config)
     problem = replace(problem, observations=obs.select(obs.kind != UNUSED))
-    return _Comparison(problem, Estimate(X, state), root_of(covariance),
-                       problem.points_in_base(X).mean(axis=0), scale,
+    return _Comparison(problem, Estimate(X, state), root_of(covariance), scale,
                        float(calibration.target.get('robot_position_error', 0.0)))
 
 
-def _prior(scale: float) -> Array:
+def _move_variances(scale: float) -> Array:
+    """Return the prior variances (6,) of a move (m, rad) of a scale (m)."""
     return np.repeat([scale, scale / TURN_LEVER], 3) ** 2
 
 
@@ -328,16 +324,15 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
     """Return the cause of a moved target or sensor."""
     move, scale = NO_MOVE, MOVE_SCALES[-1]
     for _ in range(MOST_ITERATIONS):
-        rows = comparison.residuals(name, move)
-        D = rows.by[name]
-        gain = np.linalg.solve(rows.covariance, D).T
-        C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _prior(scale))))
-        linear = rows.r + D @ move
-        move = C @ gain @ linear
-        likelihood = [rows.likelihood(D * _prior(s) @ D.T, linear) for s in MOVE_SCALES]
+        r, D, lever = comparison.moved(name, move)
+        gain = np.linalg.solve(comparison.covariance, D).T
+        C = np.asarray(np.linalg.inv(gain @ D + np.diag(1 / _move_variances(scale))))
+        r = r + D @ move
+        move = C @ gain @ r
+        likelihood = [comparison.likelihood(r, D * _move_variances(s) @ D.T) for s in MOVE_SCALES]
         scale = MOVE_SCALES[int(np.argmax(likelihood))]
     shift, turn = np.linalg.norm(move.reshape(2, 3), axis=1).tolist()
-    displacement, std = largest_displacement(rows.lever[name], move, C)
+    displacement, std = largest_displacement(lever, move, C)
     off, turned = f'{mm(displacement)} ± {mm(2 * std)}', f'{math.degrees(turn):.3f} degrees'
     on_flange = (name == 'sensor') == comparison.problem.config.in_hand
     what = f'the {name} moved on the flange' if on_flange else (
@@ -347,40 +342,40 @@ def _moved(comparison: _Comparison, name: str) -> _Cause:
         if name == 'sensor' else
         f'{what} by up to {off} where it was seen, and turned by {turned}; the calibration holds')
     mean = float(np.logaddexp.reduce(likelihood) - np.log(len(MOVE_SCALES)))
-    return _Cause(name, mean, sentence,
-                  shift, turn, displacement, std)
+    return _Cause(name, mean, sentence, shift, turn, displacement, std)
 
 
-def _robot_likelihood(comparison: _Comparison, rows: _Residuals) -> float:
+def _robot_likelihood(comparison: _Comparison) -> float:
     """Return the log likelihood of pose errors, smooth over the poses or white."""
-    problem, D = comparison.problem, rows.by['robot']
+    problem, D, r = comparison.problem, comparison.linear.wrt_pose, comparison.linear.residuals
     station = problem.observations.station
     T = problem.robot_poses[station]
     away = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) / SMOOTH_DISTANCE
     cosine = (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1) / 2
     square = away ** 2 + 2 * (1 - cosine) / SMOOTH_ANGLE ** 2  # of the chord: positive definite
     smooth, smoother = (np.exp(-0.5 * square / times ** 2) for times in SMOOTH_FACTORS)
-    likelihood = [rows.likelihood(D * _prior(scale) @ D.T * kernel) for scale in MOVE_SCALES
+    likelihood = [comparison.likelihood(r, D * _move_variances(scale) @ D.T * kernel)
+                  for scale in MOVE_SCALES
                   for kernel in (smooth, smoother, station[:, None] == station)]
     return float(np.logaddexp.reduce(likelihood) - np.log(len(likelihood)))
 
 
-def _smallest_shifts(D: Array, unchanged: Array) -> tuple[Array, Array]:
+def _smallest_shifts(comparison: _Comparison, name: str) -> tuple[Array, Array]:
     """
-    Return axes (3, 3), as rows, and the smallest detectable shifts (3,) along them.
+    Return axes (3, 3), as rows, and the smallest detectable shifts (3,) along them (m).
 
-    D: (m, 6) derivatives of the residuals by a move; unchanged: (m, m) their covariance.
-    The smallest comes first; nan where none would show.
+    name: of what moves. The smallest comes first; nan where none would show.
     """
-    information = D.T @ np.linalg.solve(unchanged, D)
-    occam = np.linalg.slogdet(np.eye(6) + information * _prior(1e-3))[1]
+    _, D, _ = comparison.moved(name)
+    information = D.T @ np.linalg.solve(comparison.covariance, D)
+    occam = np.linalg.slogdet(np.eye(6) + information * _move_variances(1e-3))[1]
     sigmas = np.sqrt(2 * np.log(3 * len(MOVE_SCALES) * LEAST_EVIDENCE) + occam) + 1.64  # with 95 %
     values, axes = np.linalg.eigh(information[:3, :3])
     sizes = (sigmas / np.sqrt(np.maximum(values, 1e-300)))[::-1]
     return axes.T[::-1], np.where(sizes < UNSEEN_SHIFT, sizes, np.nan)
 
 
-def _change_found(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
+def _causes_in_words(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tuple[str, str]:
     """Return verdict and sentence; likeliest: the causes, the most likely first."""
     sums = np.cumsum([odds[cause.name] for cause in likeliest])
     named = likeliest[:int(np.searchsorted(sums, NAMED_FROM)) + 1]
@@ -391,7 +386,7 @@ def _change_found(likeliest: Sequence[_Cause], odds: Mapping[str, float]) -> tup
     return ' or '.join(cause.name for cause in named), sentence
 
 
-def _shown(axes: Array, shifts: Array, frame: str) -> str:
+def _in_words(axes: Array, shifts: Array, frame: str) -> str:
     """Return in words from which size on shifts along the axes (3, 3) show, and which do not."""
     named = [(size, name_direction(axis, frame)) for size, axis in zip(shifts, axes, strict=True)]
     unseen = ' or '.join(name for size, name in named if np.isnan(size))

@@ -4,11 +4,11 @@
 Fits a shape to measured points, and estimates the calibration error from the deviations.
 
 The calibration is fixed, as it is in use. The parameters q of the shape minimise the distances
-r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of poses,
-r = J dq + G dX + S s + n, where n and s, the smooth error of the robot, have unit covariance. The
-error of q is -pinv(J) (G dX + S s + n), and the residuals are M (G dX + S s + n),
-M = I - J pinv(J). An error dX of the calibration enters through G: its claimed covariance C is
-never part of the measurement's own uncertainty.
+r = d(p, q), weighted by the noise of sensor and robot. Whitened by groups of poses, a shape that
+is off by dq has r = J dq + E e + n: e are the errors of the calibration and the smooth ones of the
+robot, n the noise of unit covariance. The error of the fitted q is -pinv(J) (E e + n), and what is
+left of the distances is M (E e + n), M = I - J pinv(J). An error of the calibration enters through
+E: its claimed covariance is never part of the measurement's own uncertainty.
 """
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -54,7 +54,7 @@ ALONE_SHARE = 1e-3  # share of the others in what a group nearly determines alon
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 T = TypeVar('T')
-Numbers = NDArray[np.intp]
+Indices: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +91,22 @@ class StationSet:
         return self.problem.observations
 
     @property
-    def recording_of_pose(self) -> Numbers:
+    def recording_of_pose(self) -> Indices:
         """Return the recording (n,) of each pose."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
-    def group_of_pose(self) -> Numbers:
+    def group_of_pose(self) -> Indices:
         """Return for each pose (n,) the number of the group that shares its error."""
         return self.recording_of_pose if self.are_passes else np.arange(len(self.problem.poses))
 
     @property
-    def group_of_point(self) -> Numbers:
+    def group_of_point(self) -> Indices:
         """Return the group (m,) of each point."""
         return self.group_of_pose[self.observations.station]
 
     @property
-    def recording_of_point(self) -> Numbers:
+    def recording_of_point(self) -> Indices:
         """Return the recording (m,) of each point."""
         return self.recording_of_pose[self.observations.station]
 
@@ -114,7 +114,7 @@ class StationSet:
         """Return the stations with other points."""
         return replace(self, problem=replace(self.problem, observations=observations))
 
-    def of_groups(self, groups: Numbers) -> StationSet:
+    def of_groups(self, groups: Indices) -> StationSet:
         """Return the points of some groups; raises DataError where a recording has too few."""
         kept = np.isin(self.group_of_point, groups)
         rest = self.with_observations(self.observations.select(kept))
@@ -218,7 +218,7 @@ def derivatives(function: Callable[[Array], Array], q: Array) -> Array:
 @dataclass(frozen=True)
 class Scatter:
     """
-    Distances of the measured points from the fitted shape (m).
+    How far the measured points are from the fitted shape: statistics of |distance| (m).
 
     p: probability that they disagree at least as much, if the uncertainties are as stated.
     """
@@ -234,62 +234,44 @@ class Scatter:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
-    Result of a fit.
+    Result of a fit to m points.
 
     quantities: those of the shape, as measured
-    distances (m,): residuals
-    distance_std (m,): 1 sigma due to sensor and robot
-    region: (v - nominal)' cov^-1 (v - nominal) of the `freedom` values v with a nominal, cov the
-        sum of their covariances by measurement and calibration
+    scatter: of the distances
+    distances (m,): of the points from the shape (m)
+    distance_std (m,): their 1 sigma due to sensor and robot (m)
+    nominal_chi2: (v - nominal)' cov^-1 (v - nominal) of the `freedom` values v with a nominal, cov
+        the sum of their covariances by measurement and calibration
     claim_p: probability of a larger one if the calibration's covariance is true
-    smallest_error: the smallest detectable error of the calibration in the direction in which it
-        shows least, as RMS displacement of the points (m)
-    weakest_direction: in words
-    error (6,): estimated error of the calibration
-    p_error: p-value of the distances with it
-    p_of_error: that of the squares which it explains; a small one says that there is an error
-    largest_error, largest_error_std: its largest displacement of a point (m)
-    residuals (m,): whitened, of the shape as expected
-    wrt_unknowns (m, k): their derivatives by shape and calibration, each in units of 1 sigma, if
-        free
+    detectable_error: the smallest error of the calibration that would show, in the direction in
+        which it shows least, as RMS displacement of the points (m)
+    weakest_direction: this direction in words
+    error (6,): most likely error of the calibration, of the sensor plane in the mount (m, rad)
+    p_error: probability of larger distances from the shape with this error
+    p_of_error: probability that chance looks at least as much like an error
+    largest_error, largest_error_std: the largest displacement of a point by the error, and the 1
+        sigma of this displacement (m)
+    white_distances (m,): the distances in units of their noise
+    wrt_unknowns (m, k): their derivatives by shape, calibration and robot, each in units of its 1
+        sigma a priori
     """
 
     quantities: tuple[Quantity, ...]
     scatter: Scatter
-    smallest_error: float
-    weakest_direction: str
     distances: Array
     distance_std: Array
-    region: float
+    nominal_chi2: float
     freedom: int
     claim_p: float
+    detectable_error: float
+    weakest_direction: str
     error: Array
     p_error: float
     p_of_error: float
     largest_error: float
     largest_error_std: float
-    residuals: Array
+    white_distances: Array
     wrt_unknowns: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Whitened:
-    """
-    Distances at the best shape and their derivatives, white: r = J dq + E e + n.
-
-    r: (m,); J: (m, k) by the shape
-    E: (m, 6 + s) by the errors e: of the calibration, and the robot's smooth one (unit variance)
-    gain: (k, m) the pseudo-inverse of J
-    """
-
-    r: Array
-    J: Array
-    E: Array
-    gain: Array
-
-    def remainder(self, values: Array) -> Array:
-        """Return what the shape does not take up of values (m, ...)."""
-        return np.asarray(values - self.J @ (self.gain @ values))
 
 
 def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
@@ -302,126 +284,85 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     stations, problem = shape.stations, shape.stations.problem
     groups = replace(problem.observations, station=stations.group_of_point).station_groups
 
-    def covariances_at(linear: Linear) -> list[Array]:
-        return [total_covariance(linear, group, Noise()) for group in groups]
+    def whitening(linear: Linear) -> Whitening:
+        return Whitening(tuple(group.rows for group in groups), tuple(
+            inverse_roots(total_covariance(linear, group, Noise())) for group in groups))
 
-    def whitening(covariances: Sequence[Array]) -> Whitening:
-        return Whitening(tuple(group.rows for group in groups),
-                         tuple(map(inverse_roots, covariances)))
-
-    # the shape q, at which all is linear
-    q = shape.fitted(problem.points_in_base(X),
-                     lambda q: whitening(covariances_at(shape.linear(X, q))))
+    # the shape q, at which all is linear: white distances r, their derivatives J by the shape, and
+    # E by the errors e, of the calibration and of the robot (of unit covariance)
+    q = shape.fitted(problem.points_in_base(X), lambda q: whitening(shape.linear(X, q)))
     linear = shape.linear(X, q)
-    covariances, distances, lever = covariances_at(linear), linear.residuals, linear.lever
-    # distances, and their derivatives by calibration, robot and shape, all white
+    distances, lever = linear.residuals, linear.lever
     basis = problem.smooth_error_basis[problem.observations.station]
     robot = wrt_smooth(linear.wrt_pose, basis * smooth_std)
-    r, E, J = np.split(whitening(covariances)(np.column_stack([
+    r, E, J = np.split(whitening(linear)(np.column_stack([
         distances, linear.jacobian[:, :6], robot, linear.jacobian[:, 6:]])),
         [1, 7 + robot.shape[1]], axis=1)
-    whitened = _Whitened(r[:, 0], J, E, np.asarray(np.linalg.pinv(J), dtype=float))
-    # the values, with errors of the calibration as its covariance says
-    root = np.eye(E.shape[1])
-    root[:6, :6] = root_of(C)
-    measured = _measured(shape, whitened, q, root)
+    gain, r = np.asarray(np.linalg.pinv(J), dtype=float), r[:, 0]
+    left, E_left = r - J @ (gain @ r), E - J @ (gain @ E)  # what the shape does not take up
+    claim = scipy.linalg.block_diag(root_of(C), np.eye(robot.shape[1]))
+    _, _, claimed_square = _likeliest(E_left @ claim, left, np.ones(len(claim)))
+    freedom, size = max(len(r) - len(gain), 1), np.abs(distances)
+    scatter = Scatter(len(r), float(size.mean()), float(size.std()), rms(size), float(size.max()),
+                      float(chi2_sf(claimed_square, freedom)))
+    values = _values(shape, q, J, E, claim)
     # the errors that distances and nominal values show, whatever the covariance says
-    likeliest = _likeliest_errors(whitened, measured)
-    error, known = likeliest.error, len(measured.deviation)
-    scale = max(likeliest.left / likeliest.freedom, 1.0)
-    smallest_error, weakest_direction = _weakest(likeliest.information, lever,
-                                                 mount_frame(problem.config))
-    largest_error, largest_error_std = largest_displacement(
-        lever, error, scale * likeliest.covariance)
+    known = len(values.deviation)
+    A, b = np.vstack([E_left, -values.wrt_error]), np.append(left, values.deviation)
+    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(robot.shape[1]))
+    errors, covariance, square = _likeliest(A, b, prior)
+    _, _, without = _likeliest(A[:, 6:], b, prior[6:])
+    error, covariance = errors[:6], covariance[:6, :6]
+    square, freedom = square - float(error ** 2 @ prior[:6]), max(freedom + known - 6, 1)
+    scale = max(square / freedom, 1.0)
+    detectable_error, weakest_direction = _weakest(covariance, lever, mount_frame(problem.config))
+    largest_error, largest_error_std = largest_displacement(lever, error, scale * covariance)
     # of each point what sensor and robot add; and what a fit of other groups would leave unknown
     variances = np.square(robot).sum(axis=1)
-    for group, covariance in zip(groups, covariances, strict=True):
-        variances[group.rows] += np.einsum('nii->ni', covariance)
+    for group in groups:
+        variances[group.rows] += np.einsum('nii->ni', total_covariance(linear, group, Noise()))
     unknowns = np.hstack([J, E[:, :6]])
     unknowns *= FREE_STD / np.maximum(np.linalg.norm(unknowns, axis=0), 1e-300)
     return Fit(
-        quantities=measured.quantities, scatter=_scatter(whitened, root, distances),
-        smallest_error=smallest_error, weakest_direction=weakest_direction, distances=distances,
-        distance_std=np.sqrt(variances), region=measured.region, freedom=known,
-        claim_p=float(chi2_sf(measured.region, known)) if known else 1.0,
-        error=error, p_error=float(chi2_sf(likeliest.left, likeliest.freedom)),
-        p_of_error=float(chi2_sf((likeliest.without - likeliest.left) / scale, 6)),
-        largest_error=largest_error, largest_error_std=largest_error_std, residuals=whitened.r,
+        values.quantities, scatter, distances, np.sqrt(variances), values.nominal_chi2, known,
+        float(chi2_sf(values.nominal_chi2, known)) if known else 1.0,
+        detectable_error, weakest_direction, error,
+        p_error=float(chi2_sf(square, freedom)),
+        p_of_error=float(chi2_sf((without - square) / scale, 6)),
+        largest_error=largest_error, largest_error_std=largest_error_std, white_distances=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """
-    The most likely errors of the calibration, from distances and values with a nominal one.
-
-    error: (6,); information, covariance: (6, 6) of it, the first without its prior
-    left, without: sum of squares that is left with this error, and with none
-    freedom: degrees of freedom of left
-    """
-
-    error: Array
-    information: Array
-    covariance: Array
-    left: float
-    without: float
-    freedom: int
-
-
-def _likeliest_errors(whitened: _Whitened, measured: _Measured) -> _Errors:
-    """Return the errors of the calibration; those of the robot have their variance as prior."""
-    A = np.vstack([whitened.remainder(whitened.E), -measured.wrt_error])
-    b = np.append(whitened.remainder(whitened.r), measured.deviation)
-    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(whitened.E.shape[1] - 6))
+def _likeliest(A: Array, b: Array, prior: Array) -> tuple[Array, Array, float]:
+    """Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum."""
     covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
-    error, of_calibration = (covariance @ A.T @ b)[:6], covariance[:6, :6]
-    left, without = (_squares(A[:, first:], b, prior[first:]) for first in (0, 6))
-    left -= float(error ** 2 @ prior[:6])
-    m, k = whitened.J.shape
-    information = np.asarray(np.linalg.inv(of_calibration), dtype=float) - np.diag(prior[:6])
-    freedom = max(max(m - k, 1) + len(measured.deviation) - 6, 1)
-    return _Errors(error, information, of_calibration, left, without, freedom)
-
-
-def _squares(A: Array, b: Array, prior: Array) -> float:
-    """Return the least |b - A x|^2 + x' diag(prior) x."""
     explained = A.T @ b
-    return float(b @ b - explained @ np.linalg.solve(A.T @ A + np.diag(prior), explained))
+    x = covariance @ explained
+    return x, covariance, float(b @ b - explained @ x)
 
 
-def _scatter(whitened: _Whitened, root: Array, distances: Array) -> Scatter:
-    """Return whether distances (m,) agree with the noise and with what the calibration claims."""
-    wrt_error = whitened.remainder(whitened.E) @ root
-    square = _squares(wrt_error, whitened.remainder(whitened.r), np.ones(len(root)))
-    m, k = whitened.J.shape
-    size = np.abs(distances)
-    return Scatter(m, float(size.mean()), float(size.std()), rms(size), float(size.max()),
-                   float(chi2_sf(square, max(m - k, 1))))
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
+class _Values(NamedTuple):
     """
-    The measured values, and those with a nominal one.
+    The measured values, and their deviations (v,) from nominal values where there are any.
 
-    region: as of Fit
-    deviation: (v,) from the nominal values, white; wrt_error: (v, 6 + s) by the errors
+    nominal_chi2: as of Fit; deviation, wrt_error (v, 6 + s): white, and by the errors.
     """
 
     quantities: tuple[Quantity, ...]
-    region: float
+    nominal_chi2: float
     deviation: Array
     wrt_error: Array
 
 
-def _measured(shape: Shape, whitened: _Whitened, q: Array, root: Array) -> _Measured:
-    """Return the values of a shape q (k,)."""
+def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array) -> _Values:
+    """Return the values of a shape q (k,); J, E: of the white distances; claim: root of cov e."""
     certificate = shape.stations.problem.config.verify.certificate  # U of nominal lengths
-    values, F = shape.values(q), derivatives(shape.values, q)
-    wrt_error = F @ whitened.gain @ whitened.E
-    wrt_claim, wrt_smooth = np.split(wrt_error @ root, [6], axis=1)
-    covariance, claimed = F @ whitened.gain @ whitened.gain.T @ F.T, wrt_claim @ wrt_claim.T
-    unseen = np.abs(F - F @ whitened.gain @ whitened.J).max(axis=1, initial=0.0) > OPEN_CHANGE
+    values, by_shape = shape.values(q), derivatives(shape.values, q)
+    by_distances = by_shape @ np.asarray(np.linalg.pinv(J), dtype=float)
+    wrt_error = by_distances @ E
+    wrt_claim, wrt_smooth = np.split(wrt_error @ claim, [6], axis=1)
+    covariance, claimed = by_distances @ by_distances.T, wrt_claim @ wrt_claim.T
+    unseen = np.abs(by_shape - by_distances @ J).max(axis=1, initial=0.0) > OPEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
@@ -429,14 +370,14 @@ def _measured(shape: Shape, whitened: _Whitened, q: Array, root: Array) -> _Meas
     deviation, block = (values - nominal)[known], np.ix_(known, known)
     factor = np.linalg.cholesky(covariance[block])  # the smooth error is one of the errors
     covariance += wrt_smooth @ wrt_smooth.T
-    region = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
+    chi2 = float(deviation @ np.linalg.solve((covariance + claimed)[block], deviation))
     covariance[unseen, unseen] = np.inf
     stds, claims = (np.sqrt(np.maximum(np.diag(each), 0.0)) for each in (covariance, claimed))
-    return _Measured(
+    return _Values(
         tuple(replace(quantity, value=float(value), std=float(std), claimed=float(claim))
               for quantity, value, std, claim in zip(shape.quantities, values, stds, claims,
                                                      strict=True)),
-        region, np.linalg.solve(factor, deviation), np.linalg.solve(factor, wrt_error[known]))
+        chi2, np.linalg.solve(factor, deviation), np.linalg.solve(factor, wrt_error[known]))
 
 
 def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, float]:
@@ -447,16 +388,16 @@ def largest_displacement(lever: Array, move: Array, C: Array) -> tuple[float, fl
     return float(sizes.max()), float(np.sqrt(np.trace(worst @ C @ worst.T)))
 
 
-def _weakest(information: Array, lever: Array, mount: str) -> tuple[float, str]:
+def _weakest(covariance: Array, lever: Array, mount: str) -> tuple[float, str]:
     """
-    Return smallest_error and weakest_direction of a Fit.
+    Return detectable_error and weakest_direction of a Fit.
 
-    information (6, 6): about the calibration's error in its mount.
+    covariance (6, 6): of the calibration's error, in its mount; lever (m, 3): from the sensor.
     """
     wrt_move = se3.wrt_perturbation(lever)
     shift = np.einsum('mik,mil->kl', wrt_move, wrt_move) / len(lever)  # mean square displacement
     shift += 1e-12 * np.trace(shift) * np.eye(6)
-    power, directions = scipy.linalg.eigh(information, shift)
+    power, directions = scipy.linalg.eigh(np.linalg.inv(covariance), shift)
     worst = directions[:, 0]  # displaces the points by 1 m RMS
     by_rotation = np.sqrt(worst[3:] @ shift[3:, 3:] @ worst[3:])
     motion, axis = (('position along', worst[:3]) if np.linalg.norm(worst[:3]) >= by_rotation else
@@ -484,8 +425,8 @@ def root_of(C: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(value, 0.0)))
 
 
-def fit_without_outliers(groups: Numbers,
-                         fitted: Callable[[Numbers], tuple[T, Array, Array, Numbers]]
+def fit_without_outliers(groups: Indices,
+                         fitted: Callable[[Indices], tuple[T, Array, Array, Indices]]
                          ) -> tuple[T, dict[int, float], list[int]]:
     """
     Return the fit of the groups that agree, the p-value of each group, and those left out.
@@ -496,9 +437,9 @@ def fit_without_outliers(groups: Numbers,
     """
     p, most = dict[int, float](), int(MOST_OUTLIERS * len(groups))
 
-    def of_groups(_: object, used: Numbers) -> tuple[T, Array, Numbers]:
+    def of_groups(_: object, used: Indices) -> tuple[T, Array, Indices]:
         fit, r, wrt_unknowns, group_of_point = fitted(used)
-        squares, freedom = _predicted(r, wrt_unknowns, group_of_point, used)
+        squares, freedom = _left_out_squares(r, wrt_unknowns, group_of_point, used)
         p.update(zip(used.tolist(), chi2_sf(squares * freedom, freedom).tolist(), strict=True))
         return fit, squares, freedom
 
@@ -510,8 +451,8 @@ def fit_without_outliers(groups: Numbers,
     return of_groups(None, groups)[0], p, []
 
 
-def _predicted(r: Array, wrt_unknowns: Array, group_of_point: Numbers, groups: Numbers
-               ) -> tuple[Array, Numbers]:
+def _left_out_squares(r: Array, wrt_unknowns: Array, group_of_point: Indices, groups: Indices
+                      ) -> tuple[Array, Indices]:
     """
     Return how well the others predict each of groups (g,): mean squares of (12), and freedom.
 

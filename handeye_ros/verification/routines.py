@@ -60,11 +60,9 @@ def planes(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     frames = np.array([np.linalg.svd(centred[block[recording] == k], full_matrices=False)[2].T
                        for k in range(blocks)])
     sensors = (stations.problem.poses @ X)[:, :3, 3]
-    for k in range(blocks):  # upwards from the first of a block to the last; of one, to the sensor
-        reach = (middles[block == k] - middles[block == k][0]) @ frames[k][:, 2]
+    for k in range(blocks):  # upwards is towards the sensor
         seen_from = sensors[block[stations.recording_of_pose] == k].mean(axis=0)
-        away = seen_from - middles[block == k][0]
-        frames[k][:, 2] *= np.sign(reach[np.argmax(np.abs(reach))] or away @ frames[k][:, 2])
+        frames[k][:, 2] *= np.sign((seen_from - middles[block == k][0]) @ frames[k][:, 2])
 
     def normals(q: Array) -> Array:
         tilt = q[:2 * blocks].reshape(blocks, 2)

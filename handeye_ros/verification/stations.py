@@ -33,7 +33,7 @@ from handeye_ros.sampling.sweep import ClockedPoses, passes_expanded
 from handeye_ros.sampling.trajectory import Trajectory
 from handeye_ros.targets import TARGETS
 from handeye_ros.targets.target import edge_error_factor, ObservationRows
-from handeye_ros.verification.fit import Numbers, StationSet
+from handeye_ros.verification.fit import Indices, StationSet
 from handeye_ros.verification.routines import Routine
 import numpy as np
 
@@ -55,25 +55,25 @@ def stations_of(routine: Routine, recordings: Iterable[Sequence[Sample]], calibr
     Of several surfaces in sight the nearest one takes part; verify.near limits the region.
     """
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
-    shown, choices = zip(*(_shown(routine, samples, X, calibration, config)
+    shown, choices = zip(*(_of_artefact(routine, samples, X, calibration, config)
                            for samples in recordings), strict=True)
     samples = [sample for one in shown for sample in one]
     poses = mount_poses_of(samples, config)
     return StationSet.of(
-        TARGETS[routine.target], poses, _observed(routine, samples, poses @ X), config,
+        TARGETS[routine.target], poses, _conditions(routine, samples, poses @ X), config,
         stamps=np.array([sample.stamp for sample in samples], dtype=np.int64),
         counts=tuple(map(len, shown)), surface='; '.join(
             f'recording {k}: {choice}' for k, choice in enumerate(choices, 1) if choice))
 
 
-def _shown(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
-           config: Config) -> tuple[Sequence[Sample], str]:
+def _of_artefact(routine: Routine, samples: Sequence[Sample], X: Array, calibration: Calibration,
+                 config: Config) -> tuple[Sequence[Sample], str]:
     """Return what of a recording shows the artefact, and in words how it was chosen."""
     if any(sample.moving for sample in samples):
         samples = _at_calibrated_time(samples, calibration, config)
     T = mount_poses_of(samples, config) @ X
     if config.verify.near:
-        samples = _in_region(samples, T, config.verify.near)
+        samples = _in_ball(samples, T, config.verify.near)
     if routine.target == 'plane':
         return _on_nearest_surface(samples, T, config.profile.range_sign)
     return samples, ''
@@ -106,7 +106,7 @@ def stations_of_passes(passes: Iterable[tuple[Sequence[Profile], Trajectory]], c
         stamps=np.array(stamps, dtype=np.int64), counts=tuple(counts), are_passes=True)
 
 
-def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
+def _conditions(routine: Routine, samples: Sequence[Sample], T: Array) -> Observations:
     """
     Return the conditions of a routine; T: (n, 4, 4) sensor planes in the base.
 
@@ -119,7 +119,8 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
     rows = ObservationRows()
     if edges:
         stop, is_line = np.array([k for k, _ in edges]), routine.name == 'line'
-        away, _ = _common(np.array([_ends(f, T[k]) for k, f in edges]), stop, int(is_line))
+        ends = np.array([_ends_in_base(f, T[k]) for k, f in edges])
+        away, _ = _distances_from_common(ends, stop, int(is_line))
         for number in np.unique(stop):
             nearest = min(np.flatnonzero(stop == number), key=away.__getitem__)
             edge = edges[nearest][1]
@@ -128,7 +129,7 @@ def _observed(routine: Routine, samples: Sequence[Sample], T: Array) -> Observat
     return rows.observations()
 
 
-def _common(points: Array, stop: Numbers, dimension: int) -> tuple[Array, Array]:
+def _distances_from_common(points: Array, stop: Indices, dimension: int) -> tuple[Array, Array]:
     """
     Return the distances (k,) of features from the one point, line or plane that they share.
 
@@ -154,7 +155,7 @@ def _common(points: Array, stop: Numbers, dimension: int) -> tuple[Array, Array]
     return best
 
 
-def _ends(feature: Feature, T: Array) -> Array:
+def _ends_in_base(feature: Feature, T: Array) -> Array:
     """Return the first and last point (2, 3) of a feature in the base; T: (4, 4) sensor plane."""
     points = (feature.ends if isinstance(feature, FaceLine) else
               feature.points[[0, -1]] if isinstance(feature, Arc) else
@@ -162,10 +163,10 @@ def _ends(feature: Feature, T: Array) -> Array:
     return np.asarray(points @ T[:3, [0, 2]].T + T[:3, 3])
 
 
-def _in_region(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
+def _in_ball(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> list[Sample]:
     """Return the samples with only the features in a ball: x, y, z, radius; T: sensor planes."""
     def is_inside(feature: Feature, T: Array) -> bool:
-        a, b = _ends(feature, T) - np.array(region[:3])
+        a, b = _ends_in_base(feature, T) - np.array(region[:3])
         segment = b - a
         fraction = np.clip(-a @ segment / max(segment @ segment, 1e-30), 0.0, 1.0)
         return bool(np.linalg.norm(a + fraction * segment) <= region[3])
@@ -181,34 +182,34 @@ def _in_region(samples: Sequence[Sample], T: Array, region: Sequence[float]) -> 
 def _on_nearest_surface(samples: Sequence[Sample], T: Array, range_sign: int
                         ) -> tuple[Sequence[Sample], str]:
     """
-    Return the samples with the pieces of one surface only, and its description.
+    Return the samples with the pieces of one surface only, and in words which it is.
 
-    It is the plane nearest to the sensor of those that at least half of the stops see.
+    It is the plane nearest to the sensor of those that at least half of the stops see; without
+    one all pieces take part. T: (n, 4, 4) sensor planes in the base.
     """
     pieces = [(k, f) for k, s in enumerate(samples) for f in s.features
               if isinstance(f, FaceLine)]
-    stop = np.array([k for k, _ in pieces])
-    ends, surfaces, free = np.array([_ends(f, T[k]) for k, f in pieces]), [], np.arange(len(stop))
-    least = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS)
-    while len(stop) > len(np.unique(stop)) and len(np.unique(stop[free])) >= least:
-        away, nearest = _common(ends[free], stop[free], 2)
+    stop, free = np.array([k for k, _ in pieces]), np.arange(len(pieces))
+    if len(free) == len(np.unique(stop)):
+        return samples, ''
+    ends = np.array([_ends_in_base(f, T[k]) for k, f in pieces])
+    depth = range_sign * np.array([f.centre[1] for _, f in pieces])
+    least, surfaces = max(LEAST_SEEN * len(np.unique(stop)), LEAST_STOPS), []
+    while len(np.unique(stop[free])) >= least:
+        away, nearest = _distances_from_common(ends[free], stop[free], 2)
         on = away <= max(SAME_SURFACE, FAR_RATIO * float(np.median(nearest)))
-        if len(np.unique(stop[free][on])) >= least:
-            surfaces.append([pieces[row] for row in free[on].tolist()])
+        if len(np.unique(stop[free[on]])) >= least:
+            surfaces.append(free[on])
         free = free[~on]
     if not surfaces:
         return samples, ''
-
-    def depth(surface: list[tuple[int, FaceLine]]) -> float:
-        return float(np.median([range_sign * piece.centre[1] for _, piece in surface]))
-
-    chosen = min(surfaces, key=depth)
-    on_chosen = {id(piece) for _, piece in chosen}
+    chosen = min(surfaces, key=lambda surface: np.median(depth[surface]))
+    kept = {id(pieces[row][1]) for row in chosen.tolist()}
     sentence = '' if len(surfaces) < 2 else (
         f'of {len(surfaces)} surfaces in sight it is the nearest, '
-        f'{1e3 * abs(depth(chosen)):.0f} mm from the sensor, at {len({k for k, _ in chosen})} of '
-        f'{len(samples)} stops')
-    return [replace(s, features=tuple(f for f in s.features if id(f) in on_chosen))
+        f'{1e3 * abs(np.median(depth[chosen])):.0f} mm from the sensor, at '
+        f'{len(np.unique(stop[chosen]))} of {len(samples)} stops')
+    return [replace(s, features=tuple(f for f in s.features if id(f) in kept))
             for s in samples], sentence
 
 

@@ -14,7 +14,7 @@ from handeye_ros import se3
 from handeye_ros.config import VerifyConfig
 from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
-from handeye_ros.verification.fit import Numbers, Quantity, Shape, StationSet
+from handeye_ros.verification.fit import Indices, Quantity, Shape, StationSet
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,7 +70,7 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
     return _shape(stations, frame, pitch, height, tooth[on_gauge][good], q)
 
 
-def _without_outliers(distances: Array, by_range: Array, face: Numbers, min_scatter: float
+def _without_outliers(distances: Array, by_range: Array, face: Indices, min_scatter: float
                       ) -> tuple[NDArray[np.bool_], Array]:
     """
     Return which points (m,) are no outliers of their pass and face, and their noise (m,).
@@ -100,7 +100,7 @@ def _local(p: Array, frame: Array, q: Array) -> Array:
     return np.asarray(in_frame @ se3.exp_rotation(q[:3]).T + [q[3], 0.0, q[4]])
 
 
-def _shape(stations: StationSet, frame: Array, pitch: float, height: float, tooth: Numbers,
+def _shape(stations: StationSet, frame: Array, pitch: float, height: float, tooth: Indices,
            start: Array) -> Shape:
     """
     Return the teeth as a shape; tooth: (m,) the tooth of each point on a flank.
@@ -124,7 +124,7 @@ def _shape(stations: StationSet, frame: Array, pitch: float, height: float, toot
 
 
 def _faces(local: Array, pitch: float, height: float, q: Array
-           ) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
+           ) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Return face and tooth of each point, and which points are clearly of one."""
     x, z = local[:, 0], local[:, 2]
     tooth = np.round(x / (pitch + q[5])).astype(np.intp)

@@ -9,7 +9,7 @@ takes no part in U.
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, UTC
 import math
@@ -37,7 +37,7 @@ from handeye_ros.verification.fit import (
     Fit,
     fit_shape,
     fit_without_outliers,
-    Numbers,
+    Indices,
     Quantity,
     refit_shape,
     Scatter,
@@ -50,7 +50,6 @@ import numpy as np
 ONE_SIDED_95 = 1.64
 SIGNIFICANCE = 0.01  # level of the tests of a calibration error
 INCONSISTENT_P = 1e-3  # level of the test that the points agree
-LARGE_TOLERANCE = 0.01  # m: a larger tolerance gets a note
 UNEXPLAINED_P = 1e-6  # below this p no error of the calibration explains the points
 
 
@@ -140,10 +139,10 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     X = calibration.T_flange_sensor @ T_sensor_plane(config)
     smooth_std = float(calibration.target.get('robot_position_error', 0.0))
 
-    def fitted(groups: Numbers) -> tuple[tuple[Shape, Fit], Array, Array, Numbers]:
+    def fitted(groups: Indices) -> tuple[tuple[Shape, Fit], Array, Array, Indices]:
         shape = routine.shape(stations.of_groups(groups), X, config.verify)
         fit = fit_shape(shape, X, calibration.covariance, smooth_std)
-        return (shape, fit), fit.residuals, fit.wrt_unknowns, shape.stations.group_of_point
+        return (shape, fit), fit.white_distances, fit.wrt_unknowns, shape.stations.group_of_point
 
     (shape, fit), p, dropped = fit_without_outliers(np.unique(stations.group_of_point), fitted)
     if max(fit.scatter.p, fit.p_error) < UNEXPLAINED_P and not routine.in_passes:
@@ -160,7 +159,7 @@ def verify(routine: Routine, stations: StationSet, calibration: Calibration,
     return Verification(
         routine.name, calibration.name, verdict, reasons, config.verify.tolerance,
         config.verify.angle_tolerance, len(np.unique(shape.stations.observations.station)),
-        quantities, fit.scatter, fit.smallest_error, fit.weakest_direction, fit.region,
+        quantities, fit.scatter, fit.detectable_error, fit.weakest_direction, fit.nominal_chi2,
         fit.freedom, fit.claim_p, per_station, stations.surface, says=routine.says,
         recorded=output.time_of(int(stations.stamps.min())), certificate=config.verify.certificate,
         record=dict(config.record))
@@ -194,33 +193,38 @@ def _decide(fit: Fit, quantities: Sequence[Quantity], stations: Sequence[Station
 
     smooth_std: 1 sigma (m) of the robot's smooth error, which more stops do not reduce.
     """
-    hidden = (f': the smooth error of the robot that the calibration found ({mm(smooth_std)}) '
-              'hides less' if DETECTION_SIGMAS * smooth_std > limits.tolerance else '')
-    other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
     used = sum(station.used for station in stations)
-    violated, open_values = _values_off(quantities, used, limits, hidden)
-    contradiction = _contradiction(stations)
-    notes = _notes(fit, other_size, stations, limits)
+
+    def remedy(size: float, largest: float) -> str:
+        """Return what makes a size that is too large, but not hopelessly so, small enough."""
+        if DETECTION_SIGMAS * smooth_std > limits.tolerance:
+            return (f': the smooth error of the robot that the calibration found '
+                    f'({mm(smooth_std)}) hides less')
+        return '' if size >= 10 * largest else (
+            f': measure at about {math.ceil(used * (size / largest) ** 2)} stops like these, or '
+            'turn the sensor more between them')
+
+    other_size = fit.p_error < UNEXPLAINED_P < fit.scatter.p  # the shape fits, but not in its size
+    failed, undecided = _values_off(quantities, limits, remedy)
     shown, suggested = _calibration_off(fit, limits, other_size)
-    failed = [*violated, *_points_off(stations, limits), *shown]
-    if failed:
-        return 'fail', (*failed, *contradiction, *notes)
-    if fit.smallest_error > limits.tolerance:
-        return 'insensitive', (
-            f'an error of the calibration would show only from {mm(fit.smallest_error)} on '
-            f'({fit.weakest_direction}), and the tolerance is {mm(limits.tolerance)}' + (
-                hidden or ': turn the sensor more between the stops' + _or_measure(
-                    used, fit.smallest_error, limits.tolerance, ', or')), *contradiction, *notes)
-    undecided = [*contradiction, *open_values, *suggested]
-    return 'undecided' if undecided else 'pass', (*undecided, *notes)
+    failed += [*_points_off(stations, limits), *shown]
+    undecided += [*suggested, *_contradiction(stations)]
+    verdict = 'fail' if failed else 'undecided' if undecided else 'pass'
+    if not failed and fit.detectable_error > limits.tolerance:
+        verdict = 'insensitive'
+        undecided.insert(0, (
+            'this decides nothing: an error of the calibration would show only from '
+            f'{mm(fit.detectable_error)} on ({fit.weakest_direction}), and the tolerance is '
+            f'{mm(limits.tolerance)}{remedy(fit.detectable_error, limits.tolerance)}'))
+    return verdict, (*failed, *undecided, *_notes(fit, other_size, stations))
 
 
-def _values_off(quantities: Sequence[Quantity], used: int, limits: VerifyConfig, hidden: str
-                ) -> tuple[list[str], list[str]]:
+def _values_off(quantities: Sequence[Quantity], limits: VerifyConfig,
+                remedy: Callable[[float, float], str]) -> tuple[list[str], list[str]]:
     """
     Return the values that violate their tolerance, and those of which that is not decided.
 
-    used: number of stops; hidden: why more of them do not help, '' if they do.
+    remedy(size, largest): of an uncertainty that is larger than what the tolerance leaves.
     """
     violated, undecided = list[str](), list[str]()
     for q in quantities:
@@ -235,8 +239,7 @@ def _values_off(quantities: Sequence[Quantity], used: int, limits: VerifyConfig,
         elif decided == UNDECIDED:
             undecided.append(
                 f'{off}, its uncertainty is {U}, and together they exceed the tolerance of '
-                f'{formatted(tolerance, q.unit)}' + (hidden or _or_measure(
-                    used, q.expanded, tolerance - abs(q.error), ':')))
+                f'{formatted(tolerance, q.unit)}{remedy(q.expanded, tolerance - abs(q.error))}')
     return violated, undecided
 
 
@@ -276,16 +279,7 @@ def _contradiction(stations: Sequence[StationResult]) -> list[str]:
             'and without them too little would be left: measure again'] if names else []
 
 
-def _or_measure(used: int, size: float, largest: float, conjunction: str) -> str:
-    """Return the advice to measure at more stops where what is too large gets small enough."""
-    if size >= 10 * largest:
-        return ''
-    return (f'{conjunction} measure at about {math.ceil(used * (size / largest) ** 2)} stops like '
-            'these')
-
-
-def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
-           limits: VerifyConfig) -> list[str]:
+def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult]) -> list[str]:
     """Return what a verdict must be read with, in sentences."""
     notes = [f'{s.name} is left out: {s.reason}' for s in stations if not s.used]
     if fit.scatter.p < INCONSISTENT_P:
@@ -298,9 +292,6 @@ def _notes(fit: Fit, other_size: bool, stations: Sequence[StationResult],
     if fit.claim_p < SIGNIFICANCE:
         notes.append('the deviations are larger than the calibration claims '
                      f'(p = {fit.claim_p:.1g})')
-    if limits.tolerance > LARGE_TOLERANCE:
-        notes.append(f'the tolerance is {mm(limits.tolerance)}: verify.tolerance is '
-                     'in metres unless a unit is given')
     return notes
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -483,6 +484,21 @@ def test_stops_after_the_start_verify_and_are_no_samples() -> None:
     assert (report['verdict'], report['stations']) == ('pass', 6)
     assert report['created'] and not report['calibration_file']  # it is the answer, no file
     assert not state_of(live)['session']['notes']
+
+
+def test_the_verification_of_a_saved_answer_names_its_file() -> None:
+    live = new(TO_VERIFY)
+    feed(live, items_of(PARTS[0]))
+    computed(live)
+    live.answer.save_calibration()
+    live.verification.verify_start()
+    feed(live, items_of(PARTS[1]))
+    verdict(live)
+    folder = Path(live.folders.folder(live.config))
+    stated = yaml.safe_load((folder / 'verification_sphere.yaml').read_text())['calibration_file']
+    file = folder / 'calibration.yaml'
+    assert Path(stated['path']) == file
+    assert stated['sha256'] == hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def test_a_verification_begun_anew_says_what_is_dropped_and_other_lengths_drop_nothing() -> None:
