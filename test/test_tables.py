@@ -71,7 +71,7 @@ def test_tables_that_cannot_be_read(tmp_path: Path, text: str, message: str) -> 
     ('f_x [m],f_y [m]', r'has no column f_z$'),
     ('f_x [m],f_y [m],F_Z [m]', r'has no column f_z; did you mean "F_Z"'),
     ('f_x [m],f_y [m],f_z [m],f_qx,f_qy,f_qz', r'has no column f_qw$'),
-    ('f_x,f_y,f_z,f_a,f_b,f_c', '; it has those that target.angles kuka-abc reads, of the fl')])
+    ('f_x,f_y,f_z,f_a,f_b,f_c', '; it has those that --angles kuka-abc reads, of the fl')])
 def test_a_missing_column_is_none_that_is_there(tmp_path: Path, header: str, message: str) -> None:
     (tmp_path / 'a.csv').write_text(f'{header}\n' + ','.join('0' for _ in header.split(',')))
     with pytest.raises(TableError, match=message):
