@@ -208,8 +208,8 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
              f'{mismatch.max():.2f} mm; its sections scatter by {rms(seam.off) * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
-             f'{seam.sections.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm (1 sigma) or '
-             'better']
+             f'{seam.sections.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm '
+             '(1 sigma) or better']
     if max(begins, ends) > 1e-6:
         lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
                      f'{ends * 1e3:.1f} mm: the line is too uncertain there')
