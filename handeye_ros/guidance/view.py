@@ -80,7 +80,7 @@ class View:
     @property
     def size(self) -> Array:
         """Return width and depth, (2,)."""
-        return np.ptp(self.box, axis=0)
+        return np.asarray(np.ptp(self.box, axis=0))
 
     def inner(self, border: float = 0.0) -> View:
         """Return the view with a margin for the operator, and without a border (m)."""
@@ -119,7 +119,7 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
 def view_levers(X: Array, view: View) -> Array:
     """Return the levers (k, 3) of a grid over the field of view, in the axes of the mount of X."""
-    x, z = np.linspace(*view.box, LEVERS_ALONG).T
+    x, z = (np.linspace(low, high, LEVERS_ALONG) for low, high in view.box.T)
     return np.asarray(np.stack(np.meshgrid(x, 0.0, z), axis=-1).reshape(-1, 3) @ X[:3, :3].T)
 
 

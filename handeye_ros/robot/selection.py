@@ -146,8 +146,8 @@ def solve(problem: ArmProblem) -> ArmOutcome:
         raise _contradiction(problem)
     agreed, fold, models = replace(fit, used=richest.used), _regions(fit.stops.q), list[Model]()
     for kinds in ((), (OFFSET,), GEOMETRY):
-        model = estimate_weights(with_arm(agreed, problem.arm.freed(kinds)))
-        models.append(_validated(model, fold))
+        of_kinds = estimate_weights(with_arm(agreed, problem.arm.freed(kinds)))
+        models.append(_validated(of_kinds, fold))
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
