@@ -228,16 +228,19 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
     a, b = (_Side(*map(np.array, zip(*side, strict=True))) for side in sides)
+    ends = (lengths[0] + max(a.extent[0, 0], b.extent[0, 0]),
+            lengths[-1] + min(a.extent[-1, 1], b.extent[-1, 1]))
+    # the ends of the sheets in a section of few points are not known well
+    filled = np.minimum(*(np.ptp(of.extent, axis=1) for of in (a, b))) > 0.5 * step - sheets.spacing
+    a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
     met = {'fillet': np.inf, 'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
     lines, *changed = (_lines(rough.kind, met.get(rough.kind, 0.0), *sides)
                        for sides in ((a, b), (a.further(), b), (a, b.further())))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
-    return Edges(np.array(lengths), lines, resolution, unit(a.normal + b.normal),
-                 float(np.median([a.noise, b.noise])),
-                 (lengths[0] + max(a.extent[0, 0], b.extent[0, 0]),
-                  lengths[-1] + min(a.extent[-1, 1], b.extent[-1, 1])))
+    return Edges(np.array(lengths)[filled], lines, resolution, unit(a.normal + b.normal),
+                 float(np.median([a.noise, b.noise])), ends)
 
 
 def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
@@ -257,13 +260,11 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     width = max(SECTION_WIDTH * spacing, LEAST_SECTION_WIDTH)
     rows = np.array(sheets.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
                     dtype=int)
-    labels, counts = np.unique(sheets.label[own], return_counts=True)
-    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
+    rows = rows[np.isin(sheets.label[rows], sheets.label[own])]
     along, b, height = np.stack([tangent, inwards, upright]) @ (points[rows] - start).T
     limit = LARGEST_END_OFFSET
-    if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
-        separation = np.median((points[own] - points[other]) @ inwards)
-        limit = min(0.5 * abs(float(separation)), LARGEST_END_OFFSET)
+    if rough.kind == 'butt':  # one sheet may be on both sides
+        limit = min(0.5 * float(np.median((points[own] - points[other]) @ inwards)), limit)
     resolution = _column_resolution(b, spacing)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
