@@ -85,6 +85,8 @@ class Arm:
     """
     The joints between two frames, with the errors that are estimated.
 
+    base, flange: the names of these frames
+    joints: from the base to the flange
     end: (4, 4) the flange in the frame of the last joint
     kinds: the kinds of errors that are estimated, of GEOMETRY
     values: (k,) of them, joint by joint, each in the order of ERROR_KINDS

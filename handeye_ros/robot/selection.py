@@ -29,10 +29,10 @@ from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     ArmFit,
-    estimate_weights,
     MINIMUM,
     reported_covariance,
     with_arm,
+    with_estimated_weights,
     without_outliers,
 )
 import numpy as np
@@ -146,7 +146,7 @@ def solve(problem: ArmProblem) -> ArmOutcome:
         raise _contradiction(problem)
     agreed, fold, models = replace(fit, used=richest.used), _regions(fit.stops.q), list[Model]()
     for kinds in ((), (OFFSET,), GEOMETRY):
-        of_kinds = estimate_weights(with_arm(agreed, problem.arm.freed(kinds)))
+        of_kinds = with_estimated_weights(with_arm(agreed, problem.arm.freed(kinds)))
         models.append(_validated(of_kinds, fold))
     chosen = models[0]
     for model in models[1:]:
@@ -174,7 +174,7 @@ def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
     errors, variance_ratio = np.empty(len(fit.stops)), 1.0
     for number in np.unique(fold):
         rest = replace(fit, used=fit.used & (fold != number))
-        without = estimate_weights(rest, rounds=FOLD_ROUNDS)
+        without = with_estimated_weights(rest, rounds=FOLD_ROUNDS)
         errors[fold == number] = fit.stops.distances(without.state)[fold == number]
         r, J = replace(without, used=fit.used & (fold == number)).linear
         predicted = len(r) + np.sum((J @ without.covariance) * J)

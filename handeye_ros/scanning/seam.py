@@ -65,11 +65,16 @@ class Seam:
         return self.curves[self.line]
 
     @cached_property
-    def off(self) -> Array:
+    def distances(self) -> Array:
         """Return the distances (k,) of the sections from the root (m)."""
         sections = self.sections
         return np.asarray(np.linalg.norm(
             self.curves['root'].position(sections.lengths) - sections.lines['root'], axis=1))
+
+    @property
+    def scatter(self) -> float:
+        """Return the RMS of these distances (m)."""
+        return rms(self.distances)
 
     def std(self, t: Array) -> Array:
         """Return 1 sigma (n, 2) of the path (m) and of its approach (rad) at t (n,)."""
@@ -124,8 +129,8 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
               for name, values in sections.lines.items()}
     seam = Seam(rough.kind, line, sections, curves, spline(sections.lengths, sections.normals),
                 sheets.spacing, rough.others)
-    if rms(seam.off) > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
-        raise DataError(f'the sections of the seam scatter by {mm(rms(seam.off))}, and the points '
+    if seam.scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
+        raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
                         '--box, or scan more densely')
     if sections.noise > FLAT_RATIO * sheets.noise:
@@ -175,7 +180,7 @@ def _measures(seam: Seam, t: Array) -> Array:
     mismatch, advance = ((across * way).sum(axis=1, keepdims=True) for way in (normal, tangent))
     gap = np.linalg.norm(across - mismatch * normal - advance * tangent, axis=1)
     nearby = np.abs(seam.sections.lengths - t[:, None]) <= NEARBY_LENGTH
-    residual = np.sqrt(nearby @ seam.off ** 2 / nearby.sum(axis=1))
+    residual = np.sqrt(nearby @ seam.distances ** 2 / nearby.sum(axis=1))
     return np.column_stack([gap, np.abs(mismatch), residual, seam.std(t)[:, 0]])
 
 
@@ -192,7 +197,7 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
     content = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
         'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.sections.noise,
-        'residual': rms(seam.off), 'spacing': seam.spacing,
+        'residual': seam.scatter, 'spacing': seam.spacing,
         'frames': [{'length': row[0], 'position': row[1:4], 'quaternion': row[4:8],
                     **dict(zip(FRAME_COLUMNS[8:], row[8:], strict=True))}
                    for row in rows.tolist()]}
@@ -206,7 +211,7 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     lines = [f'{SEAM_NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
              f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
-             f'{mismatch.max():.2f} mm; its sections scatter by {rms(seam.off) * 1e3:.3f} mm',
+             f'{mismatch.max():.2f} mm; its sections scatter by {seam.scatter * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
              f'{seam.sections.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm '
              '(1 sigma) or better']

@@ -231,7 +231,8 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     ends = (lengths[0] + max(a.extent[0, 0], b.extent[0, 0]),
             lengths[-1] + min(a.extent[-1, 1], b.extent[-1, 1]))
     # the ends of the sheets in a section of few points are not known well
-    filled = np.minimum(*(np.ptp(of.extent, axis=1) for of in (a, b))) > 0.5 * step - sheets.spacing
+    shorter = np.minimum(np.ptp(a.extent, axis=1), np.ptp(b.extent, axis=1))
+    filled = shorter > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
     met = {'fillet': np.inf, 'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}

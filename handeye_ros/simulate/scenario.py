@@ -289,7 +289,6 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'plate_in_air', target={'table': None}),
     changed(PLATE, 'plate_on_table', target={'table': 0.010}),
     changed(PLATE, 'plate_clutter', target={'clutter': -0.004}),
-    changed(PLATE, 'plate_clutter_high', target={'clutter': 0.002}),
     # sensors and drivers
     changed(PLATE, 'plate_resampled', sensor={'sampling': 'x', 'resolution': 1e-6}),
     changed(PLATE, 'plate_reflections', sensor={'reflections': 0.3, 'outliers': 0.02}),
@@ -301,9 +300,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'plate_real_robot', robot=REAL_ROBOT),
     changed(SPHERE, 'sphere_real_robot', robot=REAL_ROBOT),
     changed(PLATE, 'eye_on_base', calibration_type='eye_on_base'),
-    changed(SPHERE, 'sphere_on_flange', calibration_type='eye_on_base'),
-    # arms whose joint values are recorded
-    changed(PLATE, 'arm_plate', robot=WRONG_ARM, stations=(20, 20), tilt=math.radians(40)),
+    # an arm whose joint values are recorded
     changed(SPHERE, 'arm_sphere', robot=WRONG_ARM, stations=(40, 0)),
     # recordings without an answer, or with warnings
     *(changed(PLATE, motion, motion=motion)

@@ -226,11 +226,8 @@ def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion
     """Return the distortion of a sensor, None without one."""
     if not (sensor.distortion or sensor.scale):
         return None
-    weights = np.zeros(16)
-    if sensor.distortion:
-        weights = rng.normal(size=16)
-        weights *= sensor.distortion / np.linalg.norm(weights)
-    return Distortion(sensor, weights)
+    weights = rng.normal(size=16)
+    return Distortion(sensor, sensor.distortion * weights / np.linalg.norm(weights))
 
 
 @dataclass(frozen=True, eq=False)
