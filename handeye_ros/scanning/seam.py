@@ -46,6 +46,7 @@ class Seam:
     kind: v, butt, lap or fillet
     line: the name of the curve that the path follows
     curves: through first and second edge, root and centre
+    curve: that of the path, a cubic if that is close to it
     normals: through the directions out of the part, mean of those of the sheets
     spacing: of the points of the cloud (m)
     others: number of seams of other kinds
@@ -55,14 +56,10 @@ class Seam:
     line: str
     sections: Edges
     curves: Mapping[str, Curve]
+    curve: Curve
     normals: Curve
     spacing: float
     others: int
-
-    @property
-    def curve(self) -> Curve:
-        """Return the curve of the path."""
-        return self.curves[self.line]
 
     @cached_property
     def distances(self) -> Array:
@@ -78,7 +75,7 @@ class Seam:
 
     def std(self, t: Array) -> Array:
         """Return 1 sigma (n, 2) of the path (m) and of its approach (rad) at t (n,)."""
-        position = np.hypot(self.curve.std(t), self.sections.resolution[self.line])
+        position = np.hypot(self.curves[self.line].std(t), self.sections.resolution[self.line])
         return np.column_stack([position, self.normals.std(t)])
 
     def normal(self, t: Array) -> Array:
@@ -127,8 +124,8 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     first, last = sections.ends
     curves = {name: replace(spline(sections.lengths, values), first=first, last=last)
               for name, values in sections.lines.items()}
-    seam = Seam(rough.kind, line, sections, curves, spline(sections.lengths, sections.normals),
-                sheets.spacing, rough.others)
+    seam = Seam(rough.kind, line, sections, curves, curves[line].simplified(),
+                spline(sections.lengths, sections.normals), sheets.spacing, rough.others)
     if seam.scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '

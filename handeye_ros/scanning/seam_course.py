@@ -5,8 +5,8 @@ The sheets of a cloud, and the rough course of a seam and its kind: where their 
 
 Points whose neighbours lie in a plane are joined to neighbours in the same plane; points near a
 rim or a corner belong to the sheet in whose plane they lie. A point lies on the edge of its sheet
-where its neighbours on that sheet are all on one side; outwards is away from their mean. A surface
-below a rim or on it is another sheet and hides no edge.
+where its neighbours on that sheet leave a wide angle free; the middle of this angle is its outward
+direction. A surface below a rim or on it is another sheet and hides no edge.
 
 Edges of parallel sheets that face each other across a gap are a butt seam; one above the other
 they are a lap. Edges of sheets at an angle in a hollow corner are a fillet, or a V where both
@@ -36,8 +36,7 @@ FLAT_RATIO = 1.35  # times the median thickness of a neighbourhood: a thicker on
 SAME_PLANE = 4.0  # sigmas from a sheet; 1.5 times that between joined neighbours
 SAME_NORMAL = 0.98  # cosine of the angle between neighbouring normals of a sheet
 SMALLEST_SHEET = 60  # points of a sheet
-FEWEST_NEIGHBOURS = 6
-ONE_SIDED = 0.42  # mean over RMS of the offsets of neighbours: an edge within a spacing; at it 0.6
+FREE_ANGLE = 2.2  # rad without neighbours: an edge
 CHUNK_POINTS = 20_000
 
 PARALLEL_COSINE = 0.8  # cosine between the normals of the sheets of a gap or a step
@@ -100,7 +99,7 @@ def sheets_of(points: Array, up: Array) -> Sheets:
         centred = (offset - (offset.sum(axis=1) / count[:, None])[:, None]) * valid[..., None]
         values, axes = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
         normals[block] = axes[:, :, 0] * np.where(axes[:, :, 0] @ up < 0, -1.0, 1.0)[:, None]
-        thickness[block] = np.where(count >= FEWEST_NEIGHBOURS, np.sqrt(
+        thickness[block] = np.where(count >= 6, np.sqrt(
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
         linked[block] = neighbours[:, 1:3 * LINKED_NEIGHBOURS:3]
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
@@ -145,20 +144,29 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32],
 def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array, spacing: float
           ) -> tuple[NDArray[np.intp], Array]:
     """Return the rows (k,) of points on the borders of sheets, and outward directions (n, 3)."""
-    one_sided, outward = np.zeros(len(points)), np.zeros_like(points)
+    free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
     for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
-        own = valid & (label[neighbours] == label[block][:, None])
-        offset = offset * own[..., None]
-        inwards, n = offset.sum(axis=1), normals[block]
-        inwards -= (inwards * n).sum(axis=1, keepdims=True) * n
-        length, count = np.linalg.norm(inwards, axis=1), own.sum(axis=1)
-        outward[block] = -inwards / np.maximum(length, 1e-12)[:, None]
-        one_sided[block] = np.where(count >= FEWEST_NEIGHBOURS, length / np.sqrt(
-            np.maximum(count * (offset ** 2).sum(axis=(1, 2)), 1e-24)), 0.0)
-    rows = np.argsort(-one_sided, kind='stable')  # of a cube the outermost
-    rows = rows[(one_sided[rows] > ONE_SIDED) & (label[rows] >= 0)]
+        n = normals[block]
+        first = unit(np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])))
+        second = np.cross(n, first)
+        along, across = np.moveaxis(offset @ np.stack([first, second], axis=-1), -1, 0)
+        free_angle[block], middle = _free_angle(
+            np.arctan2(across, along), valid & (label[neighbours] == label[block][:, None]))
+        outward[block] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
+    rows = np.flatnonzero((free_angle > FREE_ANGLE) & (label >= 0))
     cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), label[rows]])
     return rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])], outward
+
+
+def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the widest angle (n,) between the valid directions (n, k), and its middle."""
+    rows = np.arange(len(angle))
+    one = angle[rows, np.argmax(valid, axis=1)]
+    angle = np.sort(np.where(valid, angle, one[:, None]), axis=1)
+    gaps = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
+    widest = np.argmax(gaps, axis=1)
+    free = gaps[rows, widest]
+    return np.where(valid.sum(axis=1) >= 6, free, 0.0), angle[rows, widest] + free / 2
 
 
 def _neighbours(tree: cKDTree, points: Array, spacing: float

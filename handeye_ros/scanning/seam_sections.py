@@ -7,8 +7,9 @@ On each side a polynomial is fitted to the section of the sheet; the edge is whe
 The foot of a lap lies on the lower sheet under the rim, even where the wall hides it. The root of
 a fillet is the intersection of the sheets; that of a V is midway between its lower edges.
 
-The cubic is that of Wu 2017 (eqs. 7 and 8), a spline without inner knots. Where cross validation
-finds that the points bend more, a spline with a knot every few centimetres or closer is used.
+The cubic is that of Wu 2017 (eqs. 7 and 8), a spline without inner knots. Where it does not fit, a
+spline with a knot every few centimetres is used, or with more of them where cross validation finds
+that the points bend more.
 """
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.signal import find_peaks
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
-PIECES_TRIED = 0, 1, 2, 4  # between these knots; 0: a cubic, without knots
-STIFF = PIECES_TRIED[:2]
+PIECES_TRIED = 1, 2, 4  # between these knots
+STIFF = PIECES_TRIED[:1]
+CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
 SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
 LENGTH_POINTS = 2000  # points of a curve for its length
@@ -83,6 +85,15 @@ class Curve:
         tangent = self.advance(inside)
         return self.position(inside) + (t - inside) * tangent, tangent
 
+    def simplified(self) -> Curve:
+        """Return the nearest cubic, of unknown std, if it is close to the curve; else the curve."""
+        t = np.linspace(self.first, self.last, LENGTH_POINTS)
+        points = self.position(t)
+        cubic = make_lsq_spline(t, points, np.repeat([self.first, self.last], 4), k=3)
+        is_close = rms(np.linalg.norm(cubic(t) - points, axis=1)) < CUBIC_ENOUGH
+        unknown = np.full((4, 4), np.nan)
+        return replace(self, bspline=cubic, covariance=unknown) if is_close else self
+
     def std(self, t: Array) -> Array:
         """Return 1 sigma (k,) of the points at t (k,), in 3 dimensions (m)."""
         b = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
@@ -110,7 +121,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many); outliers are left out.
     """
     inliers = np.ones(len(t), dtype=bool)
-    for flexible in range(2, 6):  # first a stiff one, which does not follow outliers
+    for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
         good = t[inliers], points[inliers]
         curve = min((_spline_through(*good, n) for n in pieces[:flexible]),
                     key=lambda curve: curve.score)
@@ -261,11 +272,13 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     width = max(SECTION_WIDTH * spacing, LEAST_SECTION_WIDTH)
     rows = np.array(sheets.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
                     dtype=int)
-    rows = rows[np.isin(sheets.label[rows], sheets.label[own])]
+    labels, counts = np.unique(sheets.label[own], return_counts=True)
+    rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
     along, b, height = np.stack([tangent, inwards, upright]) @ (points[rows] - start).T
     limit = LARGEST_END_OFFSET
-    if rough.kind == 'butt':  # one sheet may be on both sides
-        limit = min(0.5 * float(np.median((points[own] - points[other]) @ inwards)), limit)
+    if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
+        separation = np.median((points[own] - points[other]) @ inwards)
+        limit = min(0.5 * abs(float(separation)), LARGEST_END_OFFSET)
     resolution = _column_resolution(b, spacing)
     slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
     along, b, height = along[slab], b[slab], height[slab]
