@@ -86,7 +86,7 @@ class Curve:
         return self.position(inside) + (t - inside) * tangent, tangent
 
     def simplified(self) -> Curve:
-        """Return the nearest cubic, of unknown std, if it is close to the curve; else the curve."""
+        """Return the cubic nearest to it, of unknown std, where that is close; else the curve."""
         t = np.linspace(self.first, self.last, LENGTH_POINTS)
         points = self.position(t)
         cubic = make_lsq_spline(t, points, np.repeat([self.first, self.last], 4), k=3)
