@@ -180,7 +180,7 @@ def world(target: str, robot: tuple[float, float], seed: int, known: dict[str, f
     new = World(made, configs.with_values(Config(), settings(made) | known, 'bench'), rng,
                 truth.T_flange_sensor, truth.T_base_target)
     nearer = 0.2 if made.scene == 'sphere' else 0.0  # of the view's depth: its top is seen
-    middle = (new.view.low + new.view.high) / 2 - [0, nearer * new.view.size[1]]
+    middle = new.view.middle - [0, nearer * new.view.size[1]]
     insist(new, lambda: new.looking(new.facing(0) @ turned(rng, 6.0), new.spot(0),
                                     middle + rng.normal(size=2) * 3e-3))
     return new
@@ -213,7 +213,7 @@ def anywhere(cell: World) -> np.ndarray | None:
     turn = rng.uniform(-1, 1) * min(config.turn, steepest)
     R = (cell.facing(edge) @ se3.exp_rotation(np.array([0.0, 0.0, turn]))
          @ se3.exp_rotation(tilt * np.array([np.cos(way), np.sin(way), 0.0])))
-    place = rng.uniform(cell.view.low, cell.view.high)
+    place = rng.uniform(*cell.view.box)
     T = cell.looking(R, cell.spot(edge), place)
     first = cell.samples[0].T_base_flange
     turns, tilts = turn_and_tilt((first @ cell.T_flange_sensor)[:3, :3],
@@ -346,7 +346,7 @@ def sigma_of(solution: Solution, cell: World) -> float:
 
 def error_of(solution: Solution, cell: World) -> float:
     """Return the RMS error (m) of points mapped over the field of view."""
-    (x0, z0), (x1, z1) = cell.view.low, cell.view.high
+    (x0, z0), (x1, z1) = cell.view.box
     return errors_against(solution.estimate.X, cell.T_flange_sensor,
                           field_points((x0, x1), (z0, z1))).mapped_points
 

@@ -30,7 +30,7 @@ from handeye_ros.robot.estimate import (
     ArmPoints,
     ArmState,
     ArmStops,
-    estimate_weights,
+    with_estimated_weights,
 )
 from handeye_ros.robot.points import arm_problem_of, PointRows
 from handeye_ros.robot.selection import ArmOutcome, solve
@@ -248,7 +248,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     start = arm_problem_of_sources(sources, arm_of(robot.urdf()))
     stops = start.fit.stops
     used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
-    fit = estimate_weights(replace(start.fit, used=used))
+    fit = with_estimated_weights(replace(start.fit, used=used))
     outcome = solve(replace(start, fit=fit, q=stops.q[used]))
     before, after = (float(np.sqrt((stops.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))

@@ -49,8 +49,8 @@ class Joint:
     A movable joint.
 
     origin: (4, 4) its frame in that of the previous joint, at zero
-    axis: (3,) unit vector in its frame. Its value is factor * (value of the joint `follows`) +
-        shift; a joint that mimics none follows itself.
+    kind: REVOLUTE or PRISMATIC
+    axis: (3,) unit vector in its frame
     lower, upper: its limits (rad or m)
     """
 
@@ -58,9 +58,6 @@ class Joint:
     kind: str
     origin: Array
     axis: Array
-    follows: str
-    factor: float = 1.0
-    shift: float = 0.0
     lower: float = -np.inf
     upper: float = np.inf
 
@@ -84,6 +81,8 @@ class Arm:
     """
     The joints between two frames, with the errors that are estimated.
 
+    base, flange: the names of these frames
+    joints: from the base to the flange
     end: (4, 4) the flange in the frame of the last joint
     kinds: the kinds of errors that are estimated, of GEOMETRY
     values: (k,) of them, joint by joint, each in the order of ERROR_KINDS
@@ -122,20 +121,20 @@ class Arm:
         errors[self.free] = self.values
         return errors
 
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """Return the names of the joints whose values are needed."""
-        return tuple(dict.fromkeys(joint.follows for joint in self.joints))
-
     def positions(self, readings: Mapping[str, Any], source: object) -> Array:
-        """Return the values (..., joints) of all joints; raises InputError where one lacks."""
-        for name in self.measured:
+        """
+        Return the values (..., joints) of all joints, from those by name (rad or m).
+
+        source: names them in the InputError that is raised where those of a joint are missing.
+        """
+        names = [joint.name for joint in self.joints]
+        for name in names:
             if name not in readings:
                 raise InputError(
                     f'{source}: there are no values of the joint {name}'
                     f'{nearest(name, list(readings))}; the joints with values are '
                     f'{", ".join(readings) or "none"}; name them as the URDF does')
-        return np.stack([j.factor * readings[j.follows] + j.shift for j in self.joints], axis=-1)
+        return np.stack([readings[name] for name in names], axis=-1)
 
     @cached_property
     def displacements(self) -> Array:
@@ -234,8 +233,8 @@ def read_arm(path: Path) -> Arm:
         stored = content['joints']
         joints = tuple(Joint(
             str(of['name']), str(of['type']), transform_from(path, 'origin', of['origin']),
-            np.array(of['axis'], dtype=float), str(of['follows']),
-            *(float(of[key]) for key in ('factor', 'shift', 'lower', 'upper'))) for of in stored)
+            np.array(of['axis'], dtype=float), float(of['lower']), float(of['upper']))
+            for of in stored)
         kinds = tuple(kind for kind in GEOMETRY if any(kind in of for of in stored))
         values = [float(value) for of in stored for kind in kinds if kind in of
                   for value in of[kind]['value']]
@@ -244,8 +243,9 @@ def read_arm(path: Path) -> Arm:
                                       ('configurations', len(joints))) if key in content}
         arm = Arm(str(content['base']), str(content['flange']), joints,
                   transform_from(path, 'end', content['end']), kinds, np.array(values), **arrays)
-        if arm.free.sum() != len(values):
-            raise ValueError('errors of some joints are missing')
+        if arm.free.sum() != len(values) or any(of.get('follows', of['name']) != of['name']
+                                                for of in stored):
+            raise ValueError('errors of some joints are missing, or some mimic others')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(
             path, 'it is no kinematics.yaml as handeye kinematics writes it') from error
@@ -292,10 +292,11 @@ def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the UR
     joints, to_parent = [], se3.inverse(first.placement.homogeneous)
     for i in moving:
         element = elements[model.names[i]]
-        if element.get('type') not in URDF_TYPES:
-            raise InputError(f'{source}: the joint {model.names[i]} is {element.get("type")}; '
-                             'only revolute, continuous, prismatic and fixed joints can be '
-                             'corrected')
+        kind = 'mimic' if element.find('mimic') is not None else element.get('type')
+        if kind not in URDF_TYPES:
+            raise InputError(f'{source}: the joint {model.names[i]} is {kind}; only revolute, '
+                             'continuous, prismatic and fixed joints can be corrected, none that '
+                             'mimics another')
         joints.append(_joint(element, to_parent @ model.jointPlacements[i].homogeneous))
         to_parent = np.eye(4)
     return Arm(base, flange, tuple(joints), to_parent @ last.placement.homogeneous)
@@ -330,15 +331,13 @@ def _ends(model: Any, base: str, flange: str) -> tuple[int, int]:
 def _joint(element: ElementTree.Element, origin: Array) -> Joint:
     """Return the joint of a URDF element, at its origin (4, 4) in the joint before."""
     name, kind = element.attrib['name'], element.attrib['type']
-    axis, limit, mimic = (dict(child.attrib) if (child := element.find(tag)) is not None else {}
-                          for tag in ('axis', 'limit', 'mimic'))
+    axis, limit = (dict(child.attrib) if (child := element.find(tag)) is not None else {}
+                   for tag in ('axis', 'limit'))
     along = np.array(axis.get('xyz', '1 0 0').split(), dtype=float)
     lower, upper = (float(limit.get(end, 0.0)) for end in ('lower', 'upper'))
     if kind == 'continuous' or not lower < upper:
         lower, upper = -np.inf, np.inf  # not stated
-    return Joint(name, URDF_TYPES[kind], origin, along / np.linalg.norm(along),
-                 mimic.get('joint', name), float(mimic.get('multiplier', 1.0)),
-                 float(mimic.get('offset', 0.0)), lower, upper)
+    return Joint(name, URDF_TYPES[kind], origin, along / np.linalg.norm(along), lower, upper)
 
 
 def corrected_urdf(urdf: str, arm: Arm) -> str:

@@ -158,38 +158,34 @@ def replay(
     publish(bag, rate)
 
 
-def _scenarios() -> dict[str, str]:
-    """Return the descriptions of scenarios by name."""
+def _scenarios() -> list[str]:
+    """Return the names of all that can be simulated."""
     from handeye_ros.simulate import FAULTS, FILE_SCENES, SCENARIOS
     from handeye_ros.simulate.measuring import MEASURING_CELL
-    return {**{name: scenario.description for name, scenario in SCENARIOS.items()},
-            **dict.fromkeys(FILE_SCENES, 'files of measured values'),
-            **{name: scenario.description for name, scenario in FAULTS.items()},
-            MEASURING_CELL: 'a calibration, and a recording for each routine of verify'}
+    return [*SCENARIOS, *FILE_SCENES, *FAULTS, MEASURING_CELL]
 
 
 def _print_scenarios(requested: bool) -> None:
     if requested:
-        for name, description in _scenarios().items():
-            typer.echo(f'{name:32} {description}')
+        typer.echo('\n'.join(_scenarios()))
         raise typer.Exit
 
 
 @app.command()
 def simulate(
     scenario: Annotated[str, typer.Argument(help='The name of a scenario; see --list.',
-                                            autocompletion=lambda: list(_scenarios()))],
+                                            autocompletion=_scenarios)],
     directory: Annotated[Path, typer.Argument(
         metavar='DIR', help='The folder to make: a bag, or files of measured values.')],
     seed: Annotated[int, typer.Option(min=0, help='Of all random numbers.')] = 0,
     force: Annotated[bool, typer.Option('--force', help='Replace a bag that is there.')] = False,
     listed: Annotated[bool, typer.Option(
         '--list', callback=_print_scenarios, is_eager=True,
-        help='Print all scenarios, and what differs from a plain recording, and exit.')] = False,
+        help='Print the names of all scenarios and exit.')] = False,
 ) -> None:
     """Make a recording with a known answer."""
     if scenario not in _scenarios():
-        raise UnknownNameError('scenario', scenario, list(_scenarios()),
+        raise UnknownNameError('scenario', scenario, _scenarios(),
                                'handeye simulate --list')
 
     from handeye_ros.cli import simulated

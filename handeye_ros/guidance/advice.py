@@ -111,8 +111,7 @@ def advise(samples: Sequence[Sample], config: Config, found: Answer | None = Non
     solution = found.solution if found.samples_agree else None
     levers = view_levers(solution.estimate.X if solution else np.eye(4), view)
     if solution is None or mapped_std(levers, solution.transform_covariance) > ROUGHLY_KNOWN:
-        enough = solution is None and len(samples) >= target.min_samples
-        refusal = found.refusal if enough else None
+        refusal = None if solution or len(samples) < target.min_samples else found.refusal
         if sweeping:
             return _before_an_answer(sweep_on, None, refusal)
         move = next_move(len(samples), target, config, view)

@@ -70,17 +70,18 @@ def propose(solution: Solution, samples: Sequence[Sample], config: Config, view:
                                         anchor_of(template, 0), view, config, rng)
         poses = sensors @ se3.inverse(X)
         allowed = _allowed(mount_poses(poses, config), taken, failed_poses, config)
-        seen, places = predicted(template, solution, poses[allowed], places[allowed], view)
+        seen, places = stations_like(template, solution, poses[allowed], places[allowed], view)
         if not len(seen.poses):
             continue
-        std = se3.mapped_std(levers, with_one_more(solution, seen))
+        std = se3.mapped_std(levers, covariances_with_one_more(solution, seen))
         i = int(np.argmin(std))
         if std[i] < least:
             least, best = std[i], (seen.subset(np.array([i])), places[i])
     if best is None:
         return None
     one, place = best
-    return Proposal(mount_poses(one.poses[0], config), place, expected(solution, levers, one))
+    return Proposal(mount_poses(one.poses[0], config), place,
+                    std_with_one_more(solution, levers, one))
 
 
 def templates(problem: Problem) -> list[int]:
@@ -142,12 +143,13 @@ def _allowed(flange: Array, taken: Array, failed_poses: Sequence[Array], config:
     return allowed
 
 
-def predicted(template: Problem, solution: Solution, poses: Array, places: Array, view: View
-              ) -> tuple[Problem, Array]:
+def stations_like(template: Problem, solution: Solution, poses: Array, places: Array, view: View
+                  ) -> tuple[Problem, Array]:
     """
     Return the stations that see the target like a template (of one station), and their places.
 
-    poses: (n, 4, 4) of the mount; places: (n, 2) of the anchor in the sensor plane.
+    poses: (n, 4, 4) of the mount; places: (n, 2) of the anchor in the sensor plane (m). Poses from
+    which the target is not seen so are left out.
     """
     obs = template.observations
     anchored = _anchored(template, obs)
@@ -164,9 +166,6 @@ def predicted(template: Problem, solution: Solution, poses: Array, places: Array
     points = anchors + share[:, None, None] * (points - anchors)
     large = share > SMALLEST_SHARE
     poses, points, share = poses[large], points[large], share[large]
-    if not len(poses):
-        none = obs.select(obs.station < 0)
-        return replace(template, poses=poses, observations=none), places[large]
     points = _on_target(template, solution, poses, points, same_point)
     linear = _linear(template, solution, poses, points, 1 / np.sqrt(share))
     kept = np.flatnonzero(_shows_the_same(linear, points, same_point,
@@ -246,7 +245,7 @@ def _corner_seen(A: Array, points: Array, template: Linear, view: View) -> NDArr
                       & (np.abs(np.linalg.det(normals)) > np.sin(SMALLEST_CORNER)))
 
 
-def with_one_more(solution: Solution, seen: Problem) -> Array:
+def covariances_with_one_more(solution: Solution, seen: Problem) -> Array:
     """
     Return the covariances (n, 6, 6) of the transform, each with one of n further stations.
 
@@ -262,7 +261,7 @@ def with_one_more(solution: Solution, seen: Problem) -> Array:
     return np.asarray(C[:6, :6] - np.swapaxes(X, 1, 2) @ np.linalg.solve(inner, X))
 
 
-def expected(solution: Solution, levers: Array, one: Problem) -> float:
+def std_with_one_more(solution: Solution, levers: Array, one: Problem) -> float:
     """
     Return the reported 1 sigma of points at levers (k, 3) (m) expected with one more station.
 

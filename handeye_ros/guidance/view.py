@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from handeye_ros.config import Config
-from handeye_ros.data import Array, Sample
+from handeye_ros.data import Arc, Array, FaceLine, Sample
 from handeye_ros.estimation.target import Target
-from handeye_ros.results.scene import lines_and_spots
-from handeye_ros.results.truth_file import field_points
 import numpy as np
 
+LEVERS_ALONG = 13  # points along each side of the view whose error is told
 USED_VIEW_SHARE = 0.88  # share of the view for features: the rest is a margin for the operator
 
 _ANGLES = np.arange(32) * 2 * np.pi / 32
@@ -69,24 +68,19 @@ class View:
     offsets: Array
 
     @property
-    def low(self) -> Array:
-        """Return the smallest x and range, (2,)."""
-        return np.asarray(-self.offsets[[16, 24]])
-
-    @property
-    def high(self) -> Array:
-        """Return the largest x and range, (2,)."""
-        return np.asarray(self.offsets[[0, 8]])
+    def box(self) -> Array:
+        """Return the smallest and the largest x and range, (2, 2)."""
+        return np.array([-self.offsets[[16, 24]], self.offsets[[0, 8]]])
 
     @property
     def middle(self) -> Array:
         """Return the middle of the box around it, (2,)."""
-        return (self.low + self.high) / 2
+        return np.asarray(self.box.mean(axis=0))
 
     @property
     def size(self) -> Array:
         """Return width and depth, (2,)."""
-        return self.high - self.low
+        return np.asarray(np.ptp(self.box, axis=0))
 
     def inner(self, border: float = 0.0) -> View:
         """Return the view with a margin for the operator, and without a border (m)."""
@@ -116,14 +110,17 @@ def learn_view(samples: Sequence[Sample], seen: Array | None = None) -> View:
 
     There must be one sample, or one point, at least.
     """
-    lines, spots = lines_and_spots(feature for sample in samples for feature in sample.features)
-    points = [*lines, *spots, *([] if seen is None else [seen])]
+    points = [] if seen is None else [seen]
+    for feature in (feature for sample in samples for feature in sample.features):
+        points.append(feature.ends if isinstance(feature, FaceLine) else
+                      feature.points if isinstance(feature, Arc) else feature.point[None])
     return View((extremes(np.concatenate(points)) @ BORDER_NORMALS.T).max(axis=0))
 
 
 def view_levers(X: Array, view: View) -> Array:
     """Return the levers (k, 3) of a grid over the field of view, in the axes of the mount of X."""
-    return field_points(*zip(view.low, view.high, strict=True)) @ X[:3, :3].T
+    x, z = (np.linspace(low, high, LEVERS_ALONG) for low, high in view.box.T)
+    return np.asarray(np.stack(np.meshgrid(x, 0.0, z), axis=-1).reshape(-1, 3) @ X[:3, :3].T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,8 +62,7 @@ class ArmAnswer:
             entries.append({
                 'name': joint.name, 'type': joint.kind,
                 'origin': se3.transform_values(joint.origin),
-                'axis': joint.axis.tolist(), 'follows': joint.follows, 'factor': joint.factor,
-                'shift': joint.shift, 'lower': joint.lower, 'upper': joint.upper,
+                'axis': joint.axis.tolist(), 'lower': joint.lower, 'upper': joint.upper,
                 **{kind: {name: of[rows].tolist() for name, of in columns.items()}
                    for kind, rows in own.items() if rows.any()}})
         return entries
@@ -98,8 +97,9 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.kind == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.kinds), **m.residuals,
-                    'chosen': m is outcome.chosen} for m in outcome.models],
+        'models': [{'parameters': list(m.kinds), 'residual_rms': m.fit.residual_rms,
+                    'left_out_rms': m.left_out_rms, 'chosen': m is outcome.chosen}
+                   for m in outcome.models],
         'robot_smooth_error': outcome.smooth,
         'covariance': arm.covariance.tolist(),
         'configurations': arm.configurations[:MOST_CONFIGURATIONS].round(6).tolist(),
@@ -107,9 +107,8 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
 
 
 def table(answer: ArmAnswer) -> RenderableType:
-    """Return the joints with their errors, and the cross-validation error of each model."""
+    """Return the joints with their errors, and the cross-validation errors before and after."""
     joints = figures_table('joint', 'zero offset', 'axis direction', 'axis position', 'not known')
-    models = figures_table('model', 'residual RMS', 'left out RMS', 'left out median', '')
     for joint in answer.joints:
         cells, unknown = [], []
         for kind in GEOMETRY:
@@ -122,12 +121,9 @@ def table(answer: ArmAnswer) -> RenderableType:
             unknown += [kind] * (min(entry['known']) > UNDETERMINED_SHARE)
         joints.add_row(joint['name'], *cells, ', '.join(unknown))
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
-    for model in answer.outcome.models:
-        models.add_row(', '.join(model.kinds) or UNCHANGED_ARM,
-                       *(f'{size * 1e3:.3f} mm' for size in model.residuals.values()),
-                       'the answer' if model is chosen else '')
     return Group(
-        Text('Zero offset: add it to the reading of the joint.'), joints, models,
-        Text(f'points that were left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
+        Text('Zero offset: add it to the reading of the joint.'), joints,
+        Text(f'model: {", ".join(chosen.kinds) or UNCHANGED_ARM}; points that were left out: '
+             f'{stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
              f'{answer.outcome.smooth * 1e3:.2f} mm (RMS, each axis)'))

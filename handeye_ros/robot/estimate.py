@@ -328,8 +328,12 @@ class ArmFit:
             self.state, iterations=20, converged=1e-4))
 
 
-def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
-    """Return noise and variances as a fit shows them; conservative: those for the report."""
+def noise_and_scales(fit: ArmFit, conservative: bool = False) -> tuple[Array, Array]:
+    """
+    Return noise (axes,) and variances (g,) of ArmFit as the residuals of a fit show them.
+
+    conservative: the wider variances, for a reported covariance.
+    """
     variances, u = fit.variances, fit.stops.unknowns
     if len(variances):
         order = np.argsort(fit.state.kind_numbers, kind='stable')
@@ -346,11 +350,12 @@ def estimated_weights(fit: ArmFit, conservative: bool = False) -> tuple[Array, A
     return np.maximum(noise, LEAST_NOISE), variances
 
 
-def estimate_weights(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS) -> ArmFit:
-    """Return a fit with estimated weights; see estimated_weights."""
+def with_estimated_weights(fit: ArmFit, conservative: bool = False, rounds: int = MOST_ROUNDS
+                           ) -> ArmFit:
+    """Return a fit with noise and scales of the priors as it shows them; see noise_and_scales."""
     for _ in range(rounds):
         before = np.append(fit.noise, fit.variances)
-        noise, variances = estimated_weights(fit, conservative)
+        noise, variances = noise_and_scales(fit, conservative)
         fit = replace(fit, noise=noise, variances=variances).solved()
         if np.abs(np.log(np.append(noise, variances) / before)).max() < CONVERGED_CHANGE:
             break
@@ -362,7 +367,7 @@ def without_outliers(fit: ArmFit) -> ArmFit:
     every = np.arange(len(fit.stops))
 
     def fitted_to(before: ArmFit | None, used: NDArray[np.intp]) -> ArmFit:
-        return estimate_weights(replace(before or fit, used=np.isin(every, used)))
+        return with_estimated_weights(replace(before or fit, used=np.isin(every, used)))
 
     def left_out_squares(found: ArmFit) -> tuple[Array, NDArray[np.intp]]:
         _, item = np.unique(found.stops.station[found.rows], return_inverse=True)
@@ -376,7 +381,7 @@ def first_fit(stops: ArmStops, state: ArmState, used: NDArray[np.bool_], noise: 
               ) -> ArmFit:
     """Return a fit of the hand-eye transform alone, near a state, with estimated weights."""
     fit = ArmFit(stops, state, np.full(stops.axes, noise), np.zeros(0), used)
-    return estimate_weights(fit.solved())
+    return with_estimated_weights(fit.solved())
 
 
 def with_arm(fit: ArmFit, arm: Arm) -> ArmFit:
@@ -393,14 +398,14 @@ def reported_covariance(fit: ArmFit, chosen: ArmState) -> tuple[ArmFit, Array]:
     X and these errors, and a smooth remaining error of the robot, which neighbouring stops have
     in common.
     """
-    wide = estimate_weights(fit, conservative=True)
+    wide = with_estimated_weights(fit, conservative=True)
     of_arm, noise = wide.variances, wide.noise
     stops = replace(wide.stops, root=smooth_basis(wide.state.arm.forward(wide.stops.q)))
     wide = replace(wide, stops=stops, state=replace(
         wide.state, smooth=np.zeros(3 * stops.root.shape[1])), variances=np.append(of_arm, 1.0))
     for _ in range(2):  # iterations of the noise beside a smooth error
         wide = replace(wide, noise=noise).solved()
-        noise, variances = estimated_weights(wide, conservative=True)
+        noise, variances = noise_and_scales(wide, conservative=True)
     wide = replace(wide, variances=np.append(of_arm, variances[-1]))
     free = chosen.arm.free[wide.state.arm.free]
     kept = np.append(np.arange(stops.unknowns), stops.unknowns + np.flatnonzero(free))

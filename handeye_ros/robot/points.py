@@ -66,7 +66,7 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
     names the point where there are several. Raises InputError and DataError.
     """
     table = Table(path)
-    kinds = {j.follows: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
+    kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
     readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
                 if table.has([name])}
     q, points = arm.positions(readings, path), table.values(['x', 'y', 'z'], LENGTH)
@@ -84,10 +84,9 @@ def arm_problem_of(rows: PointRows, arm: Arm, limit: float) -> ArmProblem:
     """Return the hand-eye transform alone, with the arm as stated; raises DataError."""
     require_enough(len(rows))
 
-    def residual_with(joints: Array, other_side: bool) -> float:
-        changed = replace(rows, q=rows.q @ joints.T, in_hand=rows.in_hand != other_side)
-        return _alone(changed, arm).residual_rms
-    return ArmProblem(_alone(rows, arm), limit, rows.in_hand, rows.q, residual_with)
+    return ArmProblem(
+        _alone(rows, arm), limit, rows.q,
+        lambda joints: _alone(replace(rows, q=rows.q @ joints.T), arm).residual_rms)
 
 
 def _alone(rows: PointRows, arm: Arm) -> ArmFit:

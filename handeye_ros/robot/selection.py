@@ -29,10 +29,10 @@ from handeye_ros.errors import DataError, degrees, mm
 from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.robot.estimate import (
     ArmFit,
-    estimate_weights,
     MINIMUM,
     reported_covariance,
     with_arm,
+    with_estimated_weights,
     without_outliers,
 )
 import numpy as np
@@ -58,8 +58,8 @@ class Model:
     A fit with some kinds of errors.
 
     left_out: (n,) cross-validation errors (m)
-    variance_ratio: their variance over the predicted one, of the worst region, at least 1: more
-        shows errors of the arm that the model does not include
+    variance_ratio: variance of the cross-validation errors over the predicted one, of the worst
+        region, at least 1: more shows errors of the arm that the model does not include
     """
 
     fit: ArmFit
@@ -76,12 +76,6 @@ class Model:
         """Return the RMS of the cross-validation errors of the used stops (m)."""
         return rms(self.left_out[self.fit.used])
 
-    @property
-    def residuals(self) -> dict[str, float]:
-        """Return the residuals of the used stops, and the errors of left-out ones (m), by name."""
-        return {'residual_rms': self.fit.residual_rms, 'left_out_rms': self.left_out_rms,
-                'left_out_median': float(np.median(self.left_out[self.fit.used]))}
-
 
 @dataclass(frozen=True, eq=False)
 class ArmOutcome:
@@ -90,7 +84,7 @@ class ArmOutcome:
 
     covariance: (u, u) of X, the targets, and the k errors of the arm
     known: (k,) posterior over prior sigma of each error
-    smooth: RMS of the smooth remaining error of the robot (m)
+    smooth: RMS of the smooth remaining error of the robot, per axis (m)
     notes: sentences
     """
 
@@ -116,17 +110,15 @@ class ArmProblem:
 
     fit: the hand-eye transform alone, of the stops that agree
     limit: the largest valid residual (m)
-    in_hand: whether the sensor is on the flange
     q: (n, joints) of all stops
-    residual_with(joints, other_side): the residual (m) with the joint values multiplied by a
-        matrix (joints, joints), and with the sensor on the other side
+    residual_with(joints): the residual (m) with the joint values multiplied by a matrix (joints,
+        joints)
     """
 
     fit: ArmFit
     limit: float
-    in_hand: bool
     q: Array
-    residual_with: Callable[[Array, bool], float]
+    residual_with: Callable[[Array], float]
 
     @property
     def arm(self) -> Arm:
@@ -152,18 +144,17 @@ def solve(problem: ArmProblem) -> ArmOutcome:
     richest = without_outliers(with_arm(fit, problem.arm.freed(GEOMETRY)))
     if richest.residual_rms > problem.limit or richest.used.mean() < LEAST_AGREEING:
         raise _contradiction(problem)
-    offsets = without_outliers(with_arm(fit, problem.arm.freed([OFFSET])))
-    alone = estimate_weights(replace(fit, used=richest.used))
-    fold = _regions(fit.stops.q)
-    models = tuple(Model(replace(each, used=richest.used), *_left_out(each, fold))
-                   for each in (alone, offsets, richest))
+    agreed, fold, models = replace(fit, used=richest.used), _regions(fit.stops.q), list[Model]()
+    for kinds in ((), (OFFSET,), GEOMETRY):
+        of_kinds = with_estimated_weights(with_arm(agreed, problem.arm.freed(kinds)))
+        models.append(_validated(of_kinds, fold))
     chosen = models[0]
     for model in models[1:]:
         chosen = model if _better(model, chosen) else chosen
     _require_same_robot(chosen.fit.state.arm)
     wide, covariance = reported_covariance(richest, chosen.fit.state)
-    return ArmOutcome(models, chosen, covariance * models[-1].variance_ratio, _known(chosen.fit),
-                      wide.smooth_rms, tuple(_notes(models, chosen)))
+    return ArmOutcome(tuple(models), chosen, covariance * models[-1].variance_ratio,
+                      _known(chosen.fit), wide.smooth_rms, tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
@@ -178,17 +169,17 @@ def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
     return region
 
 
-def _left_out(fit: ArmFit, fold: NDArray[np.intp]) -> tuple[Array, float]:
-    """Return the errors (n,) of stops predicted without their regions, and the variance ratio."""
+def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
+    """Return the model of a fit; fold: (n,) regions of the stops, left out one by one."""
     errors, variance_ratio = np.empty(len(fit.stops)), 1.0
     for number in np.unique(fold):
         rest = replace(fit, used=fit.used & (fold != number))
-        without = estimate_weights(rest, rounds=FOLD_ROUNDS)
+        without = with_estimated_weights(rest, rounds=FOLD_ROUNDS)
         errors[fold == number] = fit.stops.distances(without.state)[fold == number]
         r, J = replace(without, used=fit.used & (fold == number)).linear
         predicted = len(r) + np.sum((J @ without.covariance) * J)
         variance_ratio = max(variance_ratio, float(r @ r / max(predicted, 1.0)))
-    return errors, variance_ratio
+    return Model(fit, errors, variance_ratio)
 
 
 def _better(model: Model, simpler: Model) -> bool:
@@ -251,13 +242,13 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
 
 def _contradiction(problem: ArmProblem) -> DataError:
     """Return the refusal of stops that no arm explains, with the likely cause."""
-    stated = problem.residual_with(np.eye(len(problem.arm.joints)), False)
+    stated = problem.residual_with(np.eye(len(problem.arm.joints)))
     cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
              'joint, all units, calibration_type, and that the target did not move')
     best = CURED_SHARE * stated
-    for words, joints, other_side in _changes(problem):
+    for words, joints in _changes(problem):
         with suppress(DataError, np.linalg.LinAlgError):
-            missed = problem.residual_with(joints, other_side)
+            missed = problem.residual_with(joints)
             if missed < best:
                 best, cause = missed, words
     return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
@@ -265,20 +256,16 @@ def _contradiction(problem: ArmProblem) -> DataError:
                      reason=UNSOLVED)
 
 
-def _changes(problem: ArmProblem) -> Iterator[tuple[str, Array, bool]]:
+def _changes(problem: ArmProblem) -> Iterator[tuple[str, Array]]:
     """Yield possible errors in words, and what undoes them; see ArmProblem.residual_with."""
     joints, identity = problem.arm.joints, np.eye(len(problem.arm.joints))
     revolute = np.array([joint.kind == REVOLUTE for joint in joints])
     words, unit = (('degrees stated as radians', math.radians(1))
                    if np.median(np.abs(problem.q).max(axis=0)) > 2 * math.pi else
                    ('radians stated as degrees', math.degrees(1)))
-    yield f'the joint values seem to be {words}', np.diag(np.where(revolute, unit, 1.0)), False
+    yield f'the joint values seem to be {words}', np.diag(np.where(revolute, unit, 1.0))
     for joint, column in zip(joints, identity, strict=True):
-        yield (f'{joint.name} seems to turn the other way than in the URDF',
-               np.diag(1 - 2 * column), False)
+        yield f'{joint.name} seems to turn the other way than in the URDF', np.diag(1 - 2 * column)
     if len(joints) >= 3:
         yield (f'{joints[2].name} seems to be counted from the horizontal, as some controllers '
-               f'do: add {joints[1].name} to it', identity + np.outer(identity[2], identity[1]),
-               False)
-    other = 'eye_on_base' if problem.in_hand else 'eye_in_hand'
-    yield f'set calibration_type to {other}', identity, True
+               f'do: add {joints[1].name} to it', identity + np.outer(identity[2], identity[1]))

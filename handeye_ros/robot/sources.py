@@ -107,20 +107,16 @@ def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
     stops = ArmStops.of(np.concatenate(q), tuple(measured))
     state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
     fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
-    problem, joint_values = sources[0].problem, np.concatenate([source.q for source in sources])
-    return ArmProblem(fit, problem.config.limits.residual, problem.config.in_hand, joint_values,
-                      lambda *change: max(_median_residual(source, arm, *change)
-                                          for source in sources))
+    limit = sources[0].problem.config.limits.residual
+    return ArmProblem(fit, limit, np.concatenate([source.q for source in sources]),
+                      lambda joints: max(_median_residual(source, arm, joints)
+                                         for source in sources))
 
 
-def _median_residual(source: Source, arm: Arm, joints: Array, other_side: bool) -> float:
+def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
     """Return the median residual (m) of the stops; see residual_with of ArmProblem."""
-    in_hand = source.problem.config.in_hand != other_side
-    config = replace(source.problem.config,
-                     calibration_type='eye_in_hand' if in_hand else 'eye_on_base')
-    poses = mount_poses(arm.forward(source.q @ joints.T), config)
-    agreed = robust_solution(replace(source.problem, poses=poses, config=config),
-                             np.random.default_rng(SEED))
+    poses = mount_poses(arm.forward(source.q @ joints.T), source.problem.config)
+    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
     residuals = linearise(agreed.full_problem, agreed.estimate).residuals
     return float(np.median(lengths(residuals, agreed.full_problem.observations.station)))
 

@@ -69,7 +69,7 @@ def _header(suffix: str, names: Sequence[str], count: int, comment: str) -> byte
 
 def read_cloud(path: Path) -> Array:
     """
-    Return the finite points (n, 3) of a PLY or PCD file, ASCII or binary little-endian.
+    Return the finite points (n, 3) of a PLY or PCD file (m), ASCII or binary little-endian.
 
     Raises InputError.
     """

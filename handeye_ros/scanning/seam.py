@@ -11,8 +11,9 @@ frames are rotations.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from handeye_ros import se3
@@ -20,9 +21,8 @@ from handeye_ros.data import Array, rms
 from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of, unit
-from handeye_ros.scanning.seam_sections import Curve, edges, spline, through
+from handeye_ros.scanning.seam_sections import Curve, Edges, edges, spline
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 FORMAT = 'handeye_ros/seam/1'
@@ -33,7 +33,6 @@ NEARBY_LENGTH = 0.01  # m along the seam: sections within it give the residual a
 WIDEST_SEAM = 0.012  # m between the edges of a seam
 MOST_CLOUD_POINTS = 400_000  # largest number of points of a cloud that are used
 FEWEST_POINTS = 500  # smallest number
-SAMPLES_EACH = 1e-3  # m between the pairs of the centre line
 # largest 1 sigma of position (m) and approach of an end frame
 LARGEST_FRAME_STD = 4e-5, np.deg2rad(0.4)
 LARGEST_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the points, or one spacing
@@ -42,43 +41,46 @@ LARGEST_SCATTER = 10.0  # largest scatter of the sections, in sigmas of the poin
 @dataclass(frozen=True, eq=False)
 class Seam:
     """
-    A seam: pairs of points of its edges, and its curve.
+    A seam: its edges by sections, and curves through them over the same lengths.
 
     kind: v, butt, lap or fillet
-    lines: (k, 3) first and second edge, root and centre
-    line: that of the curve
-    normals: (k, 3), out of the part, mean of those of the sheets
-    residuals: (k,) of the sections nearest to each pair (m)
-    noise: 1 sigma of the cloud
-    spacing: of its points
+    line: the name of the curve that the path follows
+    curves: through first and second edge, root and centre
+    curve: that of the path, a cubic if that is close to it
+    normals: through the directions out of the part, mean of those of the sheets
+    spacing: of the points of the cloud (m)
     others: number of seams of other kinds
-    std: (k, 2) 1 sigma of the line and of the approach (rad). Metres.
     """
 
     kind: str
     line: str
-    lines: dict[str, Array]
-    normals: Array
-    residuals: Array
+    sections: Edges
+    curves: Mapping[str, Curve]
     curve: Curve
-    noise: float
+    normals: Curve
     spacing: float
     others: int
-    std: Array
+
+    @cached_property
+    def distances(self) -> Array:
+        """Return the distances (k,) of the sections from the root (m)."""
+        sections = self.sections
+        return np.asarray(np.linalg.norm(
+            self.curves['root'].position(sections.lengths) - sections.lines['root'], axis=1))
 
     @property
-    def residual(self) -> float:
-        """Return the RMS distance of the sections from the line (m)."""
-        return rms(self.residuals)
+    def scatter(self) -> float:
+        """Return the RMS of these distances (m)."""
+        return rms(self.distances)
 
-    @property
-    def positions(self) -> Array:
-        """Return the arc lengths (k,) of the pairs."""
-        return np.linspace(0.0, self.curve.length, len(self.normals))
+    def std(self, t: Array) -> Array:
+        """Return 1 sigma (n, 2) of the path (m) and of its approach (rad) at t (n,)."""
+        position = np.hypot(self.curves[self.line].std(t), self.sections.resolution[self.line])
+        return np.column_stack([position, self.normals.std(t)])
 
-    def at(self, lengths: Array, values: Array) -> Array:
-        """Return values (k, m) of the pairs at arc lengths (n,)."""
-        return np.asarray(make_interp_spline(self.positions, values, k=1)(lengths))
+    def normal(self, t: Array) -> Array:
+        """Return the directions (n, 3) out of the part at t (n,), not beyond the sections."""
+        return self.normals.position(np.clip(t, *self.sections.lengths[[0, -1]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,27 +121,19 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     sections = edges(sheets, rough)
     if line == 'auto':
         line = 'root' if rough.kind in ('v', 'fillet') else 'centre'
-    lengths, ends = sections.lengths, sections.ends
-    curves = {name: spline(lengths, values) for name, values in sections.lines.items()}
-    grid = np.linspace(*ends, max(int((ends[1] - ends[0]) / SAMPLES_EACH), 8))
-    lines = {name: curve.position(grid) for name, curve in curves.items()}
-    direction = spline(lengths, sections.normals)
-    # the normals not beyond the sections, where they are uncertain
-    normals = direction.position(np.clip(grid, lengths[0], lengths[-1]))
-    std = np.column_stack([np.hypot(curves[line].std(grid), sections.resolution[line]),
-                           direction.std(grid)])
-    distance = np.linalg.norm(
-        curves['root'].position(np.clip(lengths, *ends)) - sections.lines['root'], axis=1)
-    seam = Seam(rough.kind, line, lines, normals, np.interp(grid, lengths, distance),
-                through(lines[line]), sections.noise, sheets.spacing, rough.others, std)
-    if seam.residual > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
-        raise DataError(f'the sections of the seam scatter by {mm(seam.residual)}, and the points '
+    first, last = sections.ends
+    curves = {name: replace(spline(sections.lengths, values), first=first, last=last)
+              for name, values in sections.lines.items()}
+    seam = Seam(rough.kind, line, sections, curves, curves[line].simplified(),
+                spline(sections.lengths, sections.normals), sheets.spacing, rough.others)
+    if seam.scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
+        raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '
                         '--box, or scan more densely')
-    if seam.noise > FLAT_RATIO * sheets.noise:
-        raise DataError(f'the sheets beside the seam are {mm(seam.noise)} thick, and the noise of '
-                        f'the points is {mm(sheets.noise)}: they bend, and the noise hides where; '
-                        'scan with less noise, or cut the seam out with --box')
+    if sections.noise > FLAT_RATIO * sheets.noise:
+        raise DataError(f'the sheets beside the seam are {mm(sections.noise)} thick, and the '
+                        f'noise of the points is {mm(sheets.noise)}: they bend, and the noise '
+                        'hides where; scan with less noise, or cut the seam out with --box')
     return seam
 
 
@@ -152,40 +146,39 @@ def tool_frames(seam: Seam, pitch: float, towards: Sequence[float] = (0.0, 0.0, 
     travel angle, a tilt against the advance, about a; work: work angle, a tilt to the side, about
     n (rad). Raises DataError where no frame is certain.
     """
-    certain = seam.positions[(seam.std <= LARGEST_FRAME_STD).all(axis=1)]
+    lengths, t = seam.curve.arc
+    std = seam.std(t)
+    certain = lengths[(std <= LARGEST_FRAME_STD).all(axis=1)]
     if not len(certain):
         raise DataError('the position of the seam has a standard deviation of '
-                        f'{mm(float(np.median(seam.std[:, 0])))}, too much for a path: scan more '
+                        f'{mm(float(np.median(std[:, 0])))}, too much for a path: scan more '
                         'densely, or with less noise')
     lengths = np.append(np.arange(certain[0], certain[-1] - 0.01 * pitch, pitch), certain[-1])
     t = np.interp(lengths, *seam.curve.arc)
     n = seam.curve.advance(t)
-    o = -seam.at(lengths, seam.normals)
+    o = -seam.normal(t)
     o[o @ np.asarray(towards) < 0] *= -1
     o = unit(o - (o * n).sum(axis=1, keepdims=True) * n)
     R = np.stack([n, o, np.cross(n, o)], axis=-1)
     tilt = Rotation.from_euler('xz', [work, travel]).as_matrix()
     return ToolFrames(lengths, se3.transform(R @ tilt, seam.curve.position(t)),
-                      _measures(seam, lengths))
+                      _measures(seam, t))
 
 
-def _measures(seam: Seam, lengths: Array) -> Array:
+def _measures(seam: Seam, t: Array) -> Array:
     """
-    Return gap, mismatch, residual and 1 sigma of the position (m, 4) at arc lengths (m,).
+    Return gap, mismatch, residual and 1 sigma of the position (m, 4) at t (m,).
 
     Gap and mismatch: distance between the edges along and across the sheets; residual: RMS
     distance of the sections nearby from the line.
     """
-    across, tangent = (seam.lines['second'] - seam.lines['first'],
-                       unit(np.gradient(seam.lines['root'], axis=0)))
-    mismatch, advance = ((across * way).sum(axis=1, keepdims=True)
-                         for way in (seam.normals, tangent))
-    along_sheets = across - mismatch * seam.normals - advance * tangent
-    gap = np.linalg.norm(along_sheets, axis=1)
-    known = seam.at(lengths, np.column_stack([gap, np.abs(mismatch), seam.std[:, 0]]))
-    nearby = np.abs(seam.positions - lengths[:, None]) <= NEARBY_LENGTH
-    residual = np.sqrt((nearby * seam.residuals ** 2).sum(axis=1) / nearby.sum(axis=1))
-    return np.insert(known, 2, residual, axis=1)
+    normal, tangent = seam.normal(t), seam.curves['root'].advance(t)
+    across = seam.curves['second'].position(t) - seam.curves['first'].position(t)
+    mismatch, advance = ((across * way).sum(axis=1, keepdims=True) for way in (normal, tangent))
+    gap = np.linalg.norm(across - mismatch * normal - advance * tangent, axis=1)
+    nearby = np.abs(seam.sections.lengths - t[:, None]) <= NEARBY_LENGTH
+    residual = np.sqrt(nearby @ seam.distances ** 2 / nearby.sum(axis=1))
+    return np.column_stack([gap, np.abs(mismatch), residual, seam.std(t)[:, 0]])
 
 
 def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
@@ -200,8 +193,8 @@ def write(folder: Path, seam: Seam, frames: ToolFrames, frame_id: str) -> None:
     write_atomically(folder / 'seam.csv', csv_text(FRAME_COLUMNS, texts))
     content = {
         'format': FORMAT, 'frame': frame_id, 'kind': seam.kind, 'line': seam.line,
-        'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.noise,
-        'residual': seam.residual, 'spacing': seam.spacing,
+        'curve': seam.curve.kind, 'length': seam.curve.length, 'noise': seam.sections.noise,
+        'residual': seam.scatter, 'spacing': seam.spacing,
         'frames': [{'length': row[0], 'position': row[1:4], 'quaternion': row[4:8],
                     **dict(zip(FRAME_COLUMNS[8:], row[8:], strict=True))}
                    for row in rows.tolist()]}
@@ -215,10 +208,10 @@ def sentences(seam: Seam, frames: ToolFrames) -> list[str]:
     lines = [f'{SEAM_NAMES[seam.kind]} of {seam.curve.length * 1e3:.1f} mm, path along its '
              f'{seam.line}: {seam.curve.kind}; {len(frames.lengths)} tool frames',
              f'gap {gap.min():.2f} to {gap.max():.2f} mm, mismatch {mismatch.min():.2f} to '
-             f'{mismatch.max():.2f} mm; its sections scatter by {seam.residual * 1e3:.3f} mm',
+             f'{mismatch.max():.2f} mm; its sections scatter by {seam.scatter * 1e3:.3f} mm',
              f'the points are {seam.spacing * 1e3:.2f} mm apart, their noise is '
-             f'{seam.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm (1 sigma) or '
-             'better']
+             f'{seam.sections.noise * 1e3:.3f} mm; the path is known to {std.max():.3f} mm '
+             '(1 sigma) or better']
     if max(begins, ends) > 1e-6:
         lines.append(f'no frames on the first {begins * 1e3:.1f} mm and the last '
                      f'{ends * 1e3:.1f} mm: the line is too uncertain there')

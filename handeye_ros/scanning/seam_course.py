@@ -103,36 +103,33 @@ def sheets_of(points: Array, up: Array) -> Sheets:
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
         linked[block] = neighbours[:, 1:3 * LINKED_NEIGHBOURS:3]
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
-    flat = thickness <= FLAT_RATIO * noise
-    label = _joined(points, normals, linked, flat, 1.5 * SAME_PLANE * noise)
-    _assign_unlabelled(points, label, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
-    # one displaced profile makes a band that is not flat, but does not divide a sheet
-    label = _joined(points, normals, linked, label >= 0, 1.5 * SAME_PLANE * noise)
+    in_plane = thickness <= FLAT_RATIO * noise
+    _put_into_planes(points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
+    label = _joined(points, normals, linked, in_plane, 1.5 * SAME_PLANE * noise)
     rims, outward = _rims(points, tree, label, normals, spacing)
     return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
 
 
-def _assign_unlabelled(points: Array, label: NDArray[np.intp], normals: Array, reach: float,
-                       tolerance: float) -> None:
-    """Write the label and normal of the nearest fitting sheet to points without a label."""
-    sheet, others = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
-    distance, nearest = cKDTree(points[sheet]).query(points[others], 8, distance_upper_bound=reach)
-    nearest = np.append(sheet, 0)[nearest]  # beyond the reach any point, at an infinite distance
+def _put_into_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, reach: float,
+                     tolerance: float) -> None:
+    """Write the normal of the nearest point in whose plane it lies to a point without a plane."""
+    flat, others = np.flatnonzero(in_plane), np.flatnonzero(~in_plane)
+    distance, nearest = cKDTree(points[flat]).query(points[others], 8, distance_upper_bound=reach)
+    nearest = np.append(flat, 0)[nearest]  # beyond the reach any point, at an infinite distance
     offset = points[others][:, None] - points[nearest]
     to_plane = np.abs((offset * normals[nearest]).sum(axis=2))
     row, place = np.nonzero(np.isfinite(distance) & (to_plane < tolerance))
     row, first = np.unique(row, return_index=True)
-    owner = nearest[row, place[first]]
-    label[others[row]], normals[others[row]] = label[owner], normals[owner]
+    in_plane[others[row]], normals[others[row]] = True, normals[nearest[row, place[first]]]
 
 
-def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDArray[np.bool_],
-            tolerance: float) -> NDArray[np.intp]:
-    """Return labels (n,) of connected flat points, -1 for others and for small sheets."""
+def _joined(points: Array, normals: Array, linked: NDArray[np.int32],
+            in_plane: NDArray[np.bool_], tolerance: float) -> NDArray[np.intp]:
+    """Return labels (n,) of connected points of a plane, -1 for others and for small sheets."""
     i = np.repeat(np.arange(len(points), dtype=np.int32), LINKED_NEIGHBOURS)
     j = linked.ravel()
-    both_flat = flat[i] & flat[j] & (i != j)
-    i, j = i[both_flat], j[both_flat]
+    both = in_plane[i] & in_plane[j] & (i != j)
+    i, j = i[both], j[both]
     offset = points[j] - points[i]
     one_sheet = np.abs((normals[i] * normals[j]).sum(axis=1)) > SAME_NORMAL
     one_sheet &= np.abs((offset * normals[i]).sum(axis=1)) < tolerance
@@ -140,8 +137,8 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32], flat: NDAr
     graph = coo_matrix((np.ones(int(one_sheet.sum()), dtype=bool), (i[one_sheet], j[one_sheet])),
                        shape=(len(points), len(points)))
     label = connected_components(graph, directed=False)[1].astype(np.intp)
-    size = np.bincount(label[flat], minlength=len(points) + 1)
-    return np.where(flat & (size[label] >= SMALLEST_SHEET), label, -1)
+    size = np.bincount(label[in_plane], minlength=len(points) + 1)
+    return np.where(in_plane & (size[label] >= SMALLEST_SHEET), label, -1)
 
 
 def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array, spacing: float
@@ -301,18 +298,15 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
 
 
 def _covered(sheets: Sheets, pairs: Pairs) -> bool:
-    """Return whether points in a gap are higher than its edges."""
-    ends, spacing = sheets.points[pairs], sheets.spacing
-    normal = np.linalg.svd(sheets.normals[pairs].reshape(-1, 3), full_matrices=False)[2][0]
-    normal *= np.sign((sheets.normals[pairs] @ normal).sum())
-    flat = np.eye(3) - np.outer(normal, normal)
+    """Return whether points in a gap are higher than its edges: a rib, no gap."""
+    ends, limit = sheets.points[pairs], NARROWEST_GAP * sheets.spacing
+    middle, normal = ends.mean(axis=1), unit(sheets.normals[pairs].sum(axis=(0, 1)))
     reach = 0.25 * float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)))
-    middle = ends.mean(axis=1)
-    distance, neighbours = cKDTree(sheets.points @ flat).query(
-        middle @ flat, 8, distance_upper_bound=max(reach, spacing))
-    valid = np.isfinite(distance)
-    offset = sheets.points[np.where(valid, neighbours, 0)] - middle[:, None]
-    return bool(((offset @ normal > NARROWEST_GAP * spacing) & valid).any(axis=1).mean() > 0.5)
+    flat = np.eye(3) - np.outer(normal, normal)
+    columns = cKDTree(sheets.points @ flat).query_ball_point(middle @ flat, reach)
+    higher = [((sheets.points[rows] - at) @ normal > limit).any()
+              for rows, at in zip(columns, middle, strict=True)]
+    return float(np.mean(higher)) > 0.5
 
 
 def _is_v(sheets: Sheets, pairs: Pairs) -> bool:

@@ -27,10 +27,11 @@ from scipy.signal import find_peaks
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
 PIECES_TRIED = 1, 2, 4  # between these knots
+STIFF = PIECES_TRIED[:1]
+CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
 SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
 LENGTH_POINTS = 2000  # points of a curve for its length
-CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 
 FEWEST_OF_SIDE = 12  # points of a side of a section
 INNER_WIDTH = 15.0  # spacings beside the seam within which the distance of columns is measured
@@ -53,24 +54,22 @@ MEETING_GAP = 4.0  # spacings: else they meet in a section if they are nearer
 @dataclass(frozen=True, eq=False)
 class Curve:
     """
-    A curve in space, over t from first to last, as a cubic B-spline.
+    A cubic B-spline in space (m), over t (m) from first to last; without inner knots a cubic.
 
-    freedom: number of its points less that of its coefficients
-    variance: of the points about it (m^2)
-    covariance: of its coefficients
+    covariance: (k, k) of its coefficients, summed over x, y, z (m^2)
+    score: of generalised cross validation, smaller for a better curve through the same points
     """
 
     bspline: BSpline
     first: float
     last: float
-    freedom: int
-    variance: float
     covariance: Array
+    score: float
 
     @property
     def kind(self) -> str:
         """Return cubic or spline."""
-        return 'cubic' if len(self.bspline.t) == 8 else 'spline'
+        return 'cubic' if len(self.bspline.c) == 4 else 'spline'
 
     def position(self, t: float | Array) -> Array:
         """Return the points (..., 3) at t."""
@@ -86,8 +85,17 @@ class Curve:
         tangent = self.advance(inside)
         return self.position(inside) + (t - inside) * tangent, tangent
 
+    def simplified(self) -> Curve:
+        """Return the cubic nearest to it, of unknown std, where that is close; else the curve."""
+        t = np.linspace(self.first, self.last, LENGTH_POINTS)
+        points = self.position(t)
+        cubic = make_lsq_spline(t, points, np.repeat([self.first, self.last], 4), k=3)
+        is_close = rms(np.linalg.norm(cubic(t) - points, axis=1)) < CUBIC_ENOUGH
+        unknown = np.full((4, 4), np.nan)
+        return replace(self, bspline=cubic, covariance=unknown) if is_close else self
+
     def std(self, t: Array) -> Array:
-        """Return 1 sigma of the points at t (k,), in 3 dimensions."""
+        """Return 1 sigma (k,) of the points at t (k,), in 3 dimensions (m)."""
         b = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
         return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, self.covariance, b)))
 
@@ -115,41 +123,28 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     inliers = np.ones(len(t), dtype=bool)
     for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
         good = t[inliers], points[inliers]
-        curves = [_spline_through(*good, _knots(*good, n)) for n in pieces[:flexible]]
-        # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
-        curve = min(curves, key=lambda curve: curve.variance / curve.freedom ** 2)
+        curve = min((_spline_through(*good, n) for n in pieces[:flexible]),
+                    key=lambda curve: curve.score)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square
-        scatter = (robust_std if len(pieces) > 1 else rms)(distance[inliers])
+        scatter = (robust_std if len(pieces) > len(STIFF) else rms)(distance[inliers])
         inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
     return curve
 
 
-def _spline_through(t: Array, points: Array, knots: Array) -> Curve:
+def _spline_through(t: Array, points: Array, pieces: int) -> Curve:
     """Return the least squares through points (n, 3) at increasing t (n,)."""
-    bspline = make_lsq_spline(t, points, knots, k=3)
-    B = BSpline.design_matrix(t, knots, 3).toarray()
-    freedom = max(len(B) - B.shape[1], 1)
-    variance = float(((bspline(t) - points) ** 2).sum()) / freedom
-    return Curve(bspline, float(t[0]), float(t[-1]), freedom, variance,
-                 variance * np.linalg.pinv(B.T @ B))
-
-
-def _knots(t: Array, points: Array, pieces: int) -> Array:
-    """Return knots of a cubic spline with points between all of them."""
     length = np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
     count = int(np.clip(pieces * length / KNOT_SPACING, 1, max(len(t) // 8, 1)))
     # longer pieces at the ends, where no points beyond determine the direction
     inner = np.quantile(t, (np.arange(1, count - 1) + 0.5) / count)
-    return np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4])
-
-
-def through(points: Array) -> Curve:
-    """Return the cubic through points (k, 3) if it is close to the spline, else the spline."""
-    t = np.arange(1.0, len(points) + 1.0)
-    simple, flexible = _spline_through(t, points, np.repeat([t[0], t[-1]], 4)), spline(t, points)
-    difference = simple.position(t) - flexible.position(t)
-    return simple if np.sqrt((difference ** 2).sum(axis=1).mean()) < CUBIC_ENOUGH else flexible
+    bspline = make_lsq_spline(t, points, np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4]), k=3)
+    B = BSpline.design_matrix(t, bspline.t, 3).toarray()
+    freedom = max(len(B) - B.shape[1], 1)
+    variance = float(((bspline(t) - points) ** 2).sum()) / freedom
+    # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
+    return Curve(bspline, float(t[0]), float(t[-1]), variance * np.linalg.pinv(B.T @ B),
+                 variance / freedom ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +172,8 @@ class _Side(NamedTuple):
     """
     A sheet in a section: its end (3,), outward direction (3,), mean normal (3,).
 
-    noise: 1 sigma about it
-    begins, stops: its extent along the seam
+    noise: 1 sigma about it (m)
+    extent: (2,) where its points begin and stop along the seam, from the section (m)
     resolution: 1 sigma of the end from the distance between columns that follow the seam (m). Of k
         sections: arrays (k, ...).
     """
@@ -187,8 +182,7 @@ class _Side(NamedTuple):
     outwards: Array
     normal: Array
     noise: Array
-    begins: Array
-    stops: Array
+    extent: Array
     resolution: Array
 
     def further(self) -> _Side:
@@ -200,7 +194,7 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     """Return the edges of the seam along a rough course; raises DataError."""
     is_corner = rough.kind in ('v', 'fillet')
     middle, (i, j) = sheets.points[rough.pairs].mean(axis=1), rough.pairs.T
-    curve = spline(rough.t, middle, PIECES_TRIED[:1])
+    curve = spline(rough.t, middle, STIFF)
     distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
     if widest > WIDEST_LINE * sheets.spacing:
@@ -215,7 +209,7 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
     found = _edges_along(sheets, rough, curve)
     if is_corner:  # out of it the rough course may bend at its ends
-        stiff = spline(found.lengths, found.lines['root'], PIECES_TRIED[:1])
+        stiff = spline(found.lengths, found.lines['root'], STIFF)
         found = _edges_along(sheets, rough, stiff)
     return found
 
@@ -240,14 +234,16 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     lengths, *sides = zip(*sections, strict=True) if sections else ((first, last),)
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
-    if not sections or missing[worst] > LARGEST_MISSING_EDGE:
+    if missing[worst] > LARGEST_MISSING_EDGE:
         place = position_text(curve.beyond(0.5 * (lengths[worst] + lengths[worst + 1]))[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
     a, b = (_Side(*map(np.array, zip(*side, strict=True))) for side in sides)
-    ends = (float(lengths[0] + max(a.begins[0], b.begins[0])),
-            float(lengths[-1] + min(a.stops[-1], b.stops[-1])))
-    filled = np.minimum(a.stops - a.begins, b.stops - b.begins) > 0.5 * step - sheets.spacing
+    ends = (lengths[0] + max(a.extent[0, 0], b.extent[0, 0]),
+            lengths[-1] + min(a.extent[-1, 1], b.extent[-1, 1]))
+    # the ends of the sheets in a section of few points are not known well
+    shorter = np.minimum(np.ptp(a.extent, axis=1), np.ptp(b.extent, axis=1))
+    filled = shorter > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
     met = {'fillet': np.inf, 'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
@@ -301,7 +297,7 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     return _Side(start + end * inwards + np.polyval(sheet, end) * upright,
                  -(inwards + slope * upright) / np.hypot(1, slope),
                  (upright - mean * inwards) / np.hypot(1, mean), np.array(noise),
-                 along[on_sheet].min(), along[on_sheet].max(), np.array(resolution))
+                 np.quantile(along[on_sheet], [0, 1]), np.array(resolution))
 
 
 def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array

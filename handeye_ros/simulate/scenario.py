@@ -8,9 +8,8 @@ ones, which their name tells and their settings do not state. Metres, radians, s
 """
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 import math
-import re
 from typing import Any
 
 
@@ -30,8 +29,7 @@ class SensorModel:
     noise: 1 sigma of one range
     resolution: step of the numbers, 0: none
     distortion: RMS of a smooth error over the field of view, drawn once
-    scale, shear: relative errors of the coordinates about the middle of the field, and of x by the
-        range
+    scale: relative error of the coordinates about the middle of the field
     line_bend: y of the light at both ends of the line (at middle range), of a light plane that is
         bent
     speckle: 1 sigma of an error that is constant during a stop, correlated over speckle_columns
@@ -55,7 +53,6 @@ class SensorModel:
     resolution: float = 0.0
     distortion: float = 0.0
     scale: float = 0.0
-    shear: float = 0.0
     line_bend: float = 0.0
     speckle: float = 0.0
     speckle_columns: float = 5.0
@@ -196,11 +193,6 @@ class Sweep:
     drift_time: float = 1.0
 
 
-# Parts of a scenario that a description leaves out: they do not change the profiles.
-NOT_DESCRIBED = ('name', 'scene', 'sensor.rate', 'sensor.delay', 'sensor.thinning',
-                 'robot.rate', 'robot.dwell', 'robot.move')
-
-
 @dataclass(frozen=True)
 class Scenario:
     """
@@ -242,26 +234,9 @@ class Scenario:
     sweep: Sweep | None = None
 
     @property
-    def description(self) -> str:
-        """Return the scene and the differences from a plain recording."""
-        own, plain = _flat(asdict(self)), _flat(asdict(Scenario(target=type(self.target)())))
-        values = [f'{key} {value}' for key, value in own.items()
-                  if key not in NOT_DESCRIBED and value != plain.get(key, key)]
-        return re.sub(r'\d+\.\d{5,}', lambda number: f'{float(number[0]):.4g}',
-                      ', '.join([self.scene, *values]))
-
-    @property
     def profiles_per_stop(self) -> int:
         """Return the number of profiles recorded during a stop."""
         return max(1, int(self.robot.dwell * self.sensor.rate))
-
-
-def _flat(values: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Return the values of nested dictionaries by their dotted names."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= (_flat(value, f'{key}.') if isinstance(value, dict) else {prefix + key: value})
-    return flat
 
 
 def changed(base: Scenario, name: str, **changes: Any) -> Scenario:
@@ -314,7 +289,6 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'plate_in_air', target={'table': None}),
     changed(PLATE, 'plate_on_table', target={'table': 0.010}),
     changed(PLATE, 'plate_clutter', target={'clutter': -0.004}),
-    changed(PLATE, 'plate_clutter_high', target={'clutter': 0.002}),
     # sensors and drivers
     changed(PLATE, 'plate_resampled', sensor={'sampling': 'x', 'resolution': 1e-6}),
     changed(PLATE, 'plate_reflections', sensor={'reflections': 0.3, 'outliers': 0.02}),
@@ -326,9 +300,7 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'plate_real_robot', robot=REAL_ROBOT),
     changed(SPHERE, 'sphere_real_robot', robot=REAL_ROBOT),
     changed(PLATE, 'eye_on_base', calibration_type='eye_on_base'),
-    changed(SPHERE, 'sphere_on_flange', calibration_type='eye_on_base'),
-    # arms whose joint values are recorded
-    changed(PLATE, 'arm_plate', robot=WRONG_ARM, stations=(20, 20), tilt=math.radians(40)),
+    # an arm whose joint values are recorded
     changed(SPHERE, 'arm_sphere', robot=WRONG_ARM, stations=(40, 0)),
     # recordings without an answer, or with warnings
     *(changed(PLATE, motion, motion=motion)
@@ -377,8 +349,6 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
     *BASELINES,
     # targets
     *(changed(BASELINE, f'rounded {r} mm', target={'rounding': r * MM}) for r in (0.3, 0.5, 1.0)),
-    changed(BASELINE, 'rounded 0.5 mm, 50 stations', target={'rounding': 0.5 * MM},
-            stations=(25, 25)),
     *(changed(BASELINE, f'bevelled {legs} mm', target={'bevel': legs * MM})
       for legs in (0.2, 0.3, 0.5)),
     changed(BASELINE, 'thin, 2 mm', target={'thickness': 2 * MM}),
@@ -399,10 +369,8 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
     *(changed(base, f'{base.scene}, distorted 0.02 mm', sensor={'distortion': 0.02 * MM})
       for base in BASELINES[1:]),
     changed(BASELINE, 'scale 1e-3', sensor={'scale': 1e-3}),
-    changed(BASELINE, 'shear 1e-3', sensor={'shear': 1e-3}),
     *(changed(base, f'{base.scene}, line bent by 0.15 mm', sensor={'line_bend': 0.15 * MM})
       for base in BASELINES),
-    changed(BASELINE, 'diverging fan, resampled in x', sensor={'sampling': 'fan_x'}),
     *(changed(base, f'{base.scene}, frozen speckle 20 um', stated=SPECKLE_STATED,
               sensor={'noise': 4 * UM, 'speckle': 20 * UM}) for base in BASELINES[:2]),
     *(changed(base, f'{base.scene}, wide off-centre', sensor=OFF_CENTRE, lever=(0.5, 2.0),
@@ -414,7 +382,6 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
       for base in BASELINES),
     *(changed(BASELINE, f'smooth {error} mm', robot=smooth(error * MM))
       for error in (0.1, 0.2, 0.3, 1.0)),
-    changed(BASELINE, 'smooth 0.2 mm, 5 + 5', robot=smooth(0.2 * MM), stations=(5, 5)),
     *(changed(base, f'{base.scene}, smooth 0.2 mm', robot=smooth(0.2 * MM))
       for base in BASELINES[1:]),
     changed(BASELINE, 'repeatability 1.3 times stated', stated=STATED_TOO_SMALL),
@@ -429,7 +396,6 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
     changed(BASELINE, 'size 0.3 mm off', wrong_edges=6, stated=(
         ('target.size', [PlateTarget().size[0] + 0.3 * MM, PlateTarget().size[1]]),)),
     # few stations
-    changed(FLAT, 'plane, 5 stations', stations=(5, 0)),
     changed(BASELINE, '3 + 3, one bad', stations=(3, 3), bumped=1),
     changed(BASELINE, '4 + 3, two bad', stations=(4, 3), bumped=2),
     changed(BASELINE, '4 + 4, one bad', stations=(4, 4), bumped=1),

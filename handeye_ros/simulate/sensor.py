@@ -203,12 +203,9 @@ class Distortion:
         return np.asarray(legval2d(np.broadcast_to(x, z.shape), depth, weights))
 
     def points(self, points: Array) -> Array:
-        """Return (..., 2) of the standard sensor plane stretched and sheared."""
+        """Return points (..., 2) of the standard sensor plane stretched."""
         middle = np.array([0.0, sum(self.sensor.range) / 2])
-        offset = points - middle
-        stretched = offset * (1 + self.sensor.scale)
-        stretched[..., 0] += self.sensor.shear * offset[..., 1]
-        return np.asarray(stretched + middle)
+        return np.asarray(middle + (1 + self.sensor.scale) * (points - middle))
 
     @property
     def T_true_reported(self) -> Array:
@@ -227,13 +224,10 @@ class Distortion:
 
 def draw_distortion(sensor: SensorModel, rng: np.random.Generator) -> Distortion | None:
     """Return the distortion of a sensor, None without one."""
-    if not (sensor.distortion or sensor.scale or sensor.shear):
+    if not (sensor.distortion or sensor.scale):
         return None
-    weights = np.zeros(16)
-    if sensor.distortion:
-        weights = rng.normal(size=16)
-        weights *= sensor.distortion / np.linalg.norm(weights)
-    return Distortion(sensor, weights)
+    weights = rng.normal(size=16)
+    return Distortion(sensor, sensor.distortion * weights / np.linalg.norm(weights))
 
 
 @dataclass(frozen=True, eq=False)

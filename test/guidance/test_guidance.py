@@ -20,7 +20,11 @@ from handeye_ros.guidance.advice import (
     enough_and_why,
     ROUGHLY_KNOWN,
 )
-from handeye_ros.guidance.candidates import anchor_of, REFUSED_DISTANCE, with_one_more
+from handeye_ros.guidance.candidates import (
+    anchor_of,
+    covariances_with_one_more,
+    REFUSED_DISTANCE,
+)
 from handeye_ros.guidance.view import learn_view, next_move
 from handeye_ros.pipeline import Answer
 from handeye_ros.simulate import SCENARIOS
@@ -77,7 +81,7 @@ def test_what_a_sample_brings_is_what_the_solver_then_says(made: tuple[Cell, Sol
     fewer = replace(solution.problem,
                     observations=observations.select(observations.station != last))
     before = Solution.of_linear(linearise(fewer, solution.linear.estimate), solution.noise)
-    after = with_one_more(before, solution.problem.subset(np.array([last])))[0]
+    after = covariances_with_one_more(before, solution.problem.subset(np.array([last])))[0]
     np.testing.assert_allclose(after, solution.covariance[:6, :6], rtol=1e-5, atol=1e-15)
 
 
@@ -193,9 +197,9 @@ def test_the_view_holds_what_was_seen() -> None:
     points = np.concatenate([found.problem.observations.points])
     assert (view.room(points) > -1e-12).all()
     assert (inner.offsets < view.offsets).all() and (inner.size < view.size).all()
-    assert view.room(view.high + view.size) < 0
+    assert view.room(view.box[1] + view.size) < 0
     wider = learn_view(found.samples, np.array([[np.nan, 0.1], [1.0, 0.2]]))
-    assert wider.high[0] == 1.0
+    assert wider.box[1, 0] == 1.0
 
 
 def test_what_limits_is_named_with_its_key_and_more_samples_are_not_asked_for() -> None:

@@ -13,7 +13,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.results.calibration_file import write_calibration
 from handeye_ros.scanning.cloud import write_cloud
 from handeye_ros.scanning.seam import find_seam, sentences, tool_frames
-from handeye_ros.scanning.seam_sections import spline, through
+from handeye_ros.scanning.seam_sections import spline
 from handeye_ros.simulate.measuring import Preform, preform_cloud, PreformCloud
 import numpy as np
 import pytest
@@ -210,14 +210,15 @@ def test_centre_line_and_approach_of_a_preform_are_the_true_ones(kind):
     seam = find_seam(truth.points)
     frames = tool_frames(seam, 5e-3, -truth.normals.mean(axis=0))
     away = off_line(truth, frames.T_base_tool[:, :3, 3])
-    assert seam.kind == kind and seam.noise == pytest.approx(1e-4, rel=0.1)
+    assert seam.kind == kind and seam.sections.noise == pytest.approx(1e-4, rel=0.1)
     assert away.max() < 1e-4 and off_approach(truth, frames.T_base_tool) < 1.0
     std = frames.measures[:, 3]
     assert std.max() < 5e-5 and np.sqrt((away ** 2).mean()) < 2 * std.mean()
     assert 0 < frames.lengths[0] < 0.02  # the ends are not certain enough
     assert 'no frames on the first' in ' '.join(sentences(seam, frames))
     with pytest.raises(DataError, match='scan more densely'):
-        tool_frames(replace(seam, std=3 * seam.std), 5e-3)
+        tool_frames(replace(seam, sections=replace(
+            seam.sections, resolution={seam.line: 5e-5})), 5e-3)
 
 
 @pytest.mark.parametrize('name', [
@@ -231,7 +232,7 @@ def test_joints_as_a_sensor_sees_them(name):
     assert off_line(truth, frames.T_base_tool[:, :3, 3]).max() < 1e-4
     assert off_approach(truth, frames.T_base_tool) < 1.0
     assert seam.curve.length == pytest.approx(0.04, abs=1e-3)
-    assert seam.residual < 10 * seam.noise
+    assert frames.measures[:, 2].max() < 10 * seam.sections.noise
     if name == 'vee 6, root 2':
         assert seam.line == 'root'
         assert frames.measures[:, 0] == pytest.approx(2e-3, abs=1.5e-4)
@@ -244,7 +245,10 @@ def test_the_path_follows_what_is_asked_for_from_where_it_is_asked():
     turned = find_seam(points, line='first', start=last)  # from the other end, now the first
     assert (second.line, turned.line) == ('second', 'first')
     assert np.linalg.norm(turned.curve.position(turned.curve.first) - last) < 2e-4
-    np.testing.assert_allclose(turned.std[::-1], second.std, rtol=0.01)
+    found = []
+    for seam, t in ((second, second.curve.arc[1]), (turned, turned.curve.arc[1][::-1])):
+        found.append(seam.std(t))
+    np.testing.assert_allclose(*found, rtol=0.01)
 
 
 def test_frames_are_rotations_at_the_pitch_and_lean_as_asked():
@@ -294,6 +298,17 @@ def test_a_v_whose_plates_noise_joins_to_its_bevels_is_no_fillet():
     assert off_line(truth, tool_frames(seam, 5e-3).T_base_tool[:, :3, 3]).max() < 1e-4
 
 
+def test_the_root_of_a_v_is_known_up_to_the_ends_of_the_part():
+    """Where the points on the end of a bevel face those of the other bevel too."""
+    rng = np.random.default_rng(1)
+    x = np.repeat(np.arange(0, 0.06, 4e-4), 200)
+    u = (np.tile(np.arange(200), 150) + rng.random(len(x))) * 2e-4 - 0.02
+    z = np.minimum(0, (np.abs(u) - 4e-3) * 5 / 4) + 3e-5 * rng.normal(size=len(x))
+    seam = find_seam(np.column_stack([x, u, z]))
+    y, height = tool_frames(seam, 5e-3).T_base_tool[:, 1:3, 3].T
+    assert seam.kind == 'v' and np.hypot(y, height + 5e-3).max() < 1e-4
+
+
 def test_the_path_is_as_near_to_a_wavy_seam_as_it_says():
     rng = np.random.default_rng(0)
     x, u = rng.uniform(0, 0.15, 60000), rng.uniform(-0.02, 0.02, 60000)
@@ -330,13 +345,14 @@ def test_a_straight_seam_is_a_cubic_and_a_wound_one_a_spline():
     noise = np.random.default_rng(0).normal(size=(200, 3)) * 1e-5
     bent = np.column_stack([0.2 * t, 0.01 * t ** 2, 0.02 * t ** 3]) + noise
     wound = np.column_stack([0.2 * t, 0.01 * np.sin(9 * t), 0 * t]) + noise
-    assert through(bent).kind == 'cubic'
-    curve = through(wound)
+    index = np.arange(1.0, 201.0)
+    assert spline(index, bent).simplified().kind == 'cubic'
+    curve = spline(index, wound).simplified()
     assert curve.kind == 'spline'
     line = curve.position(np.linspace(curve.first, curve.last, 2000))
     assert cKDTree(wound - noise).query(line)[0].max() < 6.5e-4  # half a step of the points
-    points, index = np.column_stack([0.1 * t, 0.02 * t ** 2, 0 * t]), np.arange(1.0, 201.0)
-    for curve in (through(points), spline(index, points)):
+    points = np.column_stack([0.1 * t, 0.02 * t ** 2, 0 * t])
+    for curve in (spline(index, points), spline(index, points).simplified()):
         assert curve.length == pytest.approx(0.1025, rel=5e-3)
         for at in (1.0, 100.0, 200.0):
             np.testing.assert_allclose(curve.position(at), points[int(at) - 1], atol=1e-6)
