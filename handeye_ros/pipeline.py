@@ -102,7 +102,7 @@ def calibrate(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config
 
     Raises DataError when the recording cannot carry an answer.
     """
-    return answer_session(gather(profiles, poses, config), config).require_calibration()
+    return calibrate_session(gather(profiles, poses, config), config)
 
 
 @single_threaded
@@ -123,6 +123,11 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     session.evaluate_remaining()
     session.require_stops()
     return session
+
+
+def calibrate_session(session: Session, config: Config) -> Calibration:
+    """Return the calibration from what gather returns; raises DataError as calibrate does."""
+    return answer_session(session, config).require_calibration()
 
 
 def answer_session(session: Session, config: Config) -> Answer:

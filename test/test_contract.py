@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
+import pkgutil
 import re
 import runpy
 import xml.etree.ElementTree as ElementTree
@@ -48,6 +49,11 @@ def test_the_executables() -> None:
     setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
     listed = {name.rsplit(' ', 1)[1] for name in names(section('Executables'))}
     assert listed == set(re.findall(r"'(\w+) = handeye_ros\.", setup))
+
+
+@pytest.mark.parametrize('name', [n for n in names(section('Python')) if '.' in n])
+def test_what_programs_import(name: str) -> None:
+    assert callable(pkgutil.resolve_name(name))
 
 
 def test_the_ros_packages_that_are_imported() -> None:

@@ -1,37 +1,24 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The two edges of a seam, by sections across its rough course; curves through what these give.
+The two edges of a seam, by sections across its rough course.
 
 On each side a polynomial is fitted to the section of the sheet; the edge is where its points end.
 The foot of a lap lies on the lower sheet under the rim, even where the wall hides it. The root of
 a fillet is the intersection of the sheets; that of a V is midway between its lower edges.
-
-The cubic is that of Wu 2017 (eqs. 7 and 8), a spline without inner knots. Where it does not fit, a
-spline with a knot every few centimetres is used, or with more of them where cross validation finds
-that the points bend more.
 """
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
-from handeye_ros.data import Array, rms, robust_std
+from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
+from handeye_ros.scanning.curves import Curve, spline, STIFF
 from handeye_ros.scanning.seam_course import Course, position_text, Sheets, unit
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.signal import find_peaks
-
-KNOT_SPACING = 0.03  # m between the knots of a spline
-PIECES_TRIED = 1, 2, 4  # between these knots
-STIFF = PIECES_TRIED[:1]
-CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
-OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
-SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
-LENGTH_POINTS = 2000  # points of a curve for its length
 
 FEWEST_OF_SIDE = 12  # points of a side of a section
 INNER_WIDTH = 15.0  # spacings beside the seam within which the distance of columns is measured
@@ -49,102 +36,6 @@ ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edg
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
 MEETING_GAP = 4.0  # spacings: else they meet in a section if they are nearer
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """
-    A cubic B-spline in space (m), over t (m) from first to last; without inner knots a cubic.
-
-    covariance: (k, k) of its coefficients, summed over x, y, z (m^2)
-    score: of generalised cross validation, smaller for a better curve through the same points
-    """
-
-    bspline: BSpline
-    first: float
-    last: float
-    covariance: Array
-    score: float
-
-    @property
-    def kind(self) -> str:
-        """Return cubic or spline."""
-        return 'cubic' if len(self.bspline.c) == 4 else 'spline'
-
-    def position(self, t: float | Array) -> Array:
-        """Return the points (..., 3) at t."""
-        return np.asarray(self.bspline(t))
-
-    def advance(self, t: float | Array) -> Array:
-        """Return the unit tangents (..., 3) at t."""
-        return unit(self.bspline(t, 1))
-
-    def beyond(self, t: float) -> tuple[Array, Array]:
-        """Return position and tangent (3,) at t, extrapolated a little beyond the ends."""
-        inside = float(np.clip(t, self.first, self.last))
-        tangent = self.advance(inside)
-        return self.position(inside) + (t - inside) * tangent, tangent
-
-    def simplified(self) -> Curve:
-        """Return the cubic nearest to it, of unknown std, where that is close; else the curve."""
-        t = np.linspace(self.first, self.last, LENGTH_POINTS)
-        points = self.position(t)
-        cubic = make_lsq_spline(t, points, np.repeat([self.first, self.last], 4), k=3)
-        is_close = rms(np.linalg.norm(cubic(t) - points, axis=1)) < CUBIC_ENOUGH
-        unknown = np.full((4, 4), np.nan)
-        return replace(self, bspline=cubic, covariance=unknown) if is_close else self
-
-    def std(self, t: Array) -> Array:
-        """Return 1 sigma (k,) of the points at t (k,), in 3 dimensions (m)."""
-        b = BSpline.design_matrix(t, self.bspline.t, 3, extrapolate=True).toarray()
-        return np.asarray(np.sqrt(np.einsum('ki,ij,kj->k', b, self.covariance, b)))
-
-    @property
-    def length(self) -> float:
-        """Return the length of the curve (m)."""
-        return float(self.arc[0][-1])
-
-    @cached_property
-    def arc(self) -> tuple[Array, Array]:
-        """Return arc lengths from the first point (m), and t there."""
-        t = np.linspace(self.first, self.last, LENGTH_POINTS)
-        points = self.position(t)
-        steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
-        return np.cumsum(steps), t
-
-
-def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> Curve:
-    """
-    Return the smoothing spline through points (n, 3) at increasing t (n,).
-
-    Least squares, with the number of pieces that generalised cross validation finds, each
-    coefficient counted 1.5 times (Kim and Gu 2004: 1.4, else too many); outliers are left out.
-    """
-    inliers = np.ones(len(t), dtype=bool)
-    for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
-        good = t[inliers], points[inliers]
-        curve = min((_spline_through(*good, n) for n in pieces[:flexible]),
-                    key=lambda curve: curve.score)
-        distance = np.linalg.norm(curve.position(t) - points, axis=1)
-        # a flexible one would follow some wrong points in a row, which widen the mean square
-        scatter = (robust_std if len(pieces) > len(STIFF) else rms)(distance[inliers])
-        inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
-    return curve
-
-
-def _spline_through(t: Array, points: Array, pieces: int) -> Curve:
-    """Return the least squares through points (n, 3) at increasing t (n,)."""
-    length = np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
-    count = int(np.clip(pieces * length / KNOT_SPACING, 1, max(len(t) // 8, 1)))
-    # longer pieces at the ends, where no points beyond determine the direction
-    inner = np.quantile(t, (np.arange(1, count - 1) + 0.5) / count)
-    bspline = make_lsq_spline(t, points, np.concatenate([[t[0]] * 4, inner, [t[-1]] * 4]), k=3)
-    B = BSpline.design_matrix(t, bspline.t, 3).toarray()
-    freedom = max(len(B) - B.shape[1], 1)
-    variance = float(((bspline(t) - points) ** 2).sum()) / freedom
-    # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
-    return Curve(bspline, float(t[0]), float(t[-1]), variance * np.linalg.pinv(B.T @ B),
-                 variance / freedom ** 2)
 
 
 @dataclass(frozen=True, eq=False)
