@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 import json
 from operator import attrgetter
 import os
@@ -19,7 +19,7 @@ import tempfile
 from typing import Any, BinaryIO
 
 from handeye_ros import se3
-from handeye_ros.bags.messages import DATATYPES, UNITS
+from handeye_ros.bags.messages import DATATYPES, typestore, UNITS
 from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYPE, Raw, STRING_TYPE
 from handeye_ros.config import Config
 from handeye_ros.data import Array, NS, Profile, TimedPose
@@ -164,13 +164,6 @@ def sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-@cache
-def typestore() -> Any:
-    """Return the message types of ROS 2 Jazzy; the import is slow."""
-    from rosbags.typesys import get_typestore, Stores
-    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def to_cdr(message: Any) -> bytes:

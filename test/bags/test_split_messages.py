@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from recordings import cloud_message, poses, rewrite
 from recordings import TYPES as STORE
-from ros_clouds import cloud, points, read
+from ros_clouds import cloud, points
 
 LAYOUT = {'x': (0, 7), 'y': (4, 7), 'z': (8, 7)}
 START = 1_700_000_000_000_000_000
@@ -69,8 +69,8 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
 
 def test_rows_that_part_the_line_are_points() -> None:
     made = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
-    assert row_count(read(made), ProfileConfig()) == 1
-    assert row_count(read(made), ProfileConfig(rows='profiles')) == 4
+    assert row_count(made, ProfileConfig()) == 1
+    assert row_count(made, ProfileConfig(rows='profiles')) == 4
     assert points(made, ProfileConfig()).shape == (60, 2)
     one, = profiles([batch(START, 1, gocator=True)], ProfileConfig())
     assert one.read().points.shape == (60, 2)
