@@ -3,8 +3,10 @@
 """Recordings in every form: written whole or not at all; what is whole is read, the rest told."""
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+import shutil
 import sqlite3
 
 from handeye_ros.bags import bag, bag_write
@@ -54,15 +56,22 @@ def refused(words, path, config=CONFIG, kind=InputError):
 # -- forms
 
 
-# sqlite3 has no compression of its own
+# sqlite3 has no compression of its own; whole compressed files are refused
 @pytest.mark.parametrize(('write', 'form'), [
     *((rewrite, options) for options in LAYOUTS_OF_MCAP.values()),
     *((rosbags_copy, {'plugin': plugin, 'mode': mode}) for plugin in StoragePlugin
-      for mode in CompressionMode if (plugin, mode) != (SQLITE3, CompressionMode.STORAGE))])
+      for mode in CompressionMode if mode is not CompressionMode.FILE
+      and (plugin, mode) != (SQLITE3, CompressionMode.STORAGE))])
 def test_every_layout_storage_and_compression(good_bag, tmp_path, write, form):
     recording = bag.read(write(good_bag, tmp_path / 'copy.mcap', **form), CONFIG)
     assert_equal_recordings(recording)
     assert not recording.warnings
+
+
+def test_whole_compressed_files_are_refused(good_bag, tmp_path):
+    folder = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, CompressionMode.FILE)
+    for path in (folder, folder / 'copy.db3.zstd'):
+        refused('zstd -d', path)
 
 
 def test_a_split_bag_and_one_with_a_file_missing(good_bag, tmp_path):
@@ -116,9 +125,7 @@ def test_a_cut_mcap_gives_what_lies_before_the_cut(good_bag, tmp_path, layout, s
     assert f'cut off or damaged: read {n + m} messages' in recording.warnings[0]
 
 
-@pytest.mark.parametrize('index', [0, 15])
-def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index):
-    # the first defines the channels too
+def test_a_damaged_chunk_is_left_out(good_bag, tmp_path, index=15):
     file = rewrite(good_bag, tmp_path / 'damaged.mcap')
     data = bytearray(file.read_bytes())
     raw = next(r for r in scan(good_bag)[1]
@@ -179,15 +186,24 @@ def test_a_folder_is_read_without_its_metadata(good_bag):
     assert not recording.warnings
 
 
-def test_a_db3_that_is_cut_or_without_its_table_or_of_a_killed_recorder(good_bag, tmp_path):
+def test_a_db3_of_a_killed_recorder_is_read_with_its_write_ahead_log(good_bag, tmp_path):
+    file = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE) / 'copy.db3'
+    with closing(sqlite3.connect(file)) as database:
+        database.execute('PRAGMA journal_mode=WAL')
+        database.execute('PRAGMA wal_autocheckpoint=0')
+        database.execute('INSERT INTO messages SELECT NULL, topic_id, timestamp + 20000000000,'
+                         'data FROM messages')
+        database.commit()
+        killed = tmp_path / 'killed'
+        shutil.copytree(file.parent, killed)
+    files = {path: path.read_bytes() for path in killed.iterdir() if path.suffix != '.db3-shm'}
+    assert len(bag.read(killed / 'copy.db3', CONFIG).poses) == 2 * len(POSES)
+    assert all(path.read_bytes() == content for path, content in files.items())
+
+
+def test_a_db3_that_is_cut_or_without_its_table(good_bag, tmp_path):
     file = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE) / 'copy.db3'
     whole = file.read_bytes()
-    log = file.with_name('copy.db3-wal')
-    log.write_bytes(b'the rest')
-    recording = bag.read(file, CONFIG)
-    assert 'copy.db3-wal holds messages that are not read' in recording.warnings[0]
-    assert (file.read_bytes(), log.read_bytes()) == (whole, b'the rest')
-    log.unlink()
     file.write_bytes(whole[:len(whole) * 2 // 3])
     refused('copy.db3 is cut off or damaged', file)
     file.write_bytes(whole)
@@ -198,7 +214,7 @@ def test_a_db3_that_is_cut_or_without_its_table_or_of_a_killed_recorder(good_bag
 
 @pytest.mark.parametrize(('content', 'reason'), [
     (b'', 'the file is empty'), (b'x: 1\n', 'is not a bag'), (b'#ROSBAG V2.0\n', 'a ROS 1 bag'),
-    (b'\x89MCAP0\r\n', 'holds no messages'), (b'\x28\xb5\x2f\xfd12345678', 'is not a bag'),
+    (b'\x89MCAP0\r\n', 'holds no messages'), (b'\x28\xb5\x2f\xfd12345678', 'is compressed'),
     (b'SQLite format 3\0', 'holds no messages'), (None, 'no such file or folder')])
 def test_not_a_bag(tmp_path, content, reason):
     if content is not None:
