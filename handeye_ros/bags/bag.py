@@ -48,7 +48,6 @@ from handeye_ros.errors import (
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import (
     by_stamp,
-    FEW_SHARE,
     FEW_STRAYS,
     fitting,
     LAST_STAMP,
@@ -57,6 +56,7 @@ from handeye_ros.sampling.stream import (
 import numpy as np
 
 MOST_MALFORMED = 0.5  # largest share of messages of a topic that cannot be used
+MOST_LISTED = 12  # topics in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +86,13 @@ class Recording:
         Yield the profiles: only returns, in message order, with intensity.
 
         What cannot be used is left out, and is in the warnings after the last one. Raises
-        UnusableMessageError for profiles of an unknown time, InputError if most are left out.
+        InputError if most are left out, as are all profiles of an unknown time.
         """
         reasons = []
         for raw in self.profiles:
             try:
                 yield returns_of(raw)
             except UnusableMessageError as error:
-                if raw.reach != (0, 0):
-                    raise
                 reasons.append(str(error))
         self.warnings.extend(_unusable(reasons, len(self.profiles), 'profiles of the recording'))
 
@@ -158,7 +156,7 @@ class _Joints:
 
 
 class _Recorded:
-    """Receives the messages of a topic in recording order; tells which are usable, in order."""
+    """What can be used of the messages of a topic, in recording order."""
 
     def __init__(self, key: str, name: str, kind: str, convert: Callable[[Raw], Any]) -> None:
         """
@@ -178,10 +176,9 @@ class _Recorded:
         """Add the next message; malformed ones are counted."""
         try:
             self.items.append(self._convert(raw))
+            self._log_times.append(min(raw.log_time, LAST_STAMP))
         except UnusableMessageError as error:
             self._malformed.append(str(error))
-        else:
-            self._log_times.append(min(raw.log_time, LAST_STAMP))
 
     def require(self, reader: Reader) -> None:
         """Raise InputError for a missing topic, and if most of its messages are invalid."""
@@ -195,21 +192,15 @@ class _Recorded:
 
     def _missing(self, reader: Reader) -> InputError:
         """Return the refusal of a bag without a topic of this name and type."""
-        name, kind, types = self.name, self._kind, reader.types
-        ordered = sorted(types.items(), key=lambda item: (item[1] != kind, item[0]))
-        names = [f'{other} ({type_of_it})' for other, type_of_it in ordered[:12]]
-        names += [f'{len(ordered) - 12} more'] if len(ordered) > 12 else []
-        if self._key == 'pose_source':  # there is only one place for transforms
-            advice = '; record /tf, or set pose_source to topic'
-        elif kind in types.values():
-            advice = f': set {self._key}, as in --set {self._key}={ordered[0][0]}'
-        elif self._key == 'pose_topic' and types.get('/tf') == TF_TYPE:
-            advice = ': take the poses from /tf, as in --set pose_source=tf'
-        else:
-            advice = f'; none of them is a {kind}: publish and record one'
-        start = (f'{name} carries {types[name]}, but only {kind} can be read there'
-                 if name in types else f'{reader.path} has no topic {name}')
-        return InputError(f'{start}. It holds {", ".join(names)}{advice}')
+        key, types = self._key, reader.types
+        held = [f'{name} ({kind})' for name, kind in sorted(types.items())]
+        alike = sorted(name for name, kind in types.items() if kind == self._kind)
+        advice = (f'set {key}, as in --set {key}={alike[0]}' if alike else
+                  'take the poses from /tf, as in --set pose_source=tf'
+                  if key == 'pose_topic' and types.get('/tf') == TF_TYPE else
+                  f'publish and record one, or set {key}')
+        return InputError(f'{reader.path} has no topic {self.name} with {self._kind}, but '
+                          f'{", ".join(held[:MOST_LISTED])}: {advice}')
 
     def ordered(self, reader: Reader) -> list[Any]:
         """
@@ -270,14 +261,13 @@ def _pose_source(config: Config, arm: Arm | None
 
 def _of_topic(topic: _Recorded, reader: Reader) -> Poses:
     poses = topic.ordered(reader)
-    (frame, most), *others = Counter(pose.parent_frame for pose in poses).most_common()
-    strays = len(poses) - most
+    frames = Counter(pose.parent_frame for pose in poses).most_common()
+    frame, most = frames[0]
+    if (strays := len(poses) - most) > FEW_STRAYS:
+        raise two_frames('pose', frame, frames[1][0])
     if strays:
-        if strays > max(FEW_STRAYS, FEW_SHARE * len(poses)) or 2 * strays >= len(poses):
-            raise two_frames('pose', frame, others[0][0])
-        names = ', '.join(f'"{other}"' for other, _ in others[:3])
         reader.warnings.append(f'{strays} of {len(poses)} messages on {topic.name} were left out: '
-                               f'their frame is {names}, not "{frame}"')
+                               f'their frame is "{frames[1][0]}", not "{frame}"')
     return [pose for pose in poses if pose.parent_frame == frame], None
 
 
@@ -317,9 +307,9 @@ def _joints(arm: Arm, data: bytes) -> _Joints:
     """Return the joint values in a serialised JointState; raises UnusableMessageError."""
     stamp, positions = joints_from_cdr(data)
     try:
-        values = arm.positions(positions, 'the message')
+        values = arm.positions(positions, 'JointState message not used')
     except InputError as cause:
-        raise UnusableMessageError(f'JointState message not used: {cause}') from cause
+        raise UnusableMessageError(str(cause)) from cause
     if not np.isfinite(values).all():
         raise UnusableMessageError('JointState message not used: it holds positions that are not '
                                    'finite')

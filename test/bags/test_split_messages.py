@@ -12,7 +12,7 @@ from handeye_ros.bags.messages import ProfileReader, row_count, split
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, Raw
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
-from handeye_ros.errors import UnusableMessageError
+from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
@@ -117,5 +117,5 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
     assert [p.stamp for p in recording.returns()] == [p.stamp for p in recording.profiles]
-    with pytest.raises(UnusableMessageError, match='several profiles, .*: set profile.period'):
+    with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
         list(bag.read(file, Config()).returns())
