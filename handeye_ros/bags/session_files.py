@@ -124,7 +124,7 @@ class Stored:
                  for pose in stop.load(config).poses)
         profiles = (profile.frame_id for stop in self.stops.values()
                     for profile in stop.load(config).profiles)
-        session = Session(config, (), self.last_number, (next(poses, None), next(profiles, None)))
+        session = Session(config, self.last_number, (next(poses, None), next(profiles, None)))
         for number, stored in sorted(self.stops.items()):
             stop = _evaluated(stored, config)
             session.add_stop(replace(session.evaluated(stop, stop.result), number=number))
