@@ -98,23 +98,16 @@ def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Ra
     writer.finish()
 
 
+@lru_cache(10_000)  # files that are never written again
 def contents_of(file: Path) -> Summary:
     """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
-        return _contents(file, file.stat().st_mtime_ns)
-    except OSError as error:
-        raise InputError(f'{file}: cannot be read: {error.strerror or error}') from error
+        with file.open('rb') as stream:
+            summary = make_reader(stream).get_summary()
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise InputError(f'{file}: is damaged or cut off: {error}') from error
-
-
-@lru_cache(10_000)
-def _contents(file: Path, written: int) -> Summary:
-    """Return the summary of a file as it was written at a time (ns)."""
-    with file.open('rb') as stream:
-        summary = make_reader(stream).get_summary()
+        raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
     if summary is None or summary.statistics is None:
-        raise ValueError('it has no end')
+        raise InputError(f'{file}: is cut off')
     return summary
 
 

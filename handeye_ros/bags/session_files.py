@@ -5,21 +5,20 @@ A session on the disk: written event by event, and read back.
 
 A session is a folder, and a bag: one .mcap file for each event, which holds the settings and, for
 a stop, its profiles and poses (and joint values), so that stops can be evaluated again. A file is
-written under another name, synced, and renamed; then metadata.yaml is written under another name
-and renamed, and the folder is synced. If the process is killed at any time, all files are complete
-bags, and metadata.yaml lists all of them except perhaps the last, which the node has not yet
-reported. After a power failure metadata.yaml may be older: it repeats only data of the files, and
-is written again when the session is continued.
+written under another name, synced, renamed, and the folder is synced; then the event is reported.
+If the process is killed at any time, all files are complete bags. metadata.yaml, for other readers
+of bags, repeats only data of the files: it may lack the last one after a failure, and is written
+again with the next event, and when the session is continued.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import fcntl
 from functools import partial
-from itertools import count, islice
+from itertools import islice
 import json
 import os
 from pathlib import Path
@@ -63,7 +62,7 @@ OUTCOME_TOPIC = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 
 SUFFIX, LOCK_FILE = '.mcap', '.lock'
-FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%SZ'  # names of folders
+FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%S.%fZ'  # names of folders, by the time
 PARAMETERS = "the node's parameters"
 
 
@@ -157,15 +156,17 @@ class SessionFiles:
         self.path = stored.path if stored else None
         self._lock: int | None = None
         if stored:
-            with ExitStack() as failed, write_errors_for(stored.path):
+            with write_errors_for(stored.path):
                 self._lock = _claimed(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
-                failed.callback(self.close)
-                write_metadata(stored.path, files_of(stored.path))
-                if config and replace(stored.config, session=config.session) != config:
+            _write_metadata(stored.path)
+            if config and replace(stored.config, session=config.session) != config:
+                try:
                     self.add_event(CONFIGURED, config)
-                failed.pop_all()
+                except InputError:
+                    self.close()
+                    raise
 
     def close(self) -> None:
         """Release the lock, so that another node can continue the session."""
@@ -209,12 +210,8 @@ class SessionFiles:
                 write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
                 stream.flush()
                 os.fsync(stream.fileno())
-            try:
-                write_metadata(folder, files_of(folder))
-            except (OSError, InputError):
-                with suppress(OSError):
-                    file.unlink()  # the event is refused, so it must not be read back
-                raise
+            sync(folder)
+        _write_metadata(folder)
         return file
 
     def restarted(self, config: Config) -> SessionFiles:
@@ -225,18 +222,17 @@ class SessionFiles:
 
     def _begun(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
-        parent, stamp = self._parent(config), datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
-        missing = [above for above in (parent, *parent.parents) if not above.exists()]
-        parent.mkdir(parents=True, exist_ok=True)
-        for made in missing:
+        folder = self._parent(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
+        missing = [above for above in folder.parents if not above.exists()]
+        folder.mkdir(parents=True)
+        for made in (folder, *missing):
             sync(made.parent)
-        for attempt in count():
-            folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
-            with suppress(FileExistsError):
-                folder.mkdir()
-                sync(parent)
-                break
         return folder, _claimed(folder, f'another node has begun {folder}')
+
+
+def _write_metadata(folder: Path) -> None:
+    with suppress(OSError, InputError):  # it only repeats the files
+        write_metadata(folder, files_of(folder))
 
 
 def _claimed(folder: Path, taken: str) -> int:
