@@ -63,36 +63,36 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     def messages() -> Iterator[Raw]:
         items: list[Profile | TimedPose] = [*profiles, *poses]
         for item in sorted(items, key=attrgetter('stamp')):
-            yield (Raw(profile_topic, item.stamp, cloud_cdr(item, config.profile.unit, layout))
-                   if isinstance(item, Profile) else Raw(pose_topic, item.stamp, pose_cdr(item)))
+            yield (Raw(profile_topic, CLOUD_TYPE, item.stamp,
+                       cloud_cdr(item, config.profile.unit, layout))
+                   if isinstance(item, Profile) else
+                   Raw(pose_topic, POSE_TYPE, item.stamp, pose_cdr(item)))
         for stamp, values in joints:
-            yield Raw(joint_topic, stamp, joints_cdr(stamp, values))
+            yield Raw(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, values))
 
-    types = {profile_topic: CLOUD_TYPE, pose_topic: POSE_TYPE,
-             **({joint_topic: JOINTS_TYPE} if joints else {})}
-    write_folder(path, texts, lambda folder: _write_bag(folder, types, messages()), force)
+    write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
-def _write_bag(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
-    """Write messages as a folder with one file; types: by topic."""
+def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
+    """Write messages as a folder with one file."""
     path.mkdir()
     file = path / f'{path.name}.mcap'
     with file.open('wb') as stream:
-        write_mcap(stream, types, messages)
+        write_mcap(stream, messages)
     write_metadata(path, [file])
 
 
-def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
-    """Write messages as an .mcap file; types: by topic. Raises OSError."""
+def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
+    """Write messages as an .mcap file; raises OSError."""
     writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
-    channels = {}
-    for topic, kind in types.items():
-        text, _ = typestore().generate_msgdef(kind, ros_version=2)
-        schema = writer.register_schema(kind, 'ros2msg', text.encode())
-        channels[topic] = writer.register_channel(topic, 'cdr', schema,
-                                                  {'offered_qos_profiles': ''})
+    channels: dict[str, int] = {}
     for message in messages:
+        if message.topic not in channels:
+            text, _ = typestore().generate_msgdef(message.kind, ros_version=2)
+            schema = writer.register_schema(message.kind, 'ros2msg', text.encode())
+            channels[message.topic] = writer.register_channel(
+                message.topic, 'cdr', schema, {'offered_qos_profiles': ''})
         writer.add_message(channels[message.topic], message.log_time, message.data,
                            message.log_time)
     writer.finish()
@@ -221,11 +221,10 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int) -> None:
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
     stamped = [_new(POSE_TYPE, header, pose) for pose in poses]
-    by_topic = {'/seam/path': _new(PATH_TYPE, header, stamped),
-                '/seam/poses': _new(POSE_ARRAY_TYPE, header, poses)}
-    write_folder(path, {}, lambda folder: _write_bag(
-        folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
-        [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force=True)
+    messages = [Raw(topic, message.__msgtype__, stamp, to_cdr(message)) for topic, message in (
+        ('/seam/path', _new(PATH_TYPE, header, stamped)),
+        ('/seam/poses', _new(POSE_ARRAY_TYPE, header, poses)))]
+    write_folder(path, {}, lambda folder: _write_bag(folder, messages), force=True)
 
 
 def write_folder(path: Path, texts: Mapping[str, str],
@@ -235,7 +234,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
     A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
     files except texts, which are by file name. force: an existing recording is replaced. Raises
-    InputError if the path exists or is the current folder, UnwritableError if it is not writable.
+    InputError if the path exists, or holds no recording, UnwritableError if it is not writable.
     """
     path = path.resolve()
     with write_errors_for(path):
@@ -252,12 +251,11 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
 
 def _check_free(path: Path, force: bool) -> None:
-    free = not path.exists() or path.is_dir() and not any(path.iterdir())
-    if not (free or force):
+    if not path.exists() or path.is_dir() and not any(path.iterdir()):
+        return
+    if not force:
         raise InputError(f'{path}: is there already: choose another place, or replace it with '
                          '--force')
-    if path == Path.cwd():  # a shell in it would lose its folder
-        raise InputError(f'{path}: is the current folder, which is not replaced: name one in it')
-    if not (free or any((path / name).is_file() for name in OWN_FILES)):
+    if not any((path / name).is_file() for name in OWN_FILES):
         raise InputError(f'{path}: is there already and is no bag, so it is not replaced: choose '
                          'another place')

@@ -38,13 +38,14 @@ CACHED_CHUNKS = 4  # decompressed chunks in memory: the profiles of a stop are c
 
 class Raw(NamedTuple):
     """
-    A message as it was recorded.
+    A message as it is recorded.
 
-    log_time: ns; fetch: reads data again, so that they need not be kept; they are empty if the
-    file has changed.
+    kind: its type; log_time: ns; fetch: reads data again, so that they need not be kept; they are
+    empty if the file has changed.
     """
 
     topic: str
+    kind: str
     log_time: int
     data: bytes
     fetch: Callable[[], bytes] = bytes
@@ -123,7 +124,7 @@ class Reader:
                     elif isinstance(one, Message):
                         count += 1
                         if topic := channels.get(one.channel_id):
-                            yield Raw(topic, one.log_time, _message(one.data),
+                            yield Raw(topic, self.types[topic], one.log_time, _message(one.data),
                                       partial(_again, _in_chunk, path, start, index))
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
@@ -141,8 +142,8 @@ class Reader:
                              'SELECT id, name, type, serialization_format FROM topics')}
                 for key, topic, time, data in database.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages ORDER BY id'):
-                    if names[topic]:
-                        yield Raw(names[topic], int(time), _message(data),
+                    if name := names[topic]:
+                        yield Raw(name, self.types[name], int(time), _message(data),
                                   partial(_again, _in_database, path, key))
                     count += 1
         except Exception as error:  # noqa: BLE001 - of SQLite, and of what damaged rows hold

@@ -205,9 +205,8 @@ class SessionFiles:
                                         'back, or call ~/clear_samples for a new session')
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
-            types, messages = _messages(kind, config, stop, joints)
             with atomic_file(file) as temporary, temporary.open('wb') as stream:
-                write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
+                write_mcap(stream, _messages(kind, config, stop, joints))
                 stream.flush()
                 os.fsync(stream.fileno())
             sync(folder)
@@ -247,31 +246,26 @@ def _claimed(folder: Path, taken: str) -> int:
 
 
 def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
-              ) -> tuple[dict[str, str], list[Raw]]:
-    """Return the types of the topics of an event, and its messages."""
-    profile_topic = full_name(config.profile_topic)
+              ) -> list[Raw]:
+    """Return the messages of an event, in the order of their times."""
     pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
-    joint_topic = full_name(config.joint_topic)
-    types = {profile_topic: CLOUD_TYPE, pose_topic: POSE_TYPE, CONFIGURATION_TOPIC: STRING_TYPE,
-             OUTCOME_TOPIC: STRING_TYPE}
-    if joints:
-        types[joint_topic] = JOINTS_TYPE
-    offset = config.offset_ns  # a driver may publish no stamp: log_time holds it
-    messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
+    messages = [Raw(pose_topic, POSE_TYPE, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
+    # a driver may publish no stamp: log_time holds it
     messages += [
-        Raw(profile_topic, profile.stamp - offset,
+        Raw(full_name(config.profile_topic), CLOUD_TYPE, profile.stamp - config.offset_ns,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
             else cloud_cdr(profile, config.profile.unit, DOUBLE_POINT))
         for profile in stop.profiles]
-    messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
+    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, data)
+                 for stamp, data in joints]
     values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
               'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, {'config': flatten(replace(config, session=''))}),
                            (OUTCOME_TOPIC, values)):
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
-        messages.append(Raw(topic, end, string_cdr(text)))
-    return types, messages
+        messages.append(Raw(topic, STRING_TYPE, end, string_cdr(text)))
+    return sorted(messages, key=lambda message: message.log_time)
 
 
 def _number_of(file: Path) -> int:
@@ -328,29 +322,29 @@ def load(file: Path, stamp: int, config: Config) -> Stop:
     offset = config.offset_ns
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
-    for kind, message in _read_file(file):
-        if kind == POSE_TYPE:
+    for message in _read_file(file):
+        if message.kind == POSE_TYPE:
             poses.append(pose_from_cdr(message.data))
-        elif kind == CLOUD_TYPE:
+        elif message.kind == CLOUD_TYPE:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
     return Stop(stamp, tuple(poses), tuple(profiles))
 
 
-def _read_file(file: Path, topics: Collection[str] | None = None) -> list[tuple[str, Raw]]:
-    """Return the messages of some topics, or of all, with their types; raises InputError."""
+def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
+    """Return the messages of some topics, or of all, of a whole file; raises InputError."""
     reader = Reader(file, topics)
     messages = list(reader.messages())
     if reader.warnings:
         raise InputError(f'{file}: is damaged: {"; ".join(reader.warnings)}')
-    return [(reader.types[message.topic], message) for message in messages]
+    return messages
 
 
 def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
     """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
     texts = {raw.topic: text_from_cdr(raw.data)
-             for _, raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
+             for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     if not {CONFIGURATION_TOPIC, OUTCOME_TOPIC} <= set(texts):
         raise InputError(f'{file} does not say what happened')
     try:

@@ -337,7 +337,7 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
              'on /profile can be used; .*: set profile.unit to mm'),
             ('zero', {'poses': zero}, CONFIG, 'none of the 100 messages on /flange_pose can be '
              'used; the first reason: .*of length 0'),
-            ('none', {'poses': []}, CONFIG, 'no messages on /flange_pose')):
+            ('none', {'poses': []}, CONFIG, 'no topic /flange_pose')):
         refused(words, written(tmp_path, name=name, **items), config)
 
 
@@ -363,7 +363,7 @@ def tf_bag(folder, tmp_path, moving, static=()):
     for topic, messages in (('/tf', moving), ('/tf_static', static)):
         for stamp, transforms in messages:
             data = TYPES.serialize_cdr(TYPES.types[TF_TYPE](transforms), TF_TYPE)
-            raws.append(Raw(topic, stamp, bytes(data)))
+            raws.append(Raw(topic, TF_TYPE, stamp, bytes(data)))
     return rewrite(folder, tmp_path / 'tf.mcap', raws,
                    types={'/tf': TF_TYPE, '/tf_static': TF_TYPE})
 
@@ -445,7 +445,7 @@ def test_what_is_no_bag_is_never_replaced(tmp_path, monkeypatch):
     (tmp_path / 'mine' / 'file').write_text('')
     monkeypatch.chdir(tmp_path)
     for place, kind, words in (('mine', InputError, 'is no bag, so it is not replaced'),
-                               ('', InputError, 'is the current folder'),
+                               ('', InputError, 'is no bag, so it is not replaced'),
                                ('mine/file/bag', UnwritableError, 'cannot write')):
         with pytest.raises(kind, match=words):
             bag_write.write(tmp_path / place, PROFILES, POSES, force=True)

@@ -105,10 +105,10 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
 
 def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
-    raws = [Raw('/profile', START + i * 50 * MS, d) for i, d in enumerate(data)]
+    raws = [Raw('/profile', CLOUD_TYPE, START + i * 50 * MS, d) for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
               for i, p in enumerate(poses())]
-    raws += [Raw('/flange_pose', p.stamp, pose_cdr(p)) for p in stands]
+    raws += [Raw('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws,
                    {'/profile': CLOUD_TYPE, '/flange_pose': POSE_TYPE})
     config = Config(profile=ProfileConfig(period=0.01))

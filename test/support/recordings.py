@@ -52,7 +52,7 @@ def rewrite(bag, path, messages=None, types=None, encoding='cdr', **options):
         writer = Writer(stream, **options)
         writer.start('ros2')
         channels = {}
-        for topic, log_time, data, *_ in messages:
+        for topic, _, log_time, data, *_ in messages:
             if topic not in channels:
                 schema = writer.register_schema(types[topic], 'ros2msg', b'')
                 channels[topic] = writer.register_channel(topic, encoding, schema)
