@@ -289,7 +289,7 @@ class Streams:
                       and any(info.topic_type == message_type for info in self._publishers(name)))
 
     def trouble(self) -> str:
-        """Return a sentence for several publishers of a topic, a second node, a slow transform."""
+        """Return a sentence for several publishers of a topic, and for a second node."""
         sentences, node = [], self._node
         for topic in (topic for topic in self._topics if topic.key):
             names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
@@ -305,7 +305,6 @@ class Streams:
                 f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
                 'either may answer; end one, or rename it (-r __node:=other). One that was killed '
                 'is listed for 20 s more')
-        sentences += filter(None, [self._tracker.delay])
         return '; '.join(sentences)
 
 
