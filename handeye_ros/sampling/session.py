@@ -139,11 +139,10 @@ class Session(Copyable):
         """Continue after a clock was set back; return the stops from before."""
         stops = self._given_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
-        if self._pose_stream.set_back:
-            self._pose_stream.restart()
-        if self._profile_stream.set_back:
-            self._profile_stream.restart()
-            self._profiles = ProfileBuffer()
+        self._profiles = ProfileBuffer()
+        for stream in (self._pose_stream, self._profile_stream):
+            if stream.set_back:
+                stream.restart()
         return stops
 
     def remaining(self) -> list[Stop]:
@@ -194,17 +193,9 @@ class Session(Copyable):
         self._require_poses_now()
         stop = self._finder.current()
         if stop is None:
-            needed, motion = self.config.sampling.still_time, self.motion
-            if motion is None:
-                how = 'too few poses have come to measure its motion: wait'
-            elif motion.speed * needed <= self.config.sampling.still_translation and (
-                    motion.turning * needed <= self.config.sampling.still_rotation):
-                missing = max(needed - motion.still, 0.1)
-                how = f'but for {motion.still:.1f} s: wait {missing:.1f} s more'
-            else:
-                how = f'{motion.sentence}: stop it, wait'
-            raise DataError(f'the robot has not stood still for {needed:g} s, {how}, and take the '
-                            'sample again', reason='moving')
+            how = self.motion.sentence if self.motion else 'too few poses have come'
+            raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
+                            f's, and {how}: wait, and take the sample again', reason='moving')
         self._profiles.add(self._profile_stream.released(stop.start, stop.end))
         return self._with_profiles(stop)
 
