@@ -125,15 +125,11 @@ class Stored:
                     for profile in stop.load(config).profiles)
         session = Session(config, self.last_number, (next(poses, None), next(profiles, None)))
         for number, stored in sorted(self.stops.items()):
-            stop = _evaluated(stored, config)
+            stop = stored if stored.final_reason else replace(
+                stored, result=result_of(stored, config))
             session.add_stop(replace(session.evaluated(stop, stop.result), number=number))
             session.mark_done(stop)
         return session
-
-
-def _evaluated(stop: Stop, config: Config) -> Stop:
-    """Return the stop with what it gives with a configuration."""
-    return stop if stop.final_reason else replace(stop, result=result_of(stop, config))
 
 
 class SessionFiles:
