@@ -114,8 +114,13 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                     for topic in pose_topics(config, tracker, arm)]
     # if two settings name one topic, the first gets its messages; its type refuses the second
     by_name = {topic.name: topic for topic in reversed((clouds, *pose_sources))}
-    reader = Reader(path, by_name, progress)
+    reader, transforms = Reader(path, by_name, progress), []
     for raw in reader.messages():
+        if raw.topic == '/tf':  # after the static ones, which a node that starts late sends late
+            transforms.append(raw)
+        else:
+            by_name[raw.topic].add(raw)
+    for raw in transforms:
         by_name[raw.topic].add(raw)
     profiles: list[RawProfile] = []
     previous = None

@@ -388,6 +388,14 @@ def test_poses_from_a_chain_of_transforms(good_bag, tmp_path):
                                atol=1e-12)
 
 
+def test_static_transforms_that_come_last_lose_nothing(good_bag, tmp_path):
+    stamps = [START + i * POSES_PERIOD for i in range(1500)]
+    moving = [(stamp, [transform(stamp, 'base', 'tool', (0, 0, 0))]) for stamp in stamps]
+    static = [(stamps[-1] + 1, [transform(0, 'tool', 'flange', (0.1, 0, 0))])]
+    found = bag.read(tf_bag(good_bag, tmp_path, moving, static), Config(pose_source='tf')).poses
+    assert [p.stamp for p in found] == stamps
+
+
 def test_two_runs_of_transforms_are_refused(good_bag, tmp_path):
     later = [(stamp, [transform(stamp, 'base', 'flange', (0, 0, 0))])
              for stamp in (stamp + 60 * SECOND for stamp in STAMPS)]
