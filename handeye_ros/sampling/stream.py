@@ -179,11 +179,12 @@ def two_frames(kind: str, first: str, second: str) -> InputError:
                       reason='two_frames')
 
 
-def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
     """
-    Return which messages fit the order of the majority; None if too many do not.
+    Return which messages fit the order of the majority; raises DataError for two runs.
 
-    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit.
+    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit. of:
+    whose they are, in words.
     """
     if (stamps[1:] >= stamps[:-1]).all():
         return np.ones(len(stamps), dtype=bool)
@@ -191,15 +192,8 @@ def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
     before = np.maximum.accumulate(np.where(rising, stamps, -1))
     after = np.minimum.accumulate(np.where(rising, stamps, LAST_STAMP)[::-1])[::-1]
     fits = (stamps >= before - REORDER_TIME) & (stamps - REORDER_TIME <= after)
-    wrong = len(fits) - np.count_nonzero(fits)
-    few = wrong <= max(FEW_STRAYS, FEW_SHARE * len(fits)) and 2 * wrong < len(fits)
-    return fits if few or not wrong else None
-
-
-def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
-    """Return which messages fit the order of the others; raises DataError for two runs."""
-    fits = in_order(stamps)
-    if fits is None:
+    wrong = np.count_nonzero(~fits)
+    if wrong and (wrong > max(FEW_STRAYS, FEW_SHARE * len(fits)) or 2 * wrong >= len(fits)):
         back = np.maximum.accumulate(stamps) - stamps
         index = int(np.argmax(back > REORDER_TIME))
         raise DataError(f'the stamps {of} jump back by {back[index] * 1e-9:.1f} s at message '
