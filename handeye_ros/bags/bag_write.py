@@ -36,22 +36,18 @@ OWN_FILES = (METADATA, truth_file.NAME)  # a folder with one of these may be rep
 CHUNK_BYTES = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
 PATH_TYPE, POSE_ARRAY_TYPE = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
-# of the points of a cloud
-SINGLE_POINT, DOUBLE_POINT = (np.dtype([(axis, code) for axis in 'xyz'])
-                              for code in ('<f4', '<f8'))
-
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          tables: Mapping[str, str] | None = None, layout: np.dtype[Any] = SINGLE_POINT,
-          force: bool = False, joints: Sequence[tuple[int, Array]] = ()) -> None:
+          tables: Mapping[str, str] | None = None, force: bool = False,
+          joints: Sequence[tuple[int, Array]] = (), number: str = 'f4') -> None:
     """
     Write a rosbag2 folder, including truth.yaml if the truth is given.
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
-    folder, by name; layout: of a point, with the fields x, y and z; force: an existing bag is
-    replaced; joints: stamps and values of joint_1, joint_2, ... Raises InputError if the path
-    exists, UnwritableError if it cannot be written.
+    folder, by name; force: an existing bag is replaced; joints: stamps and values of joint_1,
+    joint_2, ...; number: of the coordinates, f4 or f8. Raises InputError if the path exists,
+    UnwritableError if it cannot be written.
     """
     texts = dict(tables or {})
     if truth is not None:
@@ -64,7 +60,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
         items: list[Profile | TimedPose] = [*profiles, *poses]
         for item in sorted(items, key=attrgetter('stamp')):
             yield (Raw(profile_topic, CLOUD_TYPE, item.stamp,
-                       cloud_cdr(item, config.profile.unit, layout))
+                       cloud_cdr(item, config.profile.unit, number))
                    if isinstance(item, Profile) else
                    Raw(pose_topic, POSE_TYPE, item.stamp, pose_cdr(item)))
         for stamp, values in joints:
@@ -175,19 +171,22 @@ def string_cdr(text: str) -> bytes:
     return to_cdr(_new(STRING_TYPE, text))
 
 
-def cloud_cdr(profile: Profile, unit: str = 'm', layout: np.dtype[Any] = SINGLE_POINT) -> bytes:
-    """Return a profile as a serialised sensor_msgs/PointCloud2; unit: of its coordinates."""
-    signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
-    points = np.zeros(len(profile.points), layout)
-    for axis, column in zip(profile.axes, (profile.points * signs).T / UNITS[unit], strict=True):
-        points[axis[-1]] = column
-    codes = {name: code for code, name in DATATYPES.items()}
-    fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
-              for name, (kind, offset, *_) in (layout.fields or {}).items()]
+def cloud_cdr(profile: Profile, unit: str = 'm', number: str = 'f4') -> bytes:
+    """
+    Return a profile as a serialised sensor_msgs/PointCloud2 with the fields x, y and z.
+
+    unit: of the coordinates; number: their type, f4 or f8.
+    """
+    points = np.zeros((len(profile.points), 3), f'<{number}')
+    for axis, column in zip(profile.axes, profile.points.T / UNITS[unit], strict=True):
+        points[:, 'xyz'.index(axis[-1])] = -column if axis[0] == '-' else column
+    size, (code,) = points.itemsize, [k for k, name in DATATYPES.items() if name == number]
+    fields = [_new('sensor_msgs/msg/PointField', axis, k * size, code, 1)
+              for k, axis in enumerate('xyz')]
     return to_cdr(_new(
-        CLOUD_TYPE, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
-        layout['x'].byteorder == '>', layout.itemsize, layout.itemsize * len(points),
-        points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all())))
+        CLOUD_TYPE, _header(profile.stamp, profile.frame_id), 1, len(points), fields, False,
+        3 * size, points.nbytes, points.view(np.uint8).ravel(),
+        bool(np.isfinite(profile.points).all())))
 
 
 def _new(kind: str, *values: Any) -> Any:

@@ -29,7 +29,6 @@ from typing import Any
 from handeye_ros.bags.bag_write import (
     cloud_cdr,
     contents_of,
-    DOUBLE_POINT,
     pose_cdr,
     string_cdr,
     sync,
@@ -250,7 +249,7 @@ def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int,
     messages += [
         Raw(full_name(config.profile_topic), CLOUD_TYPE, profile.stamp - config.offset_ns,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
-            else cloud_cdr(profile, config.profile.unit, DOUBLE_POINT))
+            else cloud_cdr(profile, config.profile.unit, 'f8'))
         for profile in stop.profiles]
     messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, data)
                  for stamp, data in joints]

@@ -35,6 +35,7 @@ from recordings import (
     START,
     transform,
     TYPES,
+    with_layout,
     with_messages,
     written,
 )
@@ -433,8 +434,8 @@ def test_every_layout_unit_and_axes(tmp_path, layout, unit, axes):
     missing = PROFILES[3].points.copy()
     missing[5:9] = np.nan
     made[3] = replace(made[3], points=missing)
-    bag_write.write(tmp_path / 'bag', made, POSES, config, layout=POINTS[layout])
-    assert_equal_recordings(bag.read(tmp_path / 'bag', config), made)
+    file = with_layout(written(tmp_path, made, config=config), tmp_path, POINTS[layout])
+    assert_equal_recordings(bag.read(file, config), made)
 
 
 def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path):
