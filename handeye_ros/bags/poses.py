@@ -78,5 +78,5 @@ def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
     if not np.isfinite(joints).all():
         raise UnusableMessageError('JointState message not used: it holds positions that are not '
                                    'finite')
-    T = arm.forward(joints)
+    T, = arm.forward(joints[None])
     return ArmPose(stamp, T[:3, 3], se3.quaternion(T), arm.base, joints)
