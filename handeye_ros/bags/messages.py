@@ -109,8 +109,8 @@ def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose
         problem = f'quaternion of length {length:.4g}, expected 1'
     else:
         stamp, frame = _stamp_and_frame(message)
-        return TimedPose(stamp, translation, quaternion / math.copysign(length, quaternion[3]),
-                         frame)
+        sign = -1.0 if orientation.w < 0 else 1.0
+        return TimedPose(stamp, translation, quaternion * (sign / length), frame)
     raise UnusableMessageError(f'{kind} message not used: {problem}')
 
 
