@@ -124,7 +124,7 @@ class Reader:
                     elif isinstance(one, Message):
                         count += 1
                         if topic := channels.get(one.channel_id):
-                            yield Raw(topic, self.types[topic], one.log_time, _message(one.data),
+                            yield Raw(topic, self.types[topic], one.log_time, _unpacked(one.data),
                                       partial(_again, _in_chunk, path, start, index))
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
@@ -143,7 +143,7 @@ class Reader:
                 for key, topic, time, data in database.execute(
                         'SELECT id, topic_id, timestamp, data FROM messages ORDER BY id'):
                     if name := names[topic]:
-                        yield Raw(name, self.types[name], int(time), _message(data),
+                        yield Raw(name, self.types[name], int(time), _unpacked(data),
                                   partial(_again, _in_database, path, key))
                     count += 1
         except Exception as error:  # noqa: BLE001 - of SQLite, and of what damaged rows hold
@@ -180,7 +180,7 @@ def _files(path: Path) -> list[Path]:
     return stored
 
 
-def _message(data: bytes) -> bytes:
+def _unpacked(data: bytes) -> bytes:
     """Return a message, decompressed if the recorder compressed each one; CDR starts with 0."""
     if data[:4] != ZSTD_MAGIC:
         return data
@@ -211,7 +211,7 @@ def _expanded(record: McapRecord) -> list[Any]:
 def _again(find: Callable[..., bytes], *place: Any) -> bytes:
     """Return a message of a file again, which find returns; empty if the file has changed."""
     try:
-        return _message(find(*place))
+        return _unpacked(find(*place))
     except Exception:  # noqa: BLE001 - of what other bytes there may cause
         return b''
 
