@@ -298,18 +298,17 @@ def read_session(path: Path) -> Stored:
     """
     if not is_session(path):
         raise InputError(f'{path} is no session: expected a folder that the node made')
-    stops: dict[int, Stop] = {}
-    taken, last_number, config = set[int](), 0, Config()
+    stops: dict[int, tuple[Stop, bool]] = {}  # and whether it gave a sample
+    last_number, config = 0, Config()
     for file in files_of(path):
         kind, config, stop, gave_a_sample = _event_of(file)
         last_number = max(last_number, stop.number)
         if kind != CONFIGURED:
             stops.pop(stop.number, None)
-            taken.discard(stop.number)
         if kind == STOP:
-            stops[stop.number] = stop
-            taken |= {stop.number} if gave_a_sample else set()
-    return Stored(path, config, stops, len(taken), last_number)
+            stops[stop.number] = stop, gave_a_sample
+    return Stored(path, config, {number: stop for number, (stop, _) in stops.items()},
+                  sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
 
 
 def load(file: Path, stamp: int, config: Config) -> Stop:
@@ -340,8 +339,6 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
     """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
     texts = {raw.topic: text_from_cdr(raw.data)
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
-    if not {CONFIGURATION_TOPIC, OUTCOME_TOPIC} <= set(texts):
-        raise InputError(f'{file} does not say what happened')
     try:
         values, content = json.loads(texts[OUTCOME_TOPIC]), json.loads(texts[CONFIGURATION_TOPIC])
         for form in (values['format'], content['format']):
