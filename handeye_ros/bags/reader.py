@@ -105,7 +105,7 @@ class Reader:
         schemas: dict[int, str] = {}
         channels: dict[int, str] = {}  # '': not requested
         count = damaged = start = 0
-        complete = False
+        complete, records_at = False, lru_cache(CACHED_CHUNKS)(partial(_records_at, path))
         with path.open('rb') as stream:
             for record in _up_to_damage(stream, start):
                 if complete := isinstance(record, DataEnd):
@@ -125,7 +125,7 @@ class Reader:
                         count += 1
                         if topic := channels.get(one.channel_id):
                             yield Raw(topic, self.types[topic], one.log_time, _unpacked(one.data),
-                                      partial(_again, _in_chunk, path, start, index))
+                                      partial(_again, _in_chunk, records_at, start, index))
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
         if damaged or not complete:
@@ -216,12 +216,11 @@ def _again(find: Callable[..., bytes], *place: Any) -> bytes:
         return b''
 
 
-def _in_chunk(path: Path, start: int, index: int) -> bytes:
+def _in_chunk(records_at: Callable[[int], list[Any]], start: int, index: int) -> bytes:
     """Return a message of an .mcap file: one record in that at a position."""
-    return _records_at(path, start)[index].data
+    return bytes(records_at(start)[index].data)
 
 
-@lru_cache(CACHED_CHUNKS)
 def _records_at(path: Path, start: int) -> list[Any]:
     with path.open('rb') as stream:
         return _expanded(next(_up_to_damage(stream, start)))

@@ -148,6 +148,13 @@ def test_a_file_that_changes_after_it_was_read(good_bag, tmp_path):
         list(recording.returns())
 
 
+def test_another_recording_at_the_same_place_is_read_anew(tmp_path):
+    for factor in (1.0, 2.0):
+        made = [replace(p, points=p.points * factor) for p in PROFILES]
+        bag_write.write(tmp_path / 'bag', made, POSES, force=True)
+        assert_equal_recordings(bag.read(tmp_path / 'bag', CONFIG), made)
+
+
 @pytest.fixture(scope='module')
 def small(tmp_path_factory):
     """Return a folder of short recordings in all layouts."""
