@@ -94,17 +94,22 @@ def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
     writer.finish()
 
 
-@lru_cache(10_000)  # files that are never written again
 def contents_of(file: Path) -> Summary:
     """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
-        with file.open('rb') as stream:
-            summary = make_reader(stream).get_summary()
+        summary = _contents(file, file.stat().st_mtime_ns)
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
         raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
     if summary is None or summary.statistics is None:
         raise InputError(f'{file}: is cut off')
     return summary
+
+
+@lru_cache(10_000)
+def _contents(file: Path, written: int) -> Summary | None:
+    """Return the summary of a file as it was written at a time (ns)."""
+    with file.open('rb') as stream:
+        return make_reader(stream).get_summary()
 
 
 def write_metadata(folder: Path, files: Sequence[Path]) -> None:
