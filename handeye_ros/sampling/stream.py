@@ -77,10 +77,10 @@ class Stream(Copyable, Generic[Stamped]):
         self.successor = ''
         self.set_back = 0
         self._late: list[int] = []  # stamps of the last messages, if all were far too late
-        self._set_backs: list[int] = []  # of the clock before (ns)
+        self._set_backs: list[int] = []  # by how much, each time before (ns)
         self._strays = 0  # with less than UNMIXED_TIME of the first frame between them
         self._last_stray = -1  # `latest` when it came
-        self._other, self._other_since = '', 0  # frame of the last stray, since when it is alone
+        self._other, self._other_since = '', -1  # frame of the last stray, since when it is alone
 
     @property
     def conflict(self) -> InputError | None:
