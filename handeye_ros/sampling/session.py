@@ -139,7 +139,8 @@ class Session(Copyable):
         """Continue after a clock was set back; return the stops from before."""
         stops = self._given_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
-        self._profiles = ProfileBuffer()
+        if self._profile_stream.set_back:
+            self._profiles = ProfileBuffer()
         for stream in (self._pose_stream, self._profile_stream):
             if stream.set_back:
                 stream.restart()
