@@ -328,6 +328,7 @@ class ProfileReader:
         """Start with none; config: describes the clouds."""
         self.config = config
         self._checked = -CHECK_PERIOD  # stamp of the last profile whose points were checked
+        typestore()  # before the messages come: they do not wait while it is made
 
     def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
         """
