@@ -121,7 +121,7 @@ def gather(profiles: Iterable[AnyProfile], poses: Iterable[TimedPose], config: C
     for profile in require_each('profiles', profiles, Profile, RawProfile):
         session.add_profile(profile)
     session.evaluate_remaining()
-    session.require_stops()
+    session.require_any_stop()
     return session
 
 
@@ -132,7 +132,7 @@ def calibrate_session(session: Session, config: Config) -> Calibration:
 
 def answer_session(session: Session, config: Config) -> Answer:
     """Return the answer of a session; raises DataError when it holds no stops."""
-    session.require_stops()
+    session.require_any_stop()
     return answer_samples(session.samples, session.rejects, session.with_base(config),
                           session.frame_id, session)
 

@@ -56,7 +56,7 @@ def stamps_since_boot(profiles, poses):
 
 @pytest.mark.parametrize(('how', 'code', 'words'), [
     ({'change': lambda profiles, poses: (profiles, ())}, 2,
-     ('no messages on /flange_pose', 'set pose_topic')),
+     ('no topic /flange_pose', 'set pose_topic')),
     ({'change': stamps_since_boot}, 3, ('clocks',)),
     ({'empty': True}, 3, ('no edge of a face in the profile', 'with the laser across the target')),
     ({'motion': 'one_orientation'}, 3, ('one orientation', 'tilt the tool'))])

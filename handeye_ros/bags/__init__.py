@@ -3,6 +3,6 @@
 """
 Recordings: their storage, and conversion of ROS messages to profiles and poses.
 
-Reads mcap and db3 in one pass, also truncated or damaged files; writes bags in the layouts of
-drivers.
+Reads mcap and db3 in one pass, also truncated or damaged files, in the layouts of drivers; writes
+bags and session files.
 """

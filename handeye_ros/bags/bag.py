@@ -14,27 +14,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
-from handeye_ros import se3
-from handeye_ros.arm import Arm, read_arm
-from handeye_ros.bags.messages import (
-    joints_from_cdr,
-    pose_from_cdr,
-    ProfileReader,
-    returns_of,
-    split,
-    transforms_from_cdr,
-)
-from handeye_ros.bags.reader import (
-    CLOUD_TYPE,
-    full_name,
-    JOINTS_TYPE,
-    POSE_TYPE,
-    Raw,
-    Reader,
-    TF_TYPE,
-)
+from handeye_ros.arm import Arm
+from handeye_ros.bags.messages import ProfileReader, returns_of, split
+from handeye_ros.bags.poses import ArmPose, pose_topics
+from handeye_ros.bags.reader import CLOUD_TYPE, full_name, Raw, Reader, TF_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Profile, RawProfile, TimedPose
@@ -48,7 +33,6 @@ from handeye_ros.errors import (
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import (
     by_stamp,
-    FEW_SHARE,
     FEW_STRAYS,
     fitting,
     LAST_STAMP,
@@ -57,6 +41,7 @@ from handeye_ros.sampling.stream import (
 import numpy as np
 
 MOST_MALFORMED = 0.5  # largest share of messages of a topic that cannot be used
+MOST_LISTED = 12  # topics in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +71,13 @@ class Recording:
         Yield the profiles: only returns, in message order, with intensity.
 
         What cannot be used is left out, and is in the warnings after the last one. Raises
-        UnusableMessageError for profiles of an unknown time, InputError if most are left out.
+        InputError if most are left out, as are all profiles of an unknown time.
         """
         reasons = []
         for raw in self.profiles:
             try:
                 yield returns_of(raw)
             except UnusableMessageError as error:
-                if raw.reach != (0, 0):
-                    raise
                 reasons.append(str(error))
         self.warnings.extend(_unusable(reasons, len(self.profiles), 'profiles of the recording'))
 
@@ -124,20 +107,28 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     require_type('config', config, Config)
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
     converter = ProfileReader(config.profile)
-    clouds = _Recorded('profile_topic', config.profile_topic, CLOUD_TYPE,
-                       lambda raw: converter.take(raw.data, raw.fetch))
-    topics, poses_of = _pose_source(config, arm)
+    tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
+    clouds = _Recorded(config.profile_topic, 'profile_topic', CLOUD_TYPE,
+                       lambda raw: [converter.take(raw.data, raw.fetch)])
+    pose_sources = [_Recorded(topic.name, topic.key, topic.kind, partial(_read_data, topic.read))
+                    for topic in pose_topics(config, tracker, arm)]
     # if two settings name one topic, the first gets its messages; its type refuses the second
-    by_name = {topic.name: topic for topic in reversed((clouds, *topics))}
-    reader = Reader(path, by_name, progress)
+    by_name = {topic.name: topic for topic in reversed((clouds, *pose_sources))}
+    reader, transforms = Reader(path, by_name, progress), []
     for raw in reader.messages():
+        if raw.topic == '/tf':  # after the static ones, which a node that starts late sends late
+            transforms.append(raw)
+        else:
+            by_name[raw.topic].add(raw)
+    for raw in transforms:
         by_name[raw.topic].add(raw)
     profiles: list[RawProfile] = []
     previous = None
     for message in clouds.ordered(reader):
         profiles += split(message, previous, config.profile)
         previous = message.stamp
-    poses, joints = poses_of(reader)
+    poses = _poses(pose_sources, tracker, reader)
+    joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
     if config.time_offset:
         offset = config.offset_ns
         profiles = [replace(p, stamp=p.stamp + offset) for p in profiles]
@@ -146,181 +137,99 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
         raise DataError(f'profiles and poses share no time: {gap * 1e-9:.1f} s are between them; '
                         'the clocks of sensor and robot differ, or they were not recorded '
                         'together')
-    return Recording(tuple(profiles), poses, joints, reader.warnings, reader.files)
+    return Recording(tuple(profiles), poses, joints if len(joints) else None, reader.warnings,
+                     reader.files)
 
 
-@dataclass(frozen=True, eq=False)
-class _Joints:
-    """The values (joints,) of all joints of an arm."""
-
-    stamp: int
-    values: Array
+def _read_data(read: Callable[[bytes], Sequence[TimedPose]], raw: Raw) -> Sequence[TimedPose]:
+    return read(raw.data)
 
 
 class _Recorded:
-    """Receives the messages of a topic in recording order; tells which are usable, in order."""
+    """What can be used of the messages of a topic, in recording order."""
 
-    def __init__(self, key: str, name: str, kind: str, convert: Callable[[Raw], Any]) -> None:
+    def __init__(self, name: str, key: str, kind: str, read: Callable[[Raw], Sequence[Any]]
+                 ) -> None:
         """
         Start with none.
 
-        key: of the configuration, that names the topic; kind: the type it must have; convert:
-        makes an item of a message, or raises UnusableMessageError.
+        key: of the configuration, that names the topic; kind: the type it must have; read: makes
+        profiles or poses of a message, or raises UnusableMessageError.
         """
         self.name = full_name(name)
-        self._key, self._kind = key, kind
-        self._convert = convert
+        self._key, self._kind, self._read = key or 'pose_source', kind, read
         self.items: list[Any] = []
-        self._log_times: list[int] = []
+        self._usable = self._unstamped = 0
         self._malformed: list[str] = []
 
     def add(self, raw: Raw) -> None:
-        """Add the next message; malformed ones are counted."""
+        """Add the next message; one without a stamp has the time at which it was recorded."""
         try:
-            self.items.append(self._convert(raw))
+            items = self._read(raw)
         except UnusableMessageError as error:
             self._malformed.append(str(error))
-        else:
-            self._log_times.append(min(raw.log_time, LAST_STAMP))
-
-    def require(self, reader: Reader) -> None:
-        """Raise InputError for a missing topic, and if most of its messages are invalid."""
-        if reader.types.get(self.name) != self._kind:
-            raise self._missing(reader)
-        total = len(self.items) + len(self._malformed)
-        if not total:
-            raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
-                             f'that it was published while recording, or set {self._key}')
-        reader.warnings += _unusable(self._malformed, total, f'messages on {self.name}')
+            return
+        time = min(raw.log_time, LAST_STAMP)
+        self.items += [item if item.stamp else replace(item, stamp=time) for item in items]
+        self._usable += 1
+        self._unstamped += not all(item.stamp for item in items)
 
     def _missing(self, reader: Reader) -> InputError:
         """Return the refusal of a bag without a topic of this name and type."""
-        name, kind, types = self.name, self._kind, reader.types
-        ordered = sorted(types.items(), key=lambda item: (item[1] != kind, item[0]))
-        names = [f'{other} ({type_of_it})' for other, type_of_it in ordered[:12]]
-        names += [f'{len(ordered) - 12} more'] if len(ordered) > 12 else []
-        if self._key == 'pose_source':  # there is only one place for transforms
-            advice = '; record /tf, or set pose_source to topic'
-        elif kind in types.values():
-            advice = f': set {self._key}, as in --set {self._key}={ordered[0][0]}'
-        elif self._key == 'pose_topic' and types.get('/tf') == TF_TYPE:
-            advice = ': take the poses from /tf, as in --set pose_source=tf'
-        else:
-            advice = f'; none of them is a {kind}: publish and record one'
-        start = (f'{name} carries {types[name]}, but only {kind} can be read there'
-                 if name in types else f'{reader.path} has no topic {name}')
-        return InputError(f'{start}. It holds {", ".join(names)}{advice}')
+        key, types = self._key, reader.types
+        held = [f'{name} ({kind})' for name, kind in sorted(types.items())]
+        alike = sorted(name for name, kind in types.items() if kind == self._kind)
+        advice = (f'set {key}, as in --set {key}={alike[0]}' if alike else
+                  'take the poses from /tf, as in --set pose_source=tf'
+                  if key == 'pose_topic' and types.get('/tf') == TF_TYPE else
+                  f'publish and record one, or set {key}')
+        return InputError(f'{reader.path} has no topic {self.name} with {self._kind}, but '
+                          f'{", ".join(held[:MOST_LISTED])}: {advice}')
 
     def ordered(self, reader: Reader) -> list[Any]:
         """
         Return the usable items in the order of their stamps.
 
-        Left out and repaired messages are added to the warnings. Raises as require does, and
-        DataError for stamps of two runs.
+        Left out and repaired messages are added to the warnings. Raises InputError for a missing
+        topic, and if most of its messages are invalid, and DataError for stamps of two runs.
         """
-        self.require(reader)
-        unstamped = sum(not item.stamp for item in self.items)
-        if unstamped:
-            reader.warnings.append(f'{unstamped} messages on {self.name} have no stamps; the '
-                                   'times at which they were recorded are used')
-        stamped = [item if item.stamp else replace(item, stamp=time) for item, time in zip(
-            self.items, self._log_times, strict=True)]
-        return sorted(_fitting(self.name, stamped, reader.warnings), key=by_stamp)
+        if reader.types.get(self.name) != self._kind:
+            raise self._missing(reader)
+        total = self._usable + len(self._malformed)
+        if not total:
+            raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
+                             f'that it was published while recording, or set {self._key}')
+        reader.warnings += _unusable(self._malformed, total, f'messages on {self.name}')
+        if self._unstamped:
+            reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
+                                   'the times at which they were recorded are used')
+        stamps = np.array([item.stamp for item in self.items], np.int64)
+        fits = fitting(stamps, f'on {self.name}')
+        wrong = np.flatnonzero(~fits)
+        if len(wrong):
+            reader.warnings.append(
+                f'{len(wrong)} of {len(stamps)} messages on {self.name} were left out: their '
+                f'stamps are far from those around them (first message {wrong[0] + 1}, of '
+                f'{stamps[wrong[0]] * 1e-9:.3f} s)')
+        return sorted(compress(self.items, fits), key=by_stamp)
 
 
-def _fitting(topic: str, items: Sequence[Any], warnings: list[str]) -> list[Any]:
-    """Return the items whose stamps fit the order of the others; DataError for two runs."""
-    stamps = np.array([item.stamp for item in items], np.int64)
-    fits = fitting(stamps, f'on {topic}')
-    wrong = np.flatnonzero(~fits)
-    if len(wrong):
-        warnings.append(
-            f'{len(wrong)} of {len(stamps)} messages on {topic} were left out: their stamps are '
-            f'far from those around them (first message {wrong[0] + 1}, of '
-            f'{stamps[wrong[0]] * 1e-9:.3f} s)')
-    return list(compress(items, fits))
-
-
-Poses: TypeAlias = tuple[Sequence[TimedPose], Array | None]
-"""The flange poses, and the joint values (n, joints) of an arm."""
-
-
-def _pose_source(config: Config, arm: Arm | None
-                 ) -> tuple[Sequence[_Recorded], Callable[[Reader], Poses]]:
-    """
-    Return the topics with the flange poses, and what makes poses of their messages.
-
-    The poses are those of an arm at its joint values, of /tf, or of a topic.
-    """
-    if config.kinematics and not arm:
-        arm = read_arm(Path(config.kinematics))
-    if arm:
-        joints = _Recorded('joint_topic', config.joint_topic, JOINTS_TYPE,
-                           lambda raw: _joints(arm, raw.data))
-        return (joints,), partial(_of_arm, arm, joints)
-    if config.pose_source == 'tf':
-        moving, static = (_Recorded('pose_source', name, TF_TYPE,
-                                    lambda raw: transforms_from_cdr(raw.data))
-                          for name in ('/tf', '/tf_static'))
-        return (moving, static), partial(_of_tree, config, moving, static)
-    poses = _Recorded('pose_topic', config.pose_topic, POSE_TYPE,
-                      lambda raw: pose_from_cdr(raw.data))
-    return (poses,), partial(_of_topic, poses)
-
-
-def _of_topic(topic: _Recorded, reader: Reader) -> Poses:
-    poses = topic.ordered(reader)
-    (frame, most), *others = Counter(pose.parent_frame for pose in poses).most_common()
-    strays = len(poses) - most
-    if strays:
-        if strays > max(FEW_STRAYS, FEW_SHARE * len(poses)) or 2 * strays >= len(poses):
-            raise two_frames('pose', frame, others[0][0])
-        names = ', '.join(f'"{other}"' for other, _ in others[:3])
-        reader.warnings.append(f'{strays} of {len(poses)} messages on {topic.name} were left out: '
-                               f'their frame is {names}, not "{frame}"')
-    return [pose for pose in poses if pose.parent_frame == frame], None
-
-
-def _of_tree(config: Config, moving: _Recorded, static: _Recorded, reader: Reader) -> Poses:
-    tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-    for transforms in static.items:  # first: a node that starts late publishes them late
-        tracker.add(transforms, static=True)
-    moving.require(reader)
-    flange_poses = [pose for transforms in moving.items
-                    for pose in tracker.add(transforms, static=False)]
+def _poses(sources: Sequence[_Recorded], tracker: FlangeTracker, reader: Reader
+           ) -> list[TimedPose]:
+    """Return the poses of topics, of which the last must be there; InputError, DataError."""
+    last = sources[-1]
+    last.items = [pose for source in sources for pose in source.items]
+    poses = last.ordered(reader)
     reader.warnings += tracker.warnings
-    if not flange_poses:
+    if not poses:
         raise InputError(f'{reader.path}: no flange poses in its transforms: '
                          f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
                          'robot_effector_frame')
-    return _fitting('/tf', flange_poses, reader.warnings), None
-
-
-def _of_arm(arm: Arm, topic: _Recorded, reader: Reader) -> Poses:
-    joints = topic.ordered(reader)
-    return _forward(arm, joints), np.array([one.values for one in joints])
-
-
-def pose_from_joints(arm: Arm, data: bytes) -> TimedPose:
-    """Return the flange pose of an arm at a serialised JointState; UnusableMessageError."""
-    return _forward(arm, [_joints(arm, data)])[0]
-
-
-def _forward(arm: Arm, joints: Sequence[_Joints]) -> list[TimedPose]:
-    T = arm.forward(np.array([one.values for one in joints]))
-    return [TimedPose(one.stamp, translation, quaternion, arm.base)
-            for one, translation, quaternion in zip(joints, T[:, :3, 3], se3.quaternion(T),
-                                                    strict=True)]
-
-
-def _joints(arm: Arm, data: bytes) -> _Joints:
-    """Return the joint values in a serialised JointState; raises UnusableMessageError."""
-    stamp, positions = joints_from_cdr(data)
-    try:
-        values = arm.positions(positions, 'the message')
-    except InputError as cause:
-        raise UnusableMessageError(f'JointState message not used: {cause}') from cause
-    if not np.isfinite(values).all():
-        raise UnusableMessageError('JointState message not used: it holds positions that are not '
-                                   'finite')
-    return _Joints(stamp, values)
+    frames = Counter(pose.parent_frame for pose in poses).most_common()
+    frame, most = frames[0]
+    if (strays := len(poses) - most) > FEW_STRAYS:
+        raise two_frames('pose', frame, frames[1][0])
+    if strays:
+        reader.warnings.append(f'{strays} of {len(poses)} messages on {last.name} were left out: '
+                               f'their frame is "{frames[1][0]}", not "{frame}"')
+    return [pose for pose in poses if pose.parent_frame == frame]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 import json
 from operator import attrgetter
 import os
@@ -19,7 +19,7 @@ import tempfile
 from typing import Any, BinaryIO
 
 from handeye_ros import se3
-from handeye_ros.bags.messages import DATATYPES, UNITS
+from handeye_ros.bags.messages import DATATYPES, typestore, UNITS
 from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYPE, Raw, STRING_TYPE
 from handeye_ros.config import Config
 from handeye_ros.data import Array, NS, Profile, TimedPose
@@ -36,22 +36,18 @@ OWN_FILES = (METADATA, truth_file.NAME)  # a folder with one of these may be rep
 CHUNK_BYTES = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
 PATH_TYPE, POSE_ARRAY_TYPE = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
-# of the points of a cloud
-SINGLE_POINT, DOUBLE_POINT = (np.dtype([(axis, code) for axis in 'xyz'])
-                              for code in ('<f4', '<f8'))
-
 
 def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
           config: Config | None = None, *, truth: Mapping[str, Any] | None = None,
-          tables: Mapping[str, str] | None = None, layout: np.dtype[Any] = SINGLE_POINT,
-          force: bool = False, joints: Sequence[tuple[int, Array]] = ()) -> None:
+          tables: Mapping[str, str] | None = None, force: bool = False,
+          joints: Sequence[tuple[int, Array]] = (), number: str = 'f4') -> None:
     """
     Write a rosbag2 folder, including truth.yaml if the truth is given.
 
     config: gives the topics and the unit of the coordinates; tables: texts of other files in the
-    folder, by name; layout: of a point, with the fields x, y and z; force: an existing bag is
-    replaced; joints: stamps and values of joint_1, joint_2, ... Raises InputError if the path
-    exists, UnwritableError if it cannot be written.
+    folder, by name; force: an existing bag is replaced; joints: stamps and values of joint_1,
+    joint_2, ...; number: of the coordinates, f4 or f8. Raises InputError if the path exists,
+    UnwritableError if it cannot be written.
     """
     texts = dict(tables or {})
     if truth is not None:
@@ -63,36 +59,36 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     def messages() -> Iterator[Raw]:
         items: list[Profile | TimedPose] = [*profiles, *poses]
         for item in sorted(items, key=attrgetter('stamp')):
-            yield (Raw(profile_topic, item.stamp, cloud_cdr(item, config.profile.unit, layout))
-                   if isinstance(item, Profile) else Raw(pose_topic, item.stamp, pose_cdr(item)))
+            yield (Raw(profile_topic, CLOUD_TYPE, item.stamp,
+                       cloud_cdr(item, config.profile.unit, number))
+                   if isinstance(item, Profile) else
+                   Raw(pose_topic, POSE_TYPE, item.stamp, pose_cdr(item)))
         for stamp, values in joints:
-            yield Raw(joint_topic, stamp, joints_cdr(stamp, values))
+            yield Raw(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, values))
 
-    types = {profile_topic: CLOUD_TYPE, pose_topic: POSE_TYPE,
-             **({joint_topic: JOINTS_TYPE} if joints else {})}
-    write_folder(path, texts, lambda folder: _write_bag(folder, types, messages()), force)
+    write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
 
 
-def _write_bag(path: Path, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
-    """Write messages as a folder with one file; types: by topic."""
+def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
+    """Write messages as a folder with one file."""
     path.mkdir()
     file = path / f'{path.name}.mcap'
     with file.open('wb') as stream:
-        write_mcap(stream, types, messages)
+        write_mcap(stream, messages)
     write_metadata(path, [file])
 
 
-def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Raw]) -> None:
-    """Write messages as an .mcap file; types: by topic. Raises OSError."""
+def write_mcap(stream: BinaryIO, messages: Iterable[Raw]) -> None:
+    """Write messages as an .mcap file; raises OSError."""
     writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
     writer.start('ros2', 'handeye_ros')
-    channels = {}
-    for topic, kind in types.items():
-        text, _ = typestore().generate_msgdef(kind, ros_version=2)
-        schema = writer.register_schema(kind, 'ros2msg', text.encode())
-        channels[topic] = writer.register_channel(topic, 'cdr', schema,
-                                                  {'offered_qos_profiles': ''})
+    channels: dict[str, int] = {}
     for message in messages:
+        if message.topic not in channels:
+            text, _ = typestore().generate_msgdef(message.kind, ros_version=2)
+            schema = writer.register_schema(message.kind, 'ros2msg', text.encode())
+            channels[message.topic] = writer.register_channel(
+                message.topic, 'cdr', schema, {'offered_qos_profiles': ''})
         writer.add_message(channels[message.topic], message.log_time, message.data,
                            message.log_time)
     writer.finish()
@@ -101,21 +97,19 @@ def write_mcap(stream: BinaryIO, types: Mapping[str, str], messages: Iterable[Ra
 def contents_of(file: Path) -> Summary:
     """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
-        return _contents(file, file.stat().st_mtime_ns)
-    except OSError as error:
-        raise InputError(f'{file}: cannot be read: {error.strerror or error}') from error
+        summary = _contents(file, file.stat().st_mtime_ns)
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
-        raise InputError(f'{file}: is damaged or cut off: {error}') from error
+        raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
+    if summary is None or summary.statistics is None:
+        raise InputError(f'{file}: is cut off')
+    return summary
 
 
 @lru_cache(10_000)
-def _contents(file: Path, written: int) -> Summary:
+def _contents(file: Path, written: int) -> Summary | None:
     """Return the summary of a file as it was written at a time (ns)."""
     with file.open('rb') as stream:
-        summary = make_reader(stream).get_summary()
-    if summary is None or summary.statistics is None:
-        raise ValueError('it has no end')
-    return summary
+        return make_reader(stream).get_summary()
 
 
 def write_metadata(folder: Path, files: Sequence[Path]) -> None:
@@ -166,13 +160,6 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-@cache
-def typestore() -> Any:
-    """Return the message types of ROS 2 Jazzy; the import is slow."""
-    from rosbags.typesys import get_typestore, Stores
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
 def to_cdr(message: Any) -> bytes:
     """Return a serialised message of the typestore."""
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
@@ -189,19 +176,22 @@ def string_cdr(text: str) -> bytes:
     return to_cdr(_new(STRING_TYPE, text))
 
 
-def cloud_cdr(profile: Profile, unit: str = 'm', layout: np.dtype[Any] = SINGLE_POINT) -> bytes:
-    """Return a profile as a serialised sensor_msgs/PointCloud2; unit: of its coordinates."""
-    signs = np.array([-1.0 if axis[0] == '-' else 1.0 for axis in profile.axes])
-    points = np.zeros(len(profile.points), layout)
-    for axis, column in zip(profile.axes, (profile.points * signs).T / UNITS[unit], strict=True):
-        points[axis[-1]] = column
-    codes = {name: code for code, name in DATATYPES.items()}
-    fields = [_new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
-              for name, (kind, offset, *_) in (layout.fields or {}).items()]
+def cloud_cdr(profile: Profile, unit: str = 'm', number: str = 'f4') -> bytes:
+    """
+    Return a profile as a serialised sensor_msgs/PointCloud2 with the fields x, y and z.
+
+    unit: of the coordinates; number: their type, f4 or f8.
+    """
+    points = np.zeros((len(profile.points), 3), f'<{number}')
+    for axis, column in zip(profile.axes, profile.points.T / UNITS[unit], strict=True):
+        points[:, 'xyz'.index(axis[-1])] = -column if axis[0] == '-' else column
+    size, (code,) = points.itemsize, [k for k, name in DATATYPES.items() if name == number]
+    fields = [_new('sensor_msgs/msg/PointField', axis, k * size, code, 1)
+              for k, axis in enumerate('xyz')]
     return to_cdr(_new(
-        CLOUD_TYPE, _header(profile.stamp, profile.frame_id), 1, len(points), fields,
-        layout['x'].byteorder == '>', layout.itemsize, layout.itemsize * len(points),
-        points.view(np.uint8).ravel(), bool(np.isfinite(profile.points).all())))
+        CLOUD_TYPE, _header(profile.stamp, profile.frame_id), 1, len(points), fields, False,
+        3 * size, points.nbytes, points.view(np.uint8).ravel(),
+        bool(np.isfinite(profile.points).all())))
 
 
 def _new(kind: str, *values: Any) -> Any:
@@ -235,11 +225,10 @@ def write_path(path: Path, T: Array, frame_id: str, stamp: int) -> None:
     header = _header(stamp, frame_id)
     poses = [_pose(*pair) for pair in zip(T[:, :3, 3], se3.quaternion(T), strict=True)]
     stamped = [_new(POSE_TYPE, header, pose) for pose in poses]
-    by_topic = {'/seam/path': _new(PATH_TYPE, header, stamped),
-                '/seam/poses': _new(POSE_ARRAY_TYPE, header, poses)}
-    write_folder(path, {}, lambda folder: _write_bag(
-        folder, {topic: message.__msgtype__ for topic, message in by_topic.items()},
-        [Raw(topic, stamp, to_cdr(message)) for topic, message in by_topic.items()]), force=True)
+    messages = [Raw(topic, message.__msgtype__, stamp, to_cdr(message)) for topic, message in (
+        ('/seam/path', _new(PATH_TYPE, header, stamped)),
+        ('/seam/poses', _new(POSE_ARRAY_TYPE, header, poses)))]
+    write_folder(path, {}, lambda folder: _write_bag(folder, messages), force=True)
 
 
 def write_folder(path: Path, texts: Mapping[str, str],
@@ -249,7 +238,7 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
     A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
     files except texts, which are by file name. force: an existing recording is replaced. Raises
-    InputError if the path exists or is the current folder, UnwritableError if it is not writable.
+    InputError if the path exists, or holds no recording, UnwritableError if it is not writable.
     """
     path = path.resolve()
     with write_errors_for(path):
@@ -266,12 +255,11 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
 
 def _check_free(path: Path, force: bool) -> None:
-    free = not path.exists() or path.is_dir() and not any(path.iterdir())
-    if not (free or force):
+    if not path.exists() or path.is_dir() and not any(path.iterdir()):
+        return
+    if not force:
         raise InputError(f'{path}: is there already: choose another place, or replace it with '
                          '--force')
-    if path == Path.cwd():  # a shell in it would lose its folder
-        raise InputError(f'{path}: is the current folder, which is not replaced: name one in it')
-    if not (free or any((path / name).is_file() for name in OWN_FILES)):
+    if not any((path / name).is_file() for name in OWN_FILES):
         raise InputError(f'{path}: is there already and is no bag, so it is not replaced: choose '
                          'another place')

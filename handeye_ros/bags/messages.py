@@ -6,23 +6,26 @@ Converts serialised ROS messages to profiles and poses.
 Drivers differ. Deviations are corrected where possible; else the message is refused with an
 UnusableMessageError, and nothing else, whose sentence names the setting to change.
 
-The few types are read here: rosbags takes 0.2 s to import them, and twice as long for a message.
+Messages are read by rosbags, which needs no ROS: their attributes are those of ROS.
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 import math
-import struct
 import sys
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
+from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, STRING_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose, without_order
 from handeye_ros.errors import UnusableMessageError
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.serde import SerdeError
+from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys.store import Typestore
 
 # sensor_msgs/PointField: datatype -> numpy
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
@@ -52,52 +55,26 @@ SHARE_BEFORE_STAMP = {'first': 0.0, 'middle': 0.5, 'last': 1.0}
 CHECK_PERIOD = NS  # between two profiles whose points are checked
 MESSAGE_OVERHEAD = 600  # bytes of memory for a message, without its data
 
-T = TypeVar('T')
+
+@cache
+def typestore() -> Typestore:
+    """Return the message types of ROS 2 Jazzy; making them takes 50 ms."""
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
-class _Cdr:
-    """Reads the values of a serialised message one after the other, each aligned to its size."""
-
-    def __init__(self, data: bytes) -> None:
-        """Raise ValueError for data that are not in CDR."""
-        self.data, self.at = data, 4
-        if data[:2] not in (b'\0\0', b'\0\1'):
-            raise ValueError('it is not in CDR')
-        self.order = '<' if data[1] else '>'
-
-    def values(self, form: str) -> tuple[Any, ...]:
-        """Return values in a form of struct, the first of which takes four bytes or more."""
-        form, size = self.order + form, 8 if form[-1] == 'd' else 4
-        self.at += (4 - self.at) % size  # aligned behind the four bytes of the encapsulation
-        values = struct.unpack_from(form, self.data, self.at)
-        self.at += struct.calcsize(form)
-        return values
-
-    def count(self, least: int) -> int:
-        """Return the length of a sequence whose items take at least so many bytes."""
-        count, = self.values('I')
-        if count * least > len(self.data) - self.at:
-            raise ValueError(f'{count} items of a sequence are not there')
-        return int(count)
-
-    def text(self) -> str:
-        """Return a string."""
-        size = self.count(1)
-        begin, self.at = self.at, self.at + size
-        return str(self.data[begin:self.at], 'utf-8').removesuffix('\0')
-
-    def header(self) -> tuple[int, str]:
-        """Return stamp and frame of a std_msgs/Header."""
-        seconds, nanoseconds = self.values('iI')
-        return seconds * NS + nanoseconds, frame_name(self.text())
-
-
-def _read(kind: str, data: bytes, parse: Callable[[_Cdr], T]) -> T:
-    """Return what parse makes of a message; damaged bytes cause several kinds of errors in it."""
+def _message(kind: str, data: bytes) -> Any:
+    """Return a serialised message of a type; raises UnusableMessageError if it is damaged."""
     try:
-        return parse(_Cdr(data))
-    except (struct.error, ValueError) as error:
-        raise UnusableMessageError(f'{kind} message not used: damaged message: {error}') from error
+        return typestore().deserialize_cdr(data, kind)
+    except SerdeError as error:
+        name = kind.rpartition('/')[2]
+        raise UnusableMessageError(f'{name} message not used: damaged message: {error}') from error
+
+
+def _stamp_and_frame(message: Any) -> tuple[int, str]:
+    """Return the stamp (ns) and the frame in the header of a message."""
+    header = message.header
+    return header.stamp.sec * NS + header.stamp.nanosec, frame_name(header.frame_id)
 
 
 def frame_name(frame_id: str) -> str:
@@ -110,30 +87,31 @@ def frame_name(frame_id: str) -> str:
 
 def text_from_cdr(data: bytes) -> str:
     """Return the text of a std_msgs/String; raises UnusableMessageError."""
-    return _read('String', data, _Cdr.text)
+    return str(_message(STRING_TYPE, data).data)
 
 
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises UnusableMessageError."""
-    stamp, frame, values = _read('PoseStamped', data, lambda cdr: (
-        *cdr.header(), cdr.values('7d')))
-    return _pose('PoseStamped', stamp, frame, values)
+    message = _message(POSE_TYPE, data)
+    return _pose('PoseStamped', message, message.pose.position, message.pose.orientation)
 
 
-def _pose(kind: str, stamp: int, frame: str, values: Sequence[float]) -> TimedPose:
+def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose:
     """Return a pose with a quaternion of unit length and qw >= 0; raises UnusableMessageError."""
-    norm, farthest = math.hypot(*values[3:]), max(map(abs, values[:3]))
-    if not math.isfinite(norm + sum(values[:3])):
-        raise UnusableMessageError(f'{kind} message not used: the pose holds values that are not '
-                                   'finite')
-    if farthest > LARGEST_POSITION:
-        raise UnusableMessageError(f'{kind} message not used: the position reaches '
-                                   f'{farthest:.3g} m')
-    if abs(norm - 1.0) > LENGTH_TOLERANCE:
-        raise UnusableMessageError(f'{kind} message not used: quaternion of length {norm:.4g}, '
-                                   'expected 1')
-    scale = (-1.0 if values[6] < 0 else 1.0) / norm
-    return TimedPose(stamp, np.array(values[:3]), np.array([scale * v for v in values[3:]]), frame)
+    translation = np.array([position.x, position.y, position.z])
+    quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
+    length, farthest = math.hypot(*quaternion), max(map(abs, translation))
+    if not math.isfinite(length + sum(translation)):
+        problem = 'the pose holds values that are not finite'
+    elif farthest > LARGEST_POSITION:
+        problem = f'the position reaches {farthest:.3g} m'
+    elif abs(length - 1.0) > LENGTH_TOLERANCE:
+        problem = f'quaternion of length {length:.4g}, expected 1'
+    else:
+        stamp, frame = _stamp_and_frame(message)
+        sign = -1.0 if orientation.w < 0 else 1.0
+        return TimedPose(stamp, translation, quaternion * (sign / length), frame)
+    raise UnusableMessageError(f'{kind} message not used: {problem}')
 
 
 def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
@@ -143,157 +121,101 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     Raises UnusableMessageError if all are invalid: an unused invalid frame must not affect the
     others.
     """
-    def parse(cdr: _Cdr) -> list[tuple[int, str, str, tuple[float, ...]]]:
-        return [(*cdr.header(), frame_name(cdr.text()), cdr.values('7d'))
-                for _ in range(cdr.count(72))]
-
     good, malformed = [], None
-    for stamp, parent, child, values in _read('TFMessage', data, parse):
+    for one in _message(TF_TYPE, data).transforms:
         try:
-            good.append((child, _pose('TransformStamped', stamp, parent, values)))
+            pose = _pose('TransformStamped', one, one.transform.translation,
+                         one.transform.rotation)
         except UnusableMessageError as error:
             malformed = error
+        else:
+            good.append((frame_name(one.child_frame_id), pose))
     if malformed and not good:
         raise malformed
     return good
 
 
 def joints_from_cdr(data: bytes) -> tuple[int, dict[str, float]]:
-    """Return stamp and positions by name in a JointState; raises UnusableMessageError."""
-    def parse(cdr: _Cdr) -> tuple[int, list[str], tuple[float, ...]]:
-        stamp, _ = cdr.header()
-        names = [cdr.text() for _ in range(cdr.count(4))]
-        return stamp, names, cdr.values(f'{cdr.count(8)}d')
-
-    stamp, names, positions = _read('JointState', data, parse)
-    if len(positions) != len(names):
-        raise UnusableMessageError(f'JointState message not used: it names {len(names)} joints '
-                                   f'and holds {len(positions)} positions')
-    return stamp, dict(zip(names, positions, strict=True))
-
-
-class Field(NamedTuple):
-    """A sensor_msgs/PointField."""
-
-    name: str
-    offset: int
-    datatype: int
-    values: int
-
-
-class Cloud(NamedTuple):
-    """A sensor_msgs/PointCloud2; start: position of its data in the serialised message."""
-
-    stamp: int
-    frame: str
-    height: int
-    width: int
-    fields: tuple[Field, ...]
-    is_bigendian: bool
-    point_step: int
-    row_step: int
-    data: bytes | memoryview
-    start: int = 0
-
-    def column(self, name: str) -> Array:
-        """Return a field, such as a signed axis (n,), as float64, unscaled."""
-        with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
-            values = self.view(name.removeprefix('-')).astype(np.float64).ravel()
-        return -values if name[0] == '-' else values
-
-    def view(self, name: str) -> np.ndarray[Any, np.dtype[Any]]:
-        """Return a field (height, width) as a view of the data; raises UnusableMessageError."""
-        named = [field for field in self.fields if field.name == name]
-        if len(named) != 1:
-            names = ', '.join(field.name for field in self.fields) or 'none'
-            raise _unusable(f'{len(named) or "no"} fields are named "{name}" (fields: {names}); '
-                            'profile.axes says which axes are read')
-        field, = named
-        if field.datatype not in DATATYPES or field.values > 1:
-            raise _unusable(f'field "{name}" has datatype {field.datatype} and {field.values} '
-                            'values for each point, expected 1 to 8 and 1 value')
-        dtype = np.dtype(('>' if self.is_bigendian else '<') + DATATYPES[field.datatype])
-        height, width, point_step = self.height, self.width, self.point_step
-        least = width * point_step
-        # drivers often leave it unset
-        row_step = least if height == 1 or self.row_step == 0 else self.row_step
-        if (field.offset + dtype.itemsize > point_step or row_step < least
-                or (height - 1) * row_step + least > len(self.data)):
-            raise _unusable(f'{height} x {width} points of {point_step} bytes, in rows of '
-                            f'{row_step} bytes, with the field "{name}" at byte {field.offset}, '
-                            f'do not fit into {len(self.data)} bytes of data')
-        return np.ndarray((height, width), dtype, self.data, field.offset,
-                          (row_step, point_step))
-
-    def row(self, index: int) -> Cloud:
-        """Return a row as a cloud; raises UnusableMessageError."""
-        size = self.width * self.point_step
-        begin = index * (self.row_step or size)
-        if index >= self.height or begin + size > len(self.data):
-            raise _unusable(f'damaged message: it has no row {index}')
-        return self._replace(height=1, row_step=size, data=self.data[begin:begin + size])
+    """Return stamp (ns) and positions by name in a JointState; raises UnusableMessageError."""
+    message = _message(JOINTS_TYPE, data)
+    if len(message.position) != len(message.name):
+        raise UnusableMessageError(f'JointState message not used: it names {len(message.name)} '
+                                   f'joints and holds {len(message.position)} positions')
+    return (_stamp_and_frame(message)[0],
+            dict(zip(message.name, message.position.tolist(), strict=True)))
 
 
 def _unusable(reason: str) -> UnusableMessageError:
     return UnusableMessageError(f'PointCloud2 message not used: {reason}')
 
 
-def cloud_from_cdr(data: bytes) -> Cloud:
-    """Return the cloud in a serialised message; raises UnusableMessageError."""
-    def parse(cdr: _Cdr) -> Cloud:
-        stamp, frame = cdr.header()
-        height, width = cdr.values('2I')
-        fields = tuple([Field(cdr.text(), *cdr.values('IB3xI')) for _ in range(cdr.count(16))])
-        is_bigendian, point_step, row_step = cdr.values('B3x2I')
-        size = cdr.count(1)
-        return Cloud(stamp, frame, height, width, fields, bool(is_bigendian), point_step,
-                     row_step, memoryview(data)[cdr.at:cdr.at + size], cdr.at)
+def column(cloud: Any, name: str) -> Array:
+    """
+    Return a field of a PointCloud2, such as a signed axis (n,), as float64, unscaled.
 
-    return _read('PointCloud2', data, parse)
+    Raises UnusableMessageError.
+    """
+    with np.errstate(invalid='ignore'):  # a signalling NaN is a NaN
+        values = view(cloud, name.removeprefix('-')).astype(np.float64).ravel()
+    return -values if name[0] == '-' else values
+
+
+def view(cloud: Any, name: str) -> np.ndarray[Any, np.dtype[Any]]:
+    """
+    Return a field (height, width) of a PointCloud2 as a view of its data.
+
+    Raises UnusableMessageError.
+    """
+    usable = [field for field in cloud.fields
+              if field.name == name and field.datatype in DATATYPES and field.count <= 1]
+    if len(usable) != 1:
+        names = ', '.join(field.name for field in cloud.fields) or 'none'
+        raise _unusable(f'{len(usable) or "no"} fields are named "{name}" and hold one number for '
+                        f'each point (fields: {names}); profile.axes says which axes are read')
+    field, = usable
+    dtype = np.dtype(('>' if cloud.is_bigendian else '<') + DATATYPES[field.datatype])
+    height, width, point_step = cloud.height, cloud.width, cloud.point_step
+    least = width * point_step
+    row_step = least if height == 1 else cloud.row_step or least  # drivers often leave it unset
+    if (field.offset + dtype.itemsize > point_step or row_step < least
+            or (height - 1) * row_step + least > len(cloud.data)):
+        raise _unusable(f'{height} x {width} points of {point_step} bytes, in rows of {row_step} '
+                        f'bytes, with the field "{name}" at byte {field.offset}, do not fit into '
+                        f'{len(cloud.data)} bytes of data')
+    return np.ndarray((height, width), dtype, cloud.data, field.offset, (row_step, point_step))
+
+
+def _row(cloud: Any, index: int) -> Any:
+    """Return a row of a PointCloud2 as a cloud; raises UnusableMessageError."""
+    size = cloud.width * cloud.point_step
+    begin = index * (cloud.row_step or size)
+    if index >= cloud.height or begin + size > len(cloud.data):
+        raise _unusable(f'damaged message: it has no row {index}')
+    return replace(cloud, height=1, row_step=size, data=cloud.data[begin:begin + size])
 
 
 def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
     """Return the profile in a sensor_msgs/PointCloud2; raises UnusableMessageError."""
-    return profile_from_cloud(cloud_from_cdr(data), config)
+    return profile_from_cloud(_message(CLOUD_TYPE, data), config)
 
 
-def profile_from_cloud(cloud: Cloud, config: ProfileConfig) -> Profile:
+def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
     """
-    Return the profile in a cloud, in metres, ordered along the line.
+    Return the profile in a PointCloud2, in metres, ordered along the line.
 
     A point with a value that is not finite, or that no sensor can measure, is no return: NaN in
     both columns. The rows of the message are concatenated. A cloud without points is a profile
     without returns. Raises UnusableMessageError.
     """
-    if cloud.width * cloud.height == 0:
-        return _empty(cloud, config)
     points, good = _points(cloud, config)
-    across = points[good, 2]
-    out_of_plane = 0.0
-    if len(across):
-        out_of_plane = float(np.nan_to_num(across.mean()))
     _require_axes(points[good, :2], config)
     if without_order(np.diff(points[good, 0])):
-        line = _sorted(points, good)
-    else:
-        line = np.where(good[:, None], points[:, :2], np.nan)
-    return replace(_empty(cloud, config), points=line, out_of_plane=out_of_plane)
-
-
-def _sorted(points: Array, good: NDArray[np.bool_]) -> Array:
-    """Return points (n, 2) sorted by the first column; points with equal values are averaged."""
-    with np.errstate(invalid='ignore'):
-        placed = np.abs(points[:, 0]) <= LARGEST_COORDINATE
-    x, group = np.unique(points[placed, 0], return_inverse=True)
-    good = good[placed]
-    count = np.bincount(group[good], minlength=len(x))
-    total = np.bincount(group[good], points[placed, 1][good], minlength=len(x))
-    with np.errstate(invalid='ignore'):  # 0 / 0 where there is no return
-        return np.column_stack([np.where(count > 0, x, np.nan), total / count])
-
-
-def _empty(cloud: Cloud, config: ProfileConfig) -> Profile:
-    return Profile(cloud.stamp, cloud.frame, np.empty((0, 2)), (config.axes[0], config.axes[1]))
+        placed = np.flatnonzero(np.abs(points[:, 0]) <= LARGEST_COORDINATE)
+        order = placed[np.argsort(points[placed, 0], kind='stable')]
+        points, good = points[order], good[order]
+    out_of_plane = np.nan_to_num(points[good, 2].mean()) if good.any() else 0.0
+    return Profile(*_stamp_and_frame(cloud), np.where(good[:, None], points[:, :2], np.nan),
+                   (config.axes[0], config.axes[1]), float(out_of_plane))
 
 
 def _axes(config: ProfileConfig) -> tuple[str, str, str]:
@@ -302,21 +224,23 @@ def _axes(config: ProfileConfig) -> tuple[str, str, str]:
     return along, across, ({'x', 'y', 'z'} - {along, across}).pop()
 
 
-def _points(cloud: Cloud, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]]:
+def _points(cloud: Any, config: ProfileConfig) -> tuple[Array, NDArray[np.bool_]]:
     """
-    Return the points (n, 3) of a cloud in metres, and which are returns (n,).
+    Return the points (n, 3) of a PointCloud2 in metres, and which are returns (n,).
 
     Columns: along the line, range, across the plane (NaN where the driver publishes none). Points
     that are not finite, too far, or in the origin are no returns; drivers publish the origin for
     missing returns.
     """
+    if cloud.width * cloud.height == 0:
+        return np.empty((0, 3)), np.empty(0, bool)
     range_axis, across = config.axes[1], _axes(config)[2]
-    along, ranges = cloud.column(config.axes[0]), cloud.column(range_axis)
+    along, ranges = column(cloud, config.axes[0]), column(cloud, range_axis)
     for value in config.invalid:
         # the value of the driver: in its type, before the sign of the axis
         value = -value if range_axis[0] == '-' else value
         ranges[np.isclose(ranges, value, rtol=1e-6, atol=0.0)] = np.nan
-    out_of_plane = (cloud.column(across) if across in [field.name for field in cloud.fields]
+    out_of_plane = (column(cloud, across) if across in [field.name for field in cloud.fields]
                     else np.full(len(ranges), np.nan))
     points = (np.stack((along, ranges, out_of_plane)) * UNITS[config.unit]).T
     points[np.abs(points) > NO_RETURN] = np.nan
@@ -359,12 +283,11 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
         return
     text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
             f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
-    if min(spread[:2]) < THIN_SHARE * spread[2]:
-        flat = int(np.argmin(spread[:2]))
-        along, range_axis = sorted(((2, 1), (0, 2))[flat],
-                                   key=lambda k: _back(np.diff(points[:, k])))
-        raise _unusable(f'{text}, their {axes[flat]} nothing: set profile.axes to '
-                        f'[{axes[along]}, {axes[range_axis]}]')
+    if min(spread[:2]) < thin:
+        flat = axes[int(np.argmin(spread[:2]))]
+        others = [axes[2] if axis == flat else axis for axis in axes[:2]]
+        raise _unusable(f'{text}, their {flat} nothing: set profile.axes to '
+                        f'[{others[0]}, {others[1]}]')
     raise _unusable(f'{text}; a line profiler measures in one plane: let its driver publish '
                     'single profiles in its own frame')
 
@@ -397,15 +320,15 @@ class ProfileReader:
     Receives the serialised clouds of one topic in order; their points are read on demand.
 
     A sensor publishes thousands of profiles while the robot moves, and a stop uses a few hundred.
-    The layout of every message is checked, and the points (wrong unit or axis) once a second;
-    after an unusable message, those of every message until the next usable one.
+    The layout of every message is checked, and the points (wrong unit or axis) once a second: of
+    every message until one is usable.
     """
 
     def __init__(self, config: ProfileConfig) -> None:
         """Start with none; config: describes the clouds."""
         self.config = config
-        self._probed = -CHECK_PERIOD
-        self._trusted = False
+        self._checked = -CHECK_PERIOD  # stamp of the last profile whose points were checked
+        typestore()  # before the messages come: they do not wait while it is made
 
     def take(self, data: bytes, fetch: Callable[[], bytes] | None = None) -> RawProfile:
         """
@@ -414,39 +337,35 @@ class ProfileReader:
         fetch: returns the message again; without it the message is kept. Raises
         UnusableMessageError.
         """
-        cloud = cloud_from_cdr(data)
+        cloud = _message(CLOUD_TYPE, data)
+        (stamp, frame), rows = _stamp_and_frame(cloud), row_count(cloud, self.config)
         if cloud.height * cloud.width:
             for axis in self.config.axes:
-                cloud.view(axis[-1])
-        rows = row_count(cloud, self.config)
-        if not self._trusted or abs(cloud.stamp - self._probed) >= CHECK_PERIOD:
-            self._trusted = False
-            points = profile_from_cloud(cloud if rows == 1 else cloud.row(0), self.config).points
-            self._trusted, self._probed = bool(np.isfinite(points[:, 1]).any()), cloud.stamp
-        return RawProfile(cloud.stamp, cloud.frame, fetch or partial(bytes, data),
-                          profile_from_cdr, self.config,
-                          0 if fetch else len(data) + MESSAGE_OVERHEAD,
-                          rows)
+                view(cloud, axis[-1])
+        if abs(stamp - self._checked) >= CHECK_PERIOD:
+            first = profile_from_cloud(cloud if rows == 1 else _row(cloud, 0), self.config)
+            if np.isfinite(first.points).any():
+                self._checked = stamp
+        return RawProfile(stamp, frame, fetch or partial(bytes, data), profile_from_cdr,
+                          self.config, 0 if fetch else len(data) + MESSAGE_OVERHEAD, rows)
 
 
-def row_count(cloud: Cloud, config: ProfileConfig) -> int:
+def row_count(cloud: Any, config: ProfileConfig) -> int:
     """
-    Return the number of profiles in a cloud: its rows, or 1 if rows are single points.
+    Return the number of profiles in a PointCloud2: its rows, or 1 if rows are single points.
 
     Rows along the same part of the line are profiles. Raises UnusableMessageError.
     """
-    if config.rows == 'points' or cloud.height * cloud.width == 0 or cloud.height == 1:
-        return 1
     if config.rows == 'profiles':
-        return cloud.height
-    if cloud.width < FEWEST_COLUMNS:
+        return max(int(cloud.height), 1)
+    if config.rows == 'points' or cloud.height < 2 or cloud.width < FEWEST_COLUMNS:
         return 1
-    along = cloud.view(config.axes[0][-1]).astype(np.float64)
+    along = view(cloud, config.axes[0][-1]).astype(np.float64)
     ends = [along[i][np.isfinite(along[i])] for i in (0, -1)]
     if not (len(ends[0]) and len(ends[1])):
         return 1
     shared = min(end.max() for end in ends) - max(end.min() for end in ends)
-    return cloud.height if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
+    return int(cloud.height) if shared > LEAST_OVERLAP * max(map(np.ptp, ends)) else 1
 
 
 def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) -> list[RawProfile]:
@@ -475,15 +394,9 @@ def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) ->
 
 def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
     """Return one row of a message as a message with its own stamp; UnusableMessageError."""
-    data = fetch()
-    cloud = cloud_from_cdr(data)
-    row, head, cdr = cloud.row(index), bytearray(data[:cloud.start]), _Cdr(data)
-    cdr.header()
-    struct.pack_into(f'{cdr.order}iI', head, 4, *divmod(stamp, NS))
-    struct.pack_into(f'{cdr.order}I', head, cdr.at + -cdr.at % 4, 1)  # the height
-    # row_step, and the length of the data, are the last two numbers before the data
-    struct.pack_into(f'{cdr.order}2I', head, cloud.start - 8, row.row_step, row.row_step)
-    return bytes(head) + bytes(row.data) + b'\1'
+    row = _row(_message(CLOUD_TYPE, fetch()), index)
+    row.header.stamp.sec, row.header.stamp.nanosec = divmod(stamp, NS)
+    return bytes(typestore().serialize_cdr(row, CLOUD_TYPE))
 
 
 def returns_of(raw: RawProfile) -> Profile:
@@ -496,11 +409,9 @@ def returns_of(raw: RawProfile) -> Profile:
     if raw.reach != (0, 0):
         raise _unusable('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
-    cloud, config = cloud_from_cdr(raw.fetch()), raw.config
-    if cloud.width * cloud.height == 0:
-        return _empty(cloud, config)
+    cloud, config = _message(CLOUD_TYPE, raw.fetch()), raw.config
     points, good = _points(cloud, config)
-    intensity = (cloud.column(INTENSITY)[good]
-                 if INTENSITY in [field.name for field in cloud.fields] else None)
-    return replace(_empty(cloud, config), stamp=raw.stamp, points=points[good, :2],
+    intensity = (column(cloud, INTENSITY)[good]
+                 if good.any() and INTENSITY in [field.name for field in cloud.fields] else None)
+    return Profile(raw.stamp, raw.frame_id, points[good, :2], (config.axes[0], config.axes[1]),
                    intensity=intensity)

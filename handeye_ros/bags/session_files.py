@@ -5,21 +5,20 @@ A session on the disk: written event by event, and read back.
 
 A session is a folder, and a bag: one .mcap file for each event, which holds the settings and, for
 a stop, its profiles and poses (and joint values), so that stops can be evaluated again. A file is
-written under another name, synced, and renamed; then metadata.yaml is written under another name
-and renamed, and the folder is synced. If the process is killed at any time, all files are complete
-bags, and metadata.yaml lists all of them except perhaps the last, which the node has not yet
-reported. After a power failure metadata.yaml may be older: it repeats only data of the files, and
-is written again when the session is continued.
+written under another name, synced, renamed, and the folder is synced; then the event is reported.
+If the process is killed at any time, all files are complete bags. metadata.yaml, for other readers
+of bags, repeats only data of the files: it may lack the last one after a failure, and is written
+again with the next event, and when the session is continued.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, UTC
 import fcntl
 from functools import partial
-from itertools import count, islice
+from itertools import islice
 import json
 import os
 from pathlib import Path
@@ -30,7 +29,6 @@ from typing import Any
 from handeye_ros.bags.bag_write import (
     cloud_cdr,
     contents_of,
-    DOUBLE_POINT,
     pose_cdr,
     string_cdr,
     sync,
@@ -63,7 +61,7 @@ OUTCOME_TOPIC = '/handeye_ros/session/outcome'
 STOP, REMOVED, CONFIGURED = 'stop', 'removed', 'configured'  # kinds of events
 
 SUFFIX, LOCK_FILE = '.mcap', '.lock'
-FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%SZ'  # names of folders
+FOLDER_NAME_FORMAT = '%Y-%m-%dT%H%M%S.%fZ'  # names of folders, by the time
 PARAMETERS = "the node's parameters"
 
 
@@ -124,17 +122,13 @@ class Stored:
                  for pose in stop.load(config).poses)
         profiles = (profile.frame_id for stop in self.stops.values()
                     for profile in stop.load(config).profiles)
-        session = Session(config, (), self.last_number, (next(poses, None), next(profiles, None)))
+        session = Session(config, self.last_number, (next(poses, None), next(profiles, None)))
         for number, stored in sorted(self.stops.items()):
-            stop = _evaluated(stored, config)
+            stop = stored if stored.final_reason else replace(
+                stored, result=result_of(stored, config))
             session.add_stop(replace(session.evaluated(stop, stop.result), number=number))
             session.mark_done(stop)
         return session
-
-
-def _evaluated(stop: Stop, config: Config) -> Stop:
-    """Return the stop with what it gives with a configuration."""
-    return stop if stop.final_reason else replace(stop, result=result_of(stop, config))
 
 
 class SessionFiles:
@@ -157,15 +151,17 @@ class SessionFiles:
         self.path = stored.path if stored else None
         self._lock: int | None = None
         if stored:
-            with ExitStack() as failed, write_errors_for(stored.path):
+            with write_errors_for(stored.path):
                 self._lock = _claimed(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
-                failed.callback(self.close)
-                write_metadata(stored.path, files_of(stored.path))
-                if config and replace(stored.config, session=config.session) != config:
+            _write_metadata(stored.path)
+            if config and replace(stored.config, session=config.session) != config:
+                try:
                     self.add_event(CONFIGURED, config)
-                failed.pop_all()
+                except InputError:
+                    self.close()
+                    raise
 
     def close(self) -> None:
         """Release the lock, so that another node can continue the session."""
@@ -204,17 +200,12 @@ class SessionFiles:
                                         'back, or call ~/clear_samples for a new session')
             number = 1 + max(map(_number_of, files_of(folder)), default=-1)
             file = folder / f'{folder.name}_{number}{SUFFIX}'
-            types, messages = _messages(kind, config, stop, joints)
             with atomic_file(file) as temporary, temporary.open('wb') as stream:
-                write_mcap(stream, types, sorted(messages, key=lambda message: message.log_time))
+                write_mcap(stream, _messages(kind, config, stop, joints))
                 stream.flush()
                 os.fsync(stream.fileno())
-            try:
-                write_metadata(folder, files_of(folder))
-            except (OSError, InputError):
-                with suppress(OSError):
-                    file.unlink()  # the event is refused, so it must not be read back
-                raise
+            sync(folder)
+        _write_metadata(folder)
         return file
 
     def restarted(self, config: Config) -> SessionFiles:
@@ -225,18 +216,17 @@ class SessionFiles:
 
     def _begun(self, config: Config) -> tuple[Path, int]:
         """Make the folder of a new session, named after the time; return it and its lock."""
-        parent, stamp = self._parent(config), datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
-        missing = [above for above in (parent, *parent.parents) if not above.exists()]
-        parent.mkdir(parents=True, exist_ok=True)
-        for made in missing:
+        folder = self._parent(config) / datetime.now(UTC).strftime(FOLDER_NAME_FORMAT)
+        missing = [above for above in folder.parents if not above.exists()]
+        folder.mkdir(parents=True)
+        for made in (folder, *missing):
             sync(made.parent)
-        for attempt in count():
-            folder = parent / (f'{stamp}-{attempt}' if attempt else stamp)
-            with suppress(FileExistsError):
-                folder.mkdir()
-                sync(parent)
-                break
         return folder, _claimed(folder, f'another node has begun {folder}')
+
+
+def _write_metadata(folder: Path) -> None:
+    with suppress(OSError, InputError):  # it only repeats the files
+        write_metadata(folder, files_of(folder))
 
 
 def _claimed(folder: Path, taken: str) -> int:
@@ -251,31 +241,26 @@ def _claimed(folder: Path, taken: str) -> int:
 
 
 def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
-              ) -> tuple[dict[str, str], list[Raw]]:
-    """Return the types of the topics of an event, and its messages."""
-    profile_topic = full_name(config.profile_topic)
+              ) -> list[Raw]:
+    """Return the messages of an event, in the order of their times."""
     pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
-    joint_topic = full_name(config.joint_topic)
-    types = {profile_topic: CLOUD_TYPE, pose_topic: POSE_TYPE, CONFIGURATION_TOPIC: STRING_TYPE,
-             OUTCOME_TOPIC: STRING_TYPE}
-    if joints:
-        types[joint_topic] = JOINTS_TYPE
-    offset = config.offset_ns  # a driver may publish no stamp: log_time holds it
-    messages = [Raw(pose_topic, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
+    messages = [Raw(pose_topic, POSE_TYPE, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
+    # a driver may publish no stamp: log_time holds it
     messages += [
-        Raw(profile_topic, profile.stamp - offset,
+        Raw(full_name(config.profile_topic), CLOUD_TYPE, profile.stamp - config.offset_ns,
             bytes(profile.fetch()) if isinstance(profile, RawProfile)
-            else cloud_cdr(profile, config.profile.unit, DOUBLE_POINT))
+            else cloud_cdr(profile, config.profile.unit, 'f8'))
         for profile in stop.profiles]
-    messages += [Raw(joint_topic, stamp, data) for stamp, data in joints]
+    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, data)
+                 for stamp, data in joints]
     values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
               'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
     for topic, content in ((CONFIGURATION_TOPIC, {'config': flatten(replace(config, session=''))}),
                            (OUTCOME_TOPIC, values)):
         text = json.dumps({'format': f'{FORMAT}{NEWEST}', **content})
-        messages.append(Raw(topic, end, string_cdr(text)))
-    return types, messages
+        messages.append(Raw(topic, STRING_TYPE, end, string_cdr(text)))
+    return sorted(messages, key=lambda message: message.log_time)
 
 
 def _number_of(file: Path) -> int:
@@ -313,18 +298,17 @@ def read_session(path: Path) -> Stored:
     """
     if not is_session(path):
         raise InputError(f'{path} is no session: expected a folder that the node made')
-    stops: dict[int, Stop] = {}
-    taken, last_number, config = set[int](), 0, Config()
+    stops: dict[int, tuple[Stop, bool]] = {}  # and whether it gave a sample
+    last_number, config = 0, Config()
     for file in files_of(path):
         kind, config, stop, gave_a_sample = _event_of(file)
         last_number = max(last_number, stop.number)
         if kind != CONFIGURED:
             stops.pop(stop.number, None)
-            taken.discard(stop.number)
         if kind == STOP:
-            stops[stop.number] = stop
-            taken |= {stop.number} if gave_a_sample else set()
-    return Stored(path, config, stops, len(taken), last_number)
+            stops[stop.number] = stop, gave_a_sample
+    return Stored(path, config, {number: stop for number, (stop, _) in stops.items()},
+                  sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
 
 
 def load(file: Path, stamp: int, config: Config) -> Stop:
@@ -332,31 +316,29 @@ def load(file: Path, stamp: int, config: Config) -> Stop:
     offset = config.offset_ns
     reader = ProfileReader(config.profile)
     poses, profiles = [], []
-    for kind, message in _read_file(file):
-        if kind == POSE_TYPE:
+    for message in _read_file(file):
+        if message.kind == POSE_TYPE:
             poses.append(pose_from_cdr(message.data))
-        elif kind == CLOUD_TYPE:
+        elif message.kind == CLOUD_TYPE:
             with suppress(UnusableMessageError):  # it may be invalid with other settings
                 profiles.append(replace(reader.take(message.data),
                                         stamp=message.log_time + offset))
     return Stop(stamp, tuple(poses), tuple(profiles))
 
 
-def _read_file(file: Path, topics: Collection[str] | None = None) -> list[tuple[str, Raw]]:
-    """Return the messages of some topics, or of all, with their types; raises InputError."""
+def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
+    """Return the messages of some topics, or of all, of a whole file; raises InputError."""
     reader = Reader(file, topics)
     messages = list(reader.messages())
     if reader.warnings:
         raise InputError(f'{file}: is damaged: {"; ".join(reader.warnings)}')
-    return [(reader.types[message.topic], message) for message in messages]
+    return messages
 
 
 def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
     """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
     texts = {raw.topic: text_from_cdr(raw.data)
-             for _, raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
-    if not {CONFIGURATION_TOPIC, OUTCOME_TOPIC} <= set(texts):
-        raise InputError(f'{file} does not say what happened')
+             for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:
         values, content = json.loads(texts[OUTCOME_TOPIC]), json.loads(texts[CONFIGURATION_TOPIC])
         for form in (values['format'], content['format']):

@@ -18,7 +18,6 @@ from handeye_ros.data import Array, TimedPose
 from handeye_ros.sampling.stream import interpolate, Stream
 import numpy as np
 
-WAITED, FEW_TIMES = 0.25, 5  # s between transforms that poses wait for, and times those of others
 KEPT_TRANSFORMS = 1000  # transforms of a link: 10 s of a robot driver at 100 Hz
 
 
@@ -93,19 +92,6 @@ class FlangeTracker:
         """Forget moving transforms, so that times may start again; static ones stay."""
         self._links = {child: link for child, link in self._links.items() if link.static}
         self._sent_until = -1
-
-    @property
-    def delay(self) -> str:
-        """Return in words for which link the poses wait, '' if for none."""
-        chains, links = self._chains(), self._links.copy()  # the streams go on meanwhile
-        periods = {child: link.stream.period for child, link in links.items()
-                   if chains and not link.static and any(link in chain for chain in chains)}
-        slowest = max(periods, key=periods.__getitem__, default='')
-        if not slowest or periods[slowest] < max(WAITED, FEW_TIMES * min(periods.values())):
-            return ''
-        return (f'the poses wait for the transform of "{slowest}", which comes on /tf only every '
-                f'{periods[slowest]:.2g} s: publish it on /tf_static if it is fixed, else as '
-                'often as the others')
 
     def missing(self) -> str:
         """Return why there are no poses, '' if there are."""

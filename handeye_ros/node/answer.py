@@ -152,7 +152,7 @@ class LiveAnswer:
         self.is_wanted = True
         try:
             live.process_all()
-            live.copied().require_stops()
+            live.copied().require_any_stop()
         except HandeyeError as error:
             self._refuse(error)
             raise

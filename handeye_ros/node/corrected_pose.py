@@ -18,7 +18,7 @@ import sys
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.arm import Arm, read_arm, read_urdf
-from handeye_ros.bags.bag import pose_from_joints
+from handeye_ros.bags.poses import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, own_arguments, spin
 from handeye_ros.node.outputs import pose_stamped, time_message, transform_stamped

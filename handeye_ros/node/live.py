@@ -131,7 +131,7 @@ class LiveSession:
                 self.messages['pose'].add(pose.stamp)
                 self._poses.append(pose)
                 self.session.add_pose(pose)
-            ready = self.session.current_if_ready()
+            ready = self.session.early_stop()
             self._queue([*self.session.completed(), *([ready] if ready else [])])
 
     def add_joints(self, stamp: int, data: bytes) -> None:
@@ -469,7 +469,7 @@ class LiveSession:
             if poses.count and poses.silence > POSES_SILENT and profiles.silence < PROFILES_COME:
                 raise silent_poses(poses.silence)
             with self.lock:
-                stop = self.session.current_stop()
+                stop = self.session.stop_on_request()
             text = self._take(stop, asked=True)
         except HandeyeError as error:
             self.attempt = Attempt(str(error))

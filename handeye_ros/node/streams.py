@@ -7,17 +7,15 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 import struct
 import threading
 import time
 from typing import Any, Protocol, TypeVar
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.arm import read_arm
-from handeye_ros.bags.bag import pose_from_joints
-from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, split, transforms_from_cdr
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE
+from handeye_ros.bags.messages import ProfileReader, split
+from handeye_ros.bags.poses import pose_topics
+from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
 from handeye_ros.data import NS, RawProfile, TimedPose
@@ -39,7 +37,8 @@ except ImportError:  # the wheels of rclpy come without it
 BEST_EFFORT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_TREE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-MESSAGE_TYPES = {PointCloud2: CLOUD_TYPE, PoseStamped: POSE_TYPE, JointState: JOINTS_TYPE}
+MESSAGES = {CLOUD_TYPE: PointCloud2, POSE_TYPE: PoseStamped, JOINTS_TYPE: JointState,
+            TF_TYPE: TFMessage}
 NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 READ_PERIOD = 2e-3  # s between two reads of all topics
@@ -91,7 +90,7 @@ class _Topic:
     """
 
     messages: MessageCount
-    type: Any
+    type: str
     name: str
     receive: Callable[[bytes], None]
     qos: QoSProfile
@@ -131,29 +130,17 @@ class Streams:
     def _topics_of(self, config: Config) -> list[_Topic]:
         """Return the topics that settings name; raises InputError."""
         poses = MessageCount('pose')
-        topics = [_Topic(MessageCount('profile'), PointCloud2, config.profile_topic,
+        topics = [_Topic(MessageCount('profile'), CLOUD_TYPE, config.profile_topic,
                          self._on_profile, RELIABLE_QOS, 'profile_topic')]
         if self._add_joints and not config.kinematics:
-            topics.append(_Topic(MessageCount('joint state'), JointState, config.joint_topic,
+            topics.append(_Topic(MessageCount('joint state'), JOINTS_TYPE, config.joint_topic,
                                  partial(_on_joints, self._add_joints), BEST_EFFORT_QOS))
-        if config.kinematics:
-            arm = read_arm(Path(config.kinematics))
-            topics.append(_Topic(
-                poses, JointState, config.joint_topic,
-                lambda data: self._add_poses([pose_from_joints(arm, data)]), RELIABLE_QOS,
-                'joint_topic'))
-        elif config.pose_source == 'topic':
-            topics.append(_Topic(poses, PoseStamped, config.pose_topic,
-                                 lambda data: self._add_poses([pose_from_cdr(data)]),
-                                 RELIABLE_QOS, 'pose_topic'))
-        elif TFMessage:
-            topics += [_Topic(poses, TFMessage, '/tf_static',
-                              partial(self._add_transforms, True), LATCHED_TREE),
-                       _Topic(poses, TFMessage, '/tf',
-                              partial(self._add_transforms, False), BEST_EFFORT_QOS)]
-        else:
-            raise InputError('pose_source is tf, but tf2_msgs is not installed: '
-                             f'{INSTALL_TF2}; or publish the poses on pose_topic')
+        for name, key, kind, read in pose_topics(config, self._tracker):
+            if kind == TF_TYPE and not TFMessage:
+                raise InputError('pose_source is tf, but tf2_msgs is not installed: '
+                                 f'{INSTALL_TF2}; or publish the poses on pose_topic')
+            qos = {'/tf': BEST_EFFORT_QOS, '/tf_static': LATCHED_TREE}.get(name, RELIABLE_QOS)
+            topics.append(_Topic(poses, kind, name, partial(self._on_poses, read), qos, key))
         if len({self._full_name(topic.name) for topic in topics}) < len(topics):
             raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
                              'needs its own')
@@ -172,7 +159,7 @@ class Streams:
 
     def _subscribe(self, topic: _Topic) -> None:
         topic.subscription = self._node.create_subscription(
-            topic.type, topic.name, topic.receive, topic.qos, callback_group=self._group,
+            MESSAGES[topic.type], topic.name, topic.receive, topic.qos, callback_group=self._group,
             raw=True, event_callbacks=NO_CALLBACKS)
 
     def names_other_topics(self, config: Config) -> bool:
@@ -230,9 +217,10 @@ class Streams:
     def _drain(self, topic: _Topic) -> int:
         """Read at most MOST_AT_ONCE messages of a topic; return how many."""
         handle, log = topic.subscription.handle, self._node.get_logger()
+        message_type = MESSAGES[topic.type]
         with handle:
             for count in range(MOST_AT_ONCE):
-                received = handle.take_message(topic.type, True)
+                received = handle.take_message(message_type, True)
                 if not received:
                     return count
                 data, info = received
@@ -258,11 +246,8 @@ class Streams:
             self._receiver.add_profile(profile_part)
         self._last_stamp = message.stamp
 
-    def _add_transforms(self, is_static: bool, data: bytes) -> None:
-        self._add_poses(self._tracker.add(transforms_from_cdr(data), is_static))
-
-    def _add_poses(self, poses: Iterable[TimedPose]) -> None:
-        self._receiver.add_poses([self._stamped(pose) for pose in poses])
+    def _on_poses(self, read: Callable[[bytes], Iterable[TimedPose]], data: bytes) -> None:
+        self._receiver.add_poses([self._stamped(pose) for pose in read(data)])
 
     def _stamped(self, item: Stamped) -> Stamped:
         """Return an item; without a stamp it gets the time of receipt."""
@@ -287,7 +272,7 @@ class Streams:
 
     def _why_silent(self, topic: _Topic) -> str:
         """Return why no messages of a topic arrive, '' if there is a publisher."""
-        name, message_type = self._full_name(topic.name), MESSAGE_TYPES[topic.type]
+        name, message_type = self._full_name(topic.name), topic.type
         types = {info.topic_type for info in topic.publishers}
         if message_type in types:
             return ''
@@ -304,7 +289,7 @@ class Streams:
                       and any(info.topic_type == message_type for info in self._publishers(name)))
 
     def trouble(self) -> str:
-        """Return a sentence for several publishers of a topic, a second node, a slow transform."""
+        """Return a sentence for several publishers of a topic, and for a second node."""
         sentences, node = [], self._node
         for topic in (topic for topic in self._topics if topic.key):
             names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
@@ -320,7 +305,6 @@ class Streams:
                 f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
                 'either may answer; end one, or rename it (-r __node:=other). One that was killed '
                 'is listed for 20 s more')
-        sentences += filter(None, [self._tracker.delay])
         return '; '.join(sentences)
 
 

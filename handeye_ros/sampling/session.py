@@ -62,30 +62,27 @@ class Session(Copyable):
     last_number: the last one assigned
     """
 
-    def __init__(self, config: Config, stops: Iterable[Stop] = (), last_number: int = 0,
+    def __init__(self, config: Config, last_number: int = 0,
                  frames: tuple[str | None, str | None] = (None, None)) -> None:
         """
         Start with no messages; raises InputError for a method or target that it cannot have.
 
-        stops, last_number, frames: those of a session that goes on.
+        last_number, frames (of the poses, of the profiles): those of a session that goes on.
         """
         targets.target_for(config)
         self.config = config
-        self._stops: dict[int, Stop] = {}  # the evaluated ones, by their stamps
         self.last_number = last_number
-        self._next_check: tuple[int, float] = -1, 0.0  # stamp of a stop, time in it
+        self._stops: dict[int, Stop] = {}  # the evaluated ones, by their stamps
         self._finder = StopFinder(config.sampling)
         self._waiting: list[Stop] = []  # for profiles
         self._profiles = ProfileBuffer()
         self._done: set[int] = set()  # stamps of stops that are not returned (again)
+        self._early_after = 0.0  # ns in the current stop, after which it may be returned early
         self._unasked_stops = 0  # stops in manual mode
         self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
-        for stop in stops:
-            self.add_stop(stop)
-            self.mark_done(stop)
 
     def configure(self, config: Config) -> None:
         """Apply another configuration to what comes from now on, the current stop too."""
@@ -124,52 +121,54 @@ class Session(Copyable):
         del self._waiting[:excess]
 
     def completed(self) -> list[Stop]:
-        """Return the stops that are complete in both streams and were not returned before."""
+        """Return the stops that are over in both streams, each once, with their profiles."""
         if self._pose_stream.set_back or self._profile_stream.set_back:
             return self._before_setting_back()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
         self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
-        over = [s for s in self._waiting if self._profile_stream.latest > s.end]
-        self._waiting = [s for s in self._waiting if s not in over]
-        stops = self._not_returned_before(over)
-        # only what stops that wait, the current one, and those to come, can use is kept
+        stops = self._given_out([stop for stop in self._waiting
+                                 if stop.end < self._profile_stream.latest])
+        # only what the current stop, those that wait, and those to come can use is kept
         first, last = self._finder.window()
-        self._profiles.keep(min([first, *(s.start for s in self._waiting)]),
-                            max([last, *(s.end for s in self._waiting)]), now)
+        self._profiles.keep(min([first, *(stop.start for stop in self._waiting)]),
+                            max([last, *(stop.end for stop in self._waiting)]), now)
         return stops
 
     def _before_setting_back(self) -> list[Stop]:
         """Continue after a clock was set back; return the stops from before."""
-        stops = self._current_and_waiting()
+        stops = self._given_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
-        if self._pose_stream.set_back:
-            self._pose_stream.restart()
         if self._profile_stream.set_back:
-            self._profile_stream.restart()
             self._profiles = ProfileBuffer()
+        for stream in (self._pose_stream, self._profile_stream):
+            if stream.set_back:
+                stream.restart()
         return stops
 
     def remaining(self) -> list[Stop]:
         """
-        Return all remaining stops, including the current one.
+        Return the stops that were not returned yet, the current one as if it were over.
 
-        Raises InputError as require_stops does.
+        Raises InputError for another base frame than that of the settings, a tilted light plane,
+        and two frames on a topic, unless there are samples: all are of the first.
         """
         self._require_samples_of_one_frame()
         self._take_poses(self._pose_stream.released(0, FOREVER))
         self._profiles.add(self._profile_stream.released(0, FOREVER))
-        return self._current_and_waiting()
+        return self._given_out(self._all_stops())
 
-    def _current_and_waiting(self) -> list[Stop]:
+    def _all_stops(self) -> list[Stop]:
+        """Return the stops that wait, and the current one unless stops are taken by hand."""
         current = self._finder.current() if self.config.sampling.by_itself else None
-        stops, self._waiting = [*self._waiting, *([current] if current else [])], []
-        return self._not_returned_before(stops)
+        return [*self._waiting, *([current] if current else [])]
 
-    def _not_returned_before(self, stops: Sequence[Stop]) -> list[Stop]:
-        """Return stops with their profiles, without those that were returned before."""
-        new = [stop for stop in stops if stop.stamp not in self._done]
-        self._done |= {stop.stamp for stop in new}
+    def _given_out(self, stops: Sequence[Stop]) -> list[Stop]:
+        """Let stops wait no longer; return those that were not returned before, with profiles."""
+        stamps = {stop.stamp for stop in stops}
+        self._waiting = [stop for stop in self._waiting if stop.stamp not in stamps]
+        new = [stop for stop in stops if not self.is_done(stop)]
+        self._done |= stamps
         return [self._with_profiles(stop) for stop in new]
 
     def _with_profiles(self, stop: Stop) -> Stop:
@@ -183,28 +182,21 @@ class Session(Copyable):
         """Mark a stop, so that it is not returned again."""
         self._done.add(stop.stamp)
 
-    def current_stop(self) -> Stop:
+    def stop_on_request(self) -> Stop:
         """
         Return the stop at which the robot stands now.
 
-        Raises InputError for two frames on a topic, and DataError without current poses (reason
-        no_poses, silent_poses, late_poses, position_unit) or while the robot moves (moving).
+        Raises the conflict of the streams, and DataError without current poses (its reason
+        no_poses, silent_poses, late_poses or position_unit), or while the robot moves (moving).
         """
-        self._require_one_frame()
+        if self.conflict:
+            raise self.conflict
         self._require_poses_now()
         stop = self._finder.current()
         if stop is None:
-            needed, motion = self.config.sampling.still_time, self.motion
-            if motion is None:
-                how = 'too few poses have come to measure its motion: wait'
-            elif motion.speed * needed <= self.config.sampling.still_translation and (
-                    motion.turning * needed <= self.config.sampling.still_rotation):
-                missing = max(needed - motion.still, 0.1)
-                how = f'but for {motion.still:.1f} s: wait {missing:.1f} s more'
-            else:
-                how = f'{motion.sentence}: stop it, wait'
-            raise DataError(f'the robot has not stood still for {needed:g} s, {how}, and take the '
-                            'sample again', reason='moving')
+            how = self.motion.sentence if self.motion else 'too few poses have come'
+            raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
+                            f's, and {how}: wait, and take the sample again', reason='moving')
         self._profiles.add(self._profile_stream.released(stop.start, stop.end))
         return self._with_profiles(stop)
 
@@ -240,10 +232,6 @@ class Session(Copyable):
         return DataError(f'no flange pose was received on {topic}: start the robot driver, or set '
                          f'{keys}', reason='no_poses')
 
-    def _require_one_frame(self) -> None:
-        if self.conflict:
-            raise self.conflict
-
     def _require_samples_of_one_frame(self) -> None:
         """Raise the conflict of the streams, but of two frames only before the first sample."""
         conflict = self.conflict  # what has another frame is dropped: samples are all of one
@@ -254,13 +242,12 @@ class Session(Copyable):
     def _has_samples(self) -> bool:
         return any(stop.sample for stop in self._stops.values())
 
-    def require_stops(self) -> None:
+    def require_any_stop(self) -> None:
         """
         Refuse a recording in which the robot never stood still, or seldom long enough.
 
-        Raises DataError, its reason no_poses, not_asked, position_unit, sparse_poses or no_stops,
-        and InputError for messages of two frames, unless there are samples, or of a light plane
-        tilted in its frame.
+        Raises InputError as remaining does, and DataError, its reason no_poses, not_asked,
+        late_poses, position_unit, sparse_poses or no_stops.
         """
         self._require_samples_of_one_frame()
         poses, sampling, count = self._pose_stream, self.config.sampling, len(self._done)
@@ -303,7 +290,12 @@ class Session(Copyable):
 
     @property
     def conflict(self) -> InputError | None:
-        """Return the error of contradicting frames, or of a tilted light plane, or None."""
+        """
+        Return why the messages contradict the settings or each other, or None.
+
+        Its reason is base_frame (another one than in the settings), tilted_plane (of the light)
+        or two_frames (on a topic).
+        """
         wanted = self.config.robot_base_frame.lstrip('/')
         if wanted and self.base_frame and wanted != self.base_frame:
             return InputError(f'the poses are given in "{self.base_frame}", but robot_base_frame '
@@ -332,11 +324,6 @@ class Session(Copyable):
                 return (f'only {kind}s of frame "{stream.successor}" come now, and none of '
                         f'"{stream.frame}" gave a sample: the session begins anew')
         return ''
-
-    @property
-    def frames(self) -> tuple[str | None, str | None]:
-        """Return the frames of poses and profiles, None before the first."""
-        return self._pose_stream.frame, self._profile_stream.frame
 
     @property
     def frame_id(self) -> str:
@@ -407,32 +394,32 @@ class Session(Copyable):
         """
         Return what all remaining stops give, including the current one.
 
-        Raises InputError as require_stops does.
+        Raises InputError as remaining does.
         """
         return [self.add_stop(self.evaluated(stop, result_of(stop, self.config))).result
                 for stop in self.remaining()]
 
-    def current_if_ready(self) -> Stop | None:
+    def early_stop(self) -> Stop | None:
         """
-        Return the current stop as soon as it has enough profiles for a sample.
+        Return the current stop as soon as it has enough profiles for a sample, else None.
 
         At first it needs MOST_PROFILES. A stop without a sample is returned a few more times,
         later and later, as the cause may be gone. completed() returns it again when it is over.
         """
         sampling, stood = self.config.sampling, self._finder.stood
         first = (sampling.still_time + 2 * sampling.settle_time) * NS
-        stamp, next_check = self._next_check
-        if stamp != self._finder.stamp:
-            stamp, next_check = self._next_check = self._finder.stamp, first
-        if sampling.mode != 'still' or stood < next_check:
+        if stood < first:  # it has just begun
+            self._early_after = first
+        if sampling.mode != 'still' or stood < self._early_after:
             return None
-        self._next_check = stamp, CHECK_LATER * next_check
-        stop, known = self._finder.current(), self._stops.get(stamp)
+        fewest = (MOST_PROFILES if self._early_after == first else
+                  1 if stood < NO_PROFILE_PATIENCE else 0)
+        self._early_after *= CHECK_LATER
+        stop, known = self._finder.current(), self._stops.get(self._finder.stamp)
         if stop is None or self.is_done(stop) or (known and known.sample):
             return None
         stop = self._with_profiles(stop)
-        enough = MOST_PROFILES if next_check == first else 1 if stood < NO_PROFILE_PATIENCE else 0
-        return stop if len(stop.settled_profiles(self.config)) >= enough else None
+        return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
     def evaluated(self, stop: Stop, result: Sample | Reject) -> Stop:
         """Return a stop with its number and result; a duplicate pose gives no sample."""

@@ -27,11 +27,9 @@ from scipy.spatial.transform import Rotation, Slerp
 REORDER_TIME = 1_000_000_000  # ns; a smaller step back is only a reordering in transit
 LAST_STAMP = 2 ** 63 - 1  # ns; largest stamp
 
-MOST_REASONS = 10  # that are distinguished: a damaged topic may give each message another frame
-OTHER_FRAME = 'some other frame'
-FEW_STRAYS = 3  # messages with wrong stamps that a recording may hold: this number,
-FEW_SHARE = 0.05  # or this share of many; with more, the right order is unknown
-MANY_STRAYS = 20  # in a row are no strays
+LATE_TIME = 500_000_000  # ns of messages that are late, after which the clock was set back
+FEW_STRAYS = 3  # messages of another frame, or with wrong stamps: a topic may hold this number,
+FEW_SHARE = 0.05  # or this share of many wrong stamps; with more, the right order is unknown
 UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which others are of the past
 
 by_stamp = attrgetter('stamp')
@@ -57,155 +55,117 @@ class Stream(Copyable, Generic[Stamped]):
     Passes on the messages of one topic, or drops them with a warning.
 
     latest: stamp of the last message passed on, -1 before the first
-    count: number passed on
+    count: number passed on since the start, or since the clock was set back
     late: whether the last received message was dropped because it is older than `latest`
     repeats: how many last messages have its stamp too
-    frame: of the first message, or of the majority if the first ones were strays
+    frame: of the first message; those of others are strays
+    successor: the frame that alone has come for UNMIXED_TIME in place of that one, or ''
     set_back: by how much the clock was set back (ns), 0 if it was not
     """
 
     def __init__(self, kind: str, frame: str | None = None) -> None:
         """Start with none; kind: what they are, for the warnings; frame: if it is known before."""
         self._kind = kind
-        self._pending: Stamped | None = None
-        self._dropped: Counter[str] = Counter()
-        self._first = self._before = 0  # stamp of the first message, messages before a restart
-        self._set_backs, self._last_set_back = 0, 0.0  # of the clock; the last by (s)
+        self._held: Stamped | None = None  # far ahead of the one before it
+        self._dropped: Counter[str] = Counter()  # by reason
+        self._first = 0  # stamp of the first message that was counted
         self.latest = -1
         self.count = 0
         self.late = False
         self.repeats = 0
         self.frame = frame
+        self.successor = ''
         self.set_back = 0
-        self._late_since = -1  # stamp of the first of consecutive late messages
-        self._late_last = self._late_count = 0
-        self._strays: Counter[str] = Counter()  # number of messages by other frame
-        self._strays_in_a_row = 0
-        self._stray, self._stray_since, self._stray_last = '', 0, 0  # frame, stamps of those
-        self._strayed = -1  # latest, when the last stray came
-        self._forgiven = 0  # number of strays of the past
+        self._late: list[int] = []  # stamps of the last messages, if all were far too late
+        self._set_backs: list[int] = []  # by how much, each time before (ns)
+        self._strays = 0  # with less than UNMIXED_TIME of the first frame between them
+        self._last_stray = -1  # `latest` when it came
+        self._other, self._other_since = '', -1  # frame of the last stray, since when it is alone
 
     @property
     def conflict(self) -> InputError | None:
-        """
-        Return the error of a topic with two frames; a few strays are dropped and counted.
-
-        Strays are also forgiven once only the first frame has come for UNMIXED_TIME.
-        """
-        if self.latest - self._strayed > UNMIXED_TIME:
+        """Return the error of a topic with two frames, None for a few strays or if they ended."""
+        if self._strays <= FEW_STRAYS or self.latest - self._last_stray > UNMIXED_TIME:
             return None
-        strays = sum(self._strays.values()) - self._forgiven
-        if self.frame is None or (strays <= max(FEW_STRAYS, FEW_SHARE * self.count)
-                                  and self._strays_in_a_row < MANY_STRAYS):
-            return None
-        return two_frames(self._kind, self.frame, self._strays.most_common(1)[0][0])
-
-    @property
-    def successor(self) -> str:
-        """Return the frame that alone has come for UNMIXED_TIME in place of the first, or ''."""
-        lasted = self._stray_last - self._stray_since
-        return self._stray if (self._strays_in_a_row >= MANY_STRAYS
-                               and lasted > UNMIXED_TIME) else ''
+        return two_frames(self._kind, str(self.frame), self._other)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each reason for which messages were dropped."""
-        frames = {f'of frame "{frame}"' if frame != OTHER_FRAME else f'of {OTHER_FRAME}': count
-                  for frame, count in self._strays.items()}
-        steps = (f'the clock of the {self._kind}s was set back by {self._last_set_back:.1f} s '
-                 f'({self._set_backs} times): sampling continues in the new time',)
-        return (*(steps if self._set_backs else ()),
-                *(f'dropped a {self._kind} {reason} ({count} times)'
-                  for reason, count in {**frames, **self._dropped}.items()))
+        dropped = [f'dropped a {self._kind} {reason} ({count} times)'
+                   for reason, count in self._dropped.items()]
+        steps = self._set_backs
+        return (*([f'the clock of the {self._kind}s was set back by {steps[-1] * 1e-9:.1f} s '
+                   f'({len(steps)} times): sampling continues in the new time'] if steps else []),
+                *dropped)
 
     @property
     def period(self) -> float:
         """Return the mean time between messages (s), 0 with fewer than two."""
-        count = self.count - self._before
-        return (self.latest - self._first) * 1e-9 / (count - 1) if count > 1 else 0.0
+        return (self.latest - self._first) * 1e-9 / (self.count - 1) if self.count > 1 else 0.0
 
     def add(self, item: Stamped, frame: str) -> list[Stamped]:
         """Add the next message; return it and the one held back, as far as they are confirmed."""
         self.frame = frame if self.frame is None else self.frame
-        if frame != self.frame and not self._adopted(frame, item.stamp):
+        if frame != self.frame:
+            self._count_stray(frame, item.stamp)
             return []
-        self._strays_in_a_row = 0
-        held = self._pending
-        if held and held.stamp - item.stamp > REORDER_TIME:
-            self._pending = None
+        self._other_since, self.successor = -1, ''
+        if self._held and self._held.stamp - item.stamp > REORDER_TIME:
+            self._held = None
             self._dropped['whose stamp lies far ahead of the next one'] += 1
         passed = self.released(0, item.stamp - 1)
-        newest = max(self.latest, self._pending.stamp if self._pending else -1)
+        newest = max(self.latest, self._held.stamp if self._held else -1)
         self.late = item.stamp < newest
         self.repeats = self.repeats + 1 if item.stamp == newest else 0
         if item.stamp <= newest:
             self._dropped['whose stamp is not later than the one before'] += 1
-            if self.late:
-                self._note_late(item.stamp)
+            self._look_for_set_back(item.stamp)
         elif item.stamp - self.latest > REORDER_TIME:
-            self._pending = item
+            self._held = item
         else:
             passed.append(self._passed(item))
         return passed
 
-    def _adopted(self, frame: str, stamp: int) -> bool:
-        """
-        Count a message of another frame; return whether the stream now takes that frame.
+    def _count_stray(self, frame: str, stamp: int) -> None:
+        """Count a message of another frame than the first."""
+        if self.latest - self._last_stray > UNMIXED_TIME:
+            self._strays = 0
+        self._strays += 1
+        self._last_stray = self.latest
+        self._dropped[f'of frame "{frame}"'] += 1
+        if frame != self._other or self._other_since < 0:
+            self._other, self._other_since = frame, stamp
+        self.successor = frame if stamp - self._other_since > UNMIXED_TIME else ''
 
-        It does after ten of them where at most FEW_STRAYS came before: those were the strays. The
-        frame of a session that continues stays.
-        """
-        if self.latest - self._strayed > UNMIXED_TIME:
-            self._forgiven = sum(self._strays.values())
-        known = len(self._strays) < MOST_REASONS or frame in self._strays
-        self._strays[frame if known else OTHER_FRAME] += 1
-        if not self._strays_in_a_row or frame != self._stray:
-            self._stray, self._stray_since = frame, stamp
-        self._stray_last = stamp
-        self._strays_in_a_row += 1
-        self._strayed = self.latest
-        given = not self.count and self._pending is None
-        if given or self.count > FEW_STRAYS or self._strays[frame] < 10:
-            return False
-        self._strays, self._forgiven = Counter({str(self.frame): self.count}), 0
-        self.frame = frame
-        self.restart()
-        return True
-
-    def _note_late(self, stamp: int) -> None:
-        """
-        Count a late message; a clock that was set back shows by the first five in a row, in order.
-
-        They are late by more than REORDER_TIME, and last half a second.
-        """
-        far = self.latest - stamp > REORDER_TIME
-        if not far or self._late_since < 0 or stamp < self._late_last:
-            self._late_since, self._late_count = (stamp if far else -1), 0
-        self._late_last = stamp
-        self._late_count += 1
-        if far and self._late_count >= 5 and stamp - self._late_since >= 500_000_000:  # ns
-            self.set_back = self.latest - self._late_since
+    def _look_for_set_back(self, stamp: int) -> None:
+        """Note a clock that was set back: five messages in a row, in order, are far too late."""
+        if self.latest - stamp <= REORDER_TIME or self._late and stamp < self._late[-1]:
+            self._late = []
+        if self.latest - stamp > REORDER_TIME:
+            self._late.append(stamp)
+        if len(self._late) >= 5 and stamp - self._late[0] >= LATE_TIME:
+            self.set_back = self.latest - self._late[0]
 
     def restart(self) -> None:
         """Continue in the time of the next message."""
         if self.set_back:
-            self._set_backs, self._last_set_back = self._set_backs + 1, self.set_back * 1e-9
-        self._before = self.count
-        self._pending, self.latest, self.late = None, -1, False
-        self._strayed = -1  # strays before are of the past
-        self.set_back, self._late_since = 0, -1
+            self._set_backs.append(self.set_back)
+        self._held, self.latest, self.late, self.count = None, -1, False, 0
+        self._last_stray = -1  # strays before are of the past
+        self.set_back, self._late = 0, []
 
     def released(self, first: int, last: int) -> list[Stamped]:
         """Return the message held back if its stamp lies between two given ones."""
-        held = self._pending
+        held = self._held
         if held is None or not first <= held.stamp <= last:
             return []
-        self._pending = None
+        self._held = None
         return [self._passed(held)]
 
     def _passed(self, item: Stamped) -> Stamped:
-        self._late_since = -1
-        self._first = self._first if self.count > self._before else item.stamp
+        self._late = []
+        self._first = self._first if self.count else item.stamp
         self.latest = item.stamp
         self.count += 1
         return item
@@ -219,11 +179,12 @@ def two_frames(kind: str, first: str, second: str) -> InputError:
                       reason='two_frames')
 
 
-def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
     """
-    Return which messages fit the order of the majority; None if too many do not.
+    Return which messages fit the order of the majority; raises DataError for two runs.
 
-    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit.
+    stamps: in the order of recording (ns); deviations up to REORDER_TIME from the order fit. of:
+    whose they are, in words.
     """
     if (stamps[1:] >= stamps[:-1]).all():
         return np.ones(len(stamps), dtype=bool)
@@ -231,15 +192,8 @@ def in_order(stamps: NDArray[np.int64]) -> NDArray[np.bool_] | None:
     before = np.maximum.accumulate(np.where(rising, stamps, -1))
     after = np.minimum.accumulate(np.where(rising, stamps, LAST_STAMP)[::-1])[::-1]
     fits = (stamps >= before - REORDER_TIME) & (stamps - REORDER_TIME <= after)
-    wrong = len(fits) - np.count_nonzero(fits)
-    few = wrong <= max(FEW_STRAYS, FEW_SHARE * len(fits)) and 2 * wrong < len(fits)
-    return fits if few or not wrong else None
-
-
-def fitting(stamps: NDArray[np.int64], of: str) -> NDArray[np.bool_]:
-    """Return which messages fit the order of the others; raises DataError for two runs."""
-    fits = in_order(stamps)
-    if fits is None:
+    wrong = np.count_nonzero(~fits)
+    if wrong and (wrong > max(FEW_STRAYS, FEW_SHARE * len(fits)) or 2 * wrong >= len(fits)):
         back = np.maximum.accumulate(stamps) - stamps
         index = int(np.argmax(back > REORDER_TIME))
         raise DataError(f'the stamps {of} jump back by {back[index] * 1e-9:.1f} s at message '

@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 from recordings import cloud_message, header, new, transform
 from recordings import TYPES as STORE
-from ros_clouds import cloud, expected, field, points, profile, read
+from ros_clouds import cloud, expected, field, points, profile
 
 CLOUD, POSE = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
@@ -152,9 +152,9 @@ def test_a_row_step_that_was_left_unset(height: int) -> None:
         {'width': 2**32 - 1, 'height': 2**32 - 1, 'row_step': 2**32 - 1},
         {'height': 2, 'width': 3, 'row_step': 35}, {'point_step': 11, 'width': 2},
         {'fields': [field('x', 2**32 - 1), field('z', 8)]})),
-    ({'fields': []}, r'no fields are named "x" \(fields: none\)'),
-    ({'fields': [field('x', 0, 9), field('z', 8)]}, 'has datatype 9 and 1 values'),
-    ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'datatype 7 and 3 values for each point'),
+    ({'fields': []}, r'no fields are named "x" .*\(fields: none\)'),
+    ({'fields': [field('x', 0, 9), field('z', 8)]}, 'no fields are named "x"'),
+    ({'fields': [field('x', 0, 7, 3), field('z', 8)]}, 'are named "x" and hold one number'),
     ({'fields': [field('x', 0), field('x', 4), field('z', 8)]}, '2 fields are named "x"')])
 def test_malformed_clouds(changes: dict[str, object], reason: str) -> None:
     made = cloud({'x': X, 'z': Z}, XZ, 12)
@@ -274,16 +274,6 @@ def test_wrong_axes_are_named(columns: tuple, axes: tuple[str, str], advice: str
         points(layered(x + 0, z + 1e-12, y), ProfileConfig(axes=axes))
 
 
-def test_several_profiles_in_one_organised_cloud_are_one() -> None:
-    z = EDGE + np.random.default_rng(3).normal(0, 3e-5, (5, 200))
-    z[:, 20:30] = np.nan
-    z[0, 40] = np.nan
-    got = points(layered(np.tile(LINE, 5), z.ravel(), height=5))
-    want = np.nanmean(z[:, [*range(20), *range(30, 200)]], axis=0)
-    np.testing.assert_allclose(got[~np.isnan(got[:, 1]), 1], want, rtol=1e-6)
-    assert len(got) == 200 and np.isnan(got[20:30]).all()
-
-
 def test_what_lost_points_hold_does_not_matter() -> None:
     lost = np.isnan(LOST)
     empty = layered(LINE, LOST)
@@ -341,4 +331,4 @@ def test_the_edge_is_found_in_the_messages_of_a_driver(name: str, tmp_path: Path
     assert min(abs(x - 0.004) for x in edges) < 2e-4
     if name == 'Mech-Mind':  # which sends batches, stamped when they are complete
         batch = cloud({key: np.tile(v, 5) for key, v in columns.items()}, layout, step, height=5)
-        assert (row_count(read(batch), config.profile), config.profile.stamp) == (5, 'last')
+        assert (row_count(batch, config.profile), config.profile.stamp) == (5, 'last')

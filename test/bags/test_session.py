@@ -35,7 +35,7 @@ from handeye_ros.review import solved_recording
 from live_sessions import changed, computed, new, SPHERE, update
 import numpy as np
 import pytest
-from recordings import POINTS
+from recordings import POINTS, with_layout
 from rosbags.highlevel import AnyReader
 import yaml
 
@@ -85,9 +85,8 @@ def test_every_stop_is_a_file_that_stock_readers_read(tmp_path: Path) -> None:
 
 
 def test_what_was_received_is_stored_byte_for_byte(tmp_path: Path) -> None:
-    write(tmp_path / 'bag', SPHERE.profiles, SPHERE.poses, SPHERE.config,
-          layout=POINTS['scancontrol'])
-    recording = read(tmp_path / 'bag', SPHERE.config)
+    write(tmp_path / 'bag', SPHERE.profiles, SPHERE.poses, SPHERE.config)
+    recording = read(with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol']), SPHERE.config)
     live = feed(stored(tmp_path), recording, stops=2)
     sent = {profile.stamp: profile.fetch() for profile in recording.profiles}
     for stop in live.copied().stops:
@@ -188,9 +187,7 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
     found, path = read_session(before), live.path
     config = replace(live.config, samples=found.config.samples)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    # there is room for metadata.yaml alone
-    resource.setrlimit(resource.RLIMIT_FSIZE,
-                       ((before / 'metadata.yaml').stat().st_size + 100, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
         with pytest.raises(InputError, match='cannot write'):
             live.open(found, config)

@@ -12,13 +12,13 @@ from handeye_ros.bags.messages import ProfileReader, row_count, split
 from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, Raw
 from handeye_ros.config import Config, ProfileConfig, SamplingConfig
 from handeye_ros.data import RawProfile, TimedPose
-from handeye_ros.errors import UnusableMessageError
+from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.sampling.session import Session
 import numpy as np
 import pytest
 from recordings import cloud_message, poses, rewrite
 from recordings import TYPES as STORE
-from ros_clouds import cloud, points, read
+from ros_clouds import cloud, points
 
 LAYOUT = {'x': (0, 7), 'y': (4, 7), 'z': (8, 7)}
 START = 1_700_000_000_000_000_000
@@ -69,8 +69,8 @@ def test_with_a_period_every_row_is_a_message_with_its_stamp(stamp: str, begin: 
 
 def test_rows_that_part_the_line_are_points() -> None:
     made = cloud({'x': X, 'y': 0 * X, 'z': 0.2 + 0 * X}, LAYOUT, 12, height=4)
-    assert row_count(read(made), ProfileConfig()) == 1
-    assert row_count(read(made), ProfileConfig(rows='profiles')) == 4
+    assert row_count(made, ProfileConfig()) == 1
+    assert row_count(made, ProfileConfig(rows='profiles')) == 4
     assert points(made, ProfileConfig()).shape == (60, 2)
     one, = profiles([batch(START, 1, gocator=True)], ProfileConfig())
     assert one.read().points.shape == (60, 2)
@@ -105,10 +105,10 @@ def test_a_batch_during_which_the_robot_moved_is_not_used(stamp: str, used: set[
 
 def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     data = [batch(START + i * 50 * MS, 5, first=5 * i) for i in range(20)]
-    raws = [Raw('/profile', START + i * 50 * MS, d) for i, d in enumerate(data)]
+    raws = [Raw('/profile', CLOUD_TYPE, START + i * 50 * MS, d) for i, d in enumerate(data)]
     stands = [TimedPose(START + i * 10 * MS, p.translation, p.quaternion)
               for i, p in enumerate(poses())]
-    raws += [Raw('/flange_pose', p.stamp, pose_cdr(p)) for p in stands]
+    raws += [Raw('/flange_pose', POSE_TYPE, p.stamp, pose_cdr(p)) for p in stands]
     file = rewrite(good_bag, tmp_path / 'batches.mcap', raws,
                    {'/profile': CLOUD_TYPE, '/flange_pose': POSE_TYPE})
     config = Config(profile=ProfileConfig(period=0.01))
@@ -117,5 +117,5 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     np.testing.assert_allclose([p.read().points[0, 1] for p in recording.profiles],
                                0.2 + 1e-5 * np.arange(100), rtol=1e-6)
     assert [p.stamp for p in recording.returns()] == [p.stamp for p in recording.profiles]
-    with pytest.raises(UnusableMessageError, match='several profiles, .*: set profile.period'):
+    with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
         list(bag.read(file, Config()).returns())

@@ -49,7 +49,7 @@ def test_links_of_other_stamps_are_interpolated_and_never_extrapolated():
 
 
 @pytest.mark.parametrize('slow', ['flange', 'arm'])
-def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others_and_is_named(slow):
+def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others(slow):
     tracker, found, ms = FlangeTracker('base', 'flange'), [], 10**6
     links = {'arm': ('base', 'arm', T_1), 'flange': ('arm', 'flange', T_2)}
     (fast,) = links.keys() - {slow}
@@ -58,12 +58,6 @@ def test_a_slow_link_anywhere_in_the_chain_delays_the_poses_of_the_others_and_is
         if stamp % (1000 * ms) == 0:
             found += added(tracker, links[slow], stamp=stamp)
     assert [stamp for stamp, _ in found] == list(range(0, 4001 * ms, 10 * ms))
-    assert tracker.delay.startswith(
-        f'the poses wait for the transform of "{slow}", which comes on /tf only every 1 s')
-    tracker = FlangeTracker('base', 'flange')
-    for stamp in range(0, 5000 * ms, 10 * ms):
-        added(tracker, *links.values(), stamp=stamp)
-    assert tracker.delay == ''
 
 
 def test_clocks_that_are_set_back_wild_stamps_and_times_that_start_again():

@@ -14,7 +14,7 @@ from command import ROOT
 from handeye_ros import config as configs
 from handeye_ros import pipeline, se3
 from handeye_ros.bags.bag import read
-from handeye_ros.bags.messages import cloud_from_cdr
+from handeye_ros.bags.messages import view
 from handeye_ros.bags.reader import CLOUD_TYPE, Raw
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.hypotheses import deviance, Explanation, explanation_of_problem
@@ -39,7 +39,7 @@ from hypothesis.extra.numpy import arrays
 from live_sessions import computed, fed, new
 import numpy as np
 import pytest
-from recordings import scan, with_messages
+from recordings import scan, TYPES, with_messages
 
 
 @lru_cache
@@ -213,14 +213,13 @@ def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -
     """Return a message whose points (x, 0, z) are turned about x; each: or all by the same y."""
     if types[raw.topic] != CLOUD_TYPE:
         return raw
-    data = bytearray(raw.data)
-    cloud = cloud_from_cdr(bytes(data))
-    cloud = cloud._replace(data=memoryview(data)[cloud.start:cloud.start + len(cloud.data)])
-    z = np.array(cloud.view('z'))
+    cloud = TYPES.deserialize_cdr(raw.data, CLOUD_TYPE)
+    cloud.data = cloud.data.copy()
+    z = np.array(view(cloud, 'z'))
     y = z if each or np.isnan(z).all() else np.nanmean(z)
-    cloud.view('y')[...] = y * math.sin(math.radians(degrees))
-    cloud.view('z')[...] = z * math.cos(math.radians(degrees))
-    return raw._replace(data=bytes(data))
+    view(cloud, 'y')[...] = y * math.sin(math.radians(degrees))
+    view(cloud, 'z')[...] = z * math.cos(math.radians(degrees))
+    return raw._replace(data=bytes(TYPES.serialize_cdr(cloud, CLOUD_TYPE)))
 
 
 @pytest.mark.parametrize(('name', 'degrees'), [('plate', 3.0), ('sphere', 12.0)])

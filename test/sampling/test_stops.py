@@ -215,4 +215,4 @@ def test_the_last_sample_can_be_removed() -> None:
     first, second = session.samples
     assert removed_last(session).result is second and session.samples == (first,)
     assert removed_last(session).result is first and not session.samples
-    session.require_stops()  # they were stops
+    session.require_any_stop()  # they were stops

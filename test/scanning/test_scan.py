@@ -21,7 +21,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pypcd4
 import pytest
-from recordings import POINTS
+from recordings import POINTS, with_layout
 
 GAP = 0.5
 
@@ -192,9 +192,9 @@ def test_damaged_clouds_are_refused_and_one_that_breaks_off_is_not_there(tmp_pat
 
 def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     write_calibration(calibration(), tmp_path / 'calibration.yaml')
-    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100),
-                    layout=POINTS['scancontrol'])
-    run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', 'c.ply',
+    bag_write.write(tmp_path / 'bag', plane_profiles(100), moving(100))
+    bag = with_layout(tmp_path / 'bag', tmp_path, POINTS['scancontrol'])
+    run = handeye('scan', bag, '--calibration', 'calibration.yaml', '--out', 'c.ply',
                   '--std', '--range', '-1m', 'inf', '--voxel', '0um', cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith('100 profiles, 5000 returns\n')
@@ -204,7 +204,7 @@ def test_the_verb_writes_a_cloud_with_intensity(tmp_path):
     assert 'of the frame' not in run.stderr
     other = replace(calibration(), child_frame='other')
     write_calibration(other, tmp_path / 'calibration.yaml')
-    run = handeye('scan', 'bag', '--calibration', 'calibration.yaml', '--out', 'c.ply',
+    run = handeye('scan', bag, '--calibration', 'calibration.yaml', '--out', 'c.ply',
                   cwd=tmp_path)
     assert run.returncode == 0
     assert 'the profiles are of the frame "laser", and the calibration is of "other"' in run.stderr

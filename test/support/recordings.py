@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from handeye_ros.bags import bag_write
-from handeye_ros.bags.reader import Reader
+from handeye_ros.bags.messages import DATATYPES, view
+from handeye_ros.bags.reader import CLOUD_TYPE, Reader
 from handeye_ros.config import Config, SamplingConfig
 from handeye_ros.data import Profile, TimedPose
 from handeye_ros.sampling.stops import StopFinder
@@ -52,7 +53,7 @@ def rewrite(bag, path, messages=None, types=None, encoding='cdr', **options):
         writer = Writer(stream, **options)
         writer.start('ros2')
         channels = {}
-        for topic, log_time, data, *_ in messages:
+        for topic, _, log_time, data, *_ in messages:
             if topic not in channels:
                 schema = writer.register_schema(types[topic], 'ros2msg', b'')
                 channels[topic] = writer.register_channel(topic, encoding, schema)
@@ -74,7 +75,7 @@ LAYOUTS_OF_MCAP = {
 
 # of points, by drivers
 POINTS = {
-    'xyz': bag_write.SINGLE_POINT, 'double': bag_write.DOUBLE_POINT,
+    'double': np.dtype([('x', '<f8'), ('y', '<f8'), ('z', '<f8')]),
     'big_endian': np.dtype([('x', '>f4'), ('y', '>f4'), ('z', '>f4')]),
     'padded': np.dtype({'names': ['x', 'y', 'z', 'intensity'], 'formats': ['<f4'] * 4,
                         'offsets': [0, 4, 8, 16], 'itemsize': 32}),
@@ -152,6 +153,27 @@ def with_messages(folder, tmp_path, change):
     """Return a copy of a bag whose messages went through change(raw) -> raw or None."""
     changed = [change(raw) for raw in scan(folder)[1]]
     return rewrite(folder, tmp_path / 'changed.mcap', [raw for raw in changed if raw])
+
+
+def with_layout(folder, tmp_path, layout):
+    """Return a copy of a bag with another layout of the points, of which xyz are kept."""
+    codes = {name: code for code, name in DATATYPES.items()}
+
+    def change(raw):
+        if raw.kind != CLOUD_TYPE:
+            return raw
+        cloud = TYPES.deserialize_cdr(raw.data, CLOUD_TYPE)
+        points = np.zeros(cloud.width, layout)
+        for axis in 'xyz':
+            points[axis] = view(cloud, axis)
+        cloud.fields = [new('sensor_msgs/msg/PointField', name, offset, codes[kind.str[1:]], 1)
+                        for name, (kind, offset, *_) in layout.fields.items()]
+        cloud.is_bigendian = layout['x'].byteorder == '>'
+        cloud.point_step, cloud.row_step = layout.itemsize, points.nbytes
+        cloud.data = points.view(np.uint8).ravel()
+        return raw._replace(data=bytes(TYPES.serialize_cdr(cloud, CLOUD_TYPE)))
+
+    return with_messages(folder, tmp_path, change)
 
 
 def new(kind, *values):

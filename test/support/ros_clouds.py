@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from handeye_ros.bags.messages import Cloud, DATATYPES, Field, profile_from_cloud
+from handeye_ros.bags.messages import DATATYPES, profile_from_cloud
 from handeye_ros.config import ProfileConfig
 import numpy as np
 
@@ -38,16 +38,8 @@ def cloud(columns, layout, point_step, *, height=1, row_padding=0, bigendian=Fal
                            data=data, is_dense=True)
 
 
-def read(msg):
-    """Return a message as it comes out of its bytes."""
-    fields = tuple(Field(f.name, f.offset, f.datatype, f.count) for f in msg.fields)
-    stamp = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
-    return Cloud(stamp, msg.header.frame_id, msg.height, msg.width, fields, msg.is_bigendian,
-                 msg.point_step, msg.row_step, msg.data)
-
-
 def profile(msg, config=METRES):
-    return profile_from_cloud(read(msg), config)
+    return profile_from_cloud(msg, config)
 
 
 def points(msg, config=METRES):

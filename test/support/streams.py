@@ -71,7 +71,7 @@ def add(session: Session, item: TimedPose | Profile) -> None:
 
 def taken(session: Session, config: Config = CONFIG) -> Sample:
     """Return the sample of the current stop, put into the session as on request."""
-    stop = session.current_stop()
+    stop = session.stop_on_request()
     stop = session.evaluated(stop, result_of(stop, config))
     if isinstance(stop.result, Reject):
         raise DataError(stop.result.reason)

@@ -111,7 +111,7 @@ def test_without_noise_all_find_the_truth(name: str, handeye: Run, tmp_path: Pat
     made, folder = EXACT[name](np.random.default_rng(3)), tmp_path / 'exact'
     if made.profiles:
         bag_write.write(folder, made.profiles, made.poses, tables=made.tables,
-                        layout=bag_write.DOUBLE_POINT)
+                        number='f8')
     else:
         folder.mkdir()
         (folder / TABLES[target_of(name)]).write_text(next(iter(made.tables.values())))

@@ -1,0 +1,82 @@
+# Copyright 2026 The handeye_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Where poses of the flange come from: a topic, the transform tree, or the joints of an arm."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from handeye_ros import se3
+from handeye_ros.arm import Arm, read_arm
+from handeye_ros.bags.messages import joints_from_cdr, pose_from_cdr, transforms_from_cdr
+from handeye_ros.bags.reader import JOINTS_TYPE, POSE_TYPE, TF_TYPE
+from handeye_ros.bags.transforms import FlangeTracker
+from handeye_ros.config import Config
+from handeye_ros.data import Array, TimedPose
+from handeye_ros.errors import InputError, UnusableMessageError
+import numpy as np
+
+
+class PoseTopic(NamedTuple):
+    """
+    A topic with poses of the flange, and how they are read.
+
+    key: of the configuration, that names it; '' for one of the transform tree
+    kind: type of its messages
+    read: returns the poses that a serialised message makes known, or raises UnusableMessageError
+    """
+
+    name: str
+    key: str
+    kind: str
+    read: Callable[[bytes], Sequence[TimedPose]]
+
+
+def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
+                ) -> list[PoseTopic]:
+    """
+    Return the topics with the poses, of which the last one must be there.
+
+    tracker: follows the transforms, where they are read; arm: gives the poses from joint values,
+    as with the key kinematics. Raises InputError for a file of an arm that is none.
+    """
+    if config.kinematics and not arm:
+        arm = read_arm(Path(config.kinematics))
+    if arm:
+        return [PoseTopic(config.joint_topic, 'joint_topic', JOINTS_TYPE,
+                          partial(_at_joints, arm))]
+    if config.pose_source == 'topic':
+        return [PoseTopic(config.pose_topic, 'pose_topic', POSE_TYPE,
+                          lambda data: [pose_from_cdr(data)])]
+    return [PoseTopic('/tf_static', '', TF_TYPE,
+                      lambda data: tracker.add(transforms_from_cdr(data), static=True)),
+            PoseTopic('/tf', '', TF_TYPE,
+                      lambda data: tracker.add(transforms_from_cdr(data), static=False))]
+
+
+@dataclass(frozen=True, eq=False)
+class ArmPose(TimedPose):
+    """A pose of the flange that follows from the values (joints,) of all joints of an arm."""
+
+    joints: Array = field(default_factory=lambda: np.empty(0))
+
+
+def _at_joints(arm: Arm, data: bytes) -> list[ArmPose]:
+    return [pose_from_joints(arm, data)]
+
+
+def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
+    """Return the flange pose of an arm at a serialised JointState; UnusableMessageError."""
+    stamp, positions = joints_from_cdr(data)
+    try:
+        joints = arm.positions(positions, 'JointState message not used')
+    except InputError as cause:
+        raise UnusableMessageError(str(cause)) from cause
+    if not np.isfinite(joints).all():
+        raise UnusableMessageError('JointState message not used: it holds positions that are not '
+                                   'finite')
+    T, = arm.forward(joints[None])
+    return ArmPose(stamp, T[:3, 3], se3.quaternion(T), arm.base, joints)
