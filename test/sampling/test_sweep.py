@@ -147,8 +147,9 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
 
 
 @pytest.mark.thorough
-def test_wrong_times_are_no_move() -> None:
-    scenario = SCENARIOS['plate_sweep']
+@pytest.mark.parametrize('name', ['plate_sweep', 'line_sweep'])
+def test_wrong_times_are_no_move(name: str) -> None:
+    scenario = SCENARIOS[name]
     made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
     last = made.poses[int(0.9 * len(made.poses))].stamp
     late = [replace(p, stamp=p.stamp + (15_000_000 if p.stamp > last else 0)) for p in made.poses]
