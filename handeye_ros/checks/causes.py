@@ -42,8 +42,8 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
-    samples: in the order of the stations of the problem. The first of these is raised; the sign,
-    conventions and the scale also where the samples do not contradict the solution:
+    samples: in the order of the stations of the problem. The first of these is raised; sign and
+    conventions, and of stops the scale, also where the samples do not contradict the solution:
 
     1. the other sign of the range;
     2. another convention of the poses, or orientations without any order;
@@ -62,7 +62,8 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
             require_certain(solution.reported_covariance, problem.config,
                             missing_motion(solution, problem.config))
     moves = move_hypotheses(problem) if refusal else []
-    refuse_better(stated, [*scale_hypotheses(solution), *moves])
+    if refusal or not problem.config.sampling.moving:  # a sweep that fits: both are weighed later
+        refuse_better(stated, [*scale_hypotheses(solution), *moves])
     if refusal:
         raise refusal
 

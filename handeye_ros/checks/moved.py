@@ -140,11 +140,13 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     body, k, moved = _likeliest(agreed, moments, first)
     unmoved = with_noise_reestimated(conservative)
     others = [with_noise_reestimated(conservative, (block,)) for block in
-              _wrong_times(conservative, int(moments[k]))]
+              _wrong_times(conservative, moments[max(k - 2, 0):k + 3])]
     evidence = min(other.deviance for other in (unmoved, *others)) - moved.deviance
     shift, turn, size = _size(moved, body)
-    smooth = max((b.std for b in moved.blocks if b.name == 'robot_smooth'), default=0.0)
-    least = LEAST_MOVE_SIGMAS * smooth  # a smaller move may be part of the robot's smooth error
+    # a smaller move may be part of the robot's smooth error, which a move can only explain
+    smooth = min(max((b.std for b in one.blocks if b.name == 'robot_smooth'), default=0.0)
+                 for one in (moved, unmoved))
+    least = LEAST_MOVE_SIGMAS * smooth
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
         least = max(least, config.noise.robot_smooth)
     if evidence < STRONG_EVIDENCE or size < least:
@@ -214,17 +216,18 @@ def _blocks_of_move(solution: Solution, body: int, station: int) -> tuple[Parame
                  for name, axes in (('translation', slice(0, 3)), ('rotation', slice(3, 6))))
 
 
-def _wrong_times(solution: Solution, station: int) -> tuple[ParameterBlock, ...]:
+def _wrong_times(solution: Solution, stations: NDArray[np.intp]) -> tuple[ParameterBlock, ...]:
     """
     Return the errors of the times of a sweep that may look like a move; none of stops.
 
-    A clock that jumps before a station, and profiles whose points are taken one after the other.
+    A clock that jumps before one or more of some stations, near which a move is likeliest, and
+    profiles whose points are taken one after the other.
     """
     problem, rows = solution.problem, solution.problem.observations
     if problem.pose_model is None:
         return ()
     by_time = solution.linear.wrt_twists(problem.pose_twists[:, :, :1])
-    jump, along = rows.station[:, None] >= station, rows.points[:, :1]
+    jump, along = rows.station[:, None] >= stations, rows.points[:, :1]
     return (ParameterBlock('times', np.hstack([by_time * jump, by_time * along / rms(along)])
                            * TIME_STD, TIME_STD, largest_variance=1.0),)
 

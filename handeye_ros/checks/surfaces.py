@@ -40,11 +40,14 @@ class OtherSurfaceError(DataError):
     stamps: of their samples; why: what they show, in words.
     """
 
-    def __init__(self, stops: Sequence[Stop], height: float) -> None:
-        """Build the sentence; height (m) over the target, towards the sensor."""
+    def __init__(self, stops: Sequence[Stop], heights: Array) -> None:
+        """Build the sentence; heights (m) of their faces over the target, NaN if not parallel."""
         self.stamps = {stop.result.stamp for stop in stops}
-        self.why = (f'the edge of another surface, {height * 1e3:.1f} mm above that of the '
-                    'others or inclined, such as a clamp or a second plate')
+        lowest_highest = np.nanquantile(heights * 1e3, (0, 1))
+        told = ' to '.join(dict.fromkeys(f'{height:.1f}' for height in lowest_highest))
+        inclined = ' or inclined' if np.isnan(heights).any() else ''
+        self.why = (f'the edge of another surface, {told} mm above that of the others{inclined}, '
+                    'such as a clamp or a second plate')
         shown = f'the {_numbers(stops)} show {self.why}'
         self.warning = f'{shown}: they are left out'
         super().__init__(f'{shown}: {ALONE}', reason='surface')
@@ -82,11 +85,11 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         if both.sum() < FEWEST_STOPS:
             continue
         several |= bool(alike.sum() >= FEWEST_STOPS)
-        above = float(np.nanmedian(height[~alike] - middle))
+        above = height[~alike] - middle
         # The others may be few: it is the plane that tells the surfaces apart. Only wrong axes
         # or a wrong sign let stops take the ground beneath the target for its face.
-        if above > 0 and explanation_of_results([stop.sample for stop in stops[alike]], config,
-                                                all_starts=True).agrees:
+        if np.nanmedian(above) > 0 and explanation_of_results(
+                [stop.sample for stop in stops[alike]], config, all_starts=True).agrees:
             raise OtherSurfaceError(list(stops[~alike]), above)
     why = ''
     if refusal.reason in ('misfit', 'edges') and several:

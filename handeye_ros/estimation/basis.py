@@ -26,6 +26,7 @@ from scipy.spatial.transform import Rotation
 # Distances at which the robot's errors have the correlation 0.5: m, rad, s.
 POSITION_LENGTH, ROTATION_LENGTH, TIME_LENGTH = 1.0, 1.4, 0.5
 BEND_PER_RANGE = 0.2  # by how much more a line is bent at the largest range than in the middle
+BEND_OF_S = 0.3  # a line is bent less as an S
 
 
 def polynomials(u: Array, v: Array, degrees: Sequence[int]) -> Array:
@@ -88,18 +89,20 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
 
 def bent_line(points: Array) -> Array:
     """
-    Return heights (m, 2) of a bent light plane at points (m, 2) over the plane that fits best.
+    Return heights (m, 3) of a bent light plane at points (m, 2) over the plane that fits best.
 
-    They grow with x^2, by 1 from the middle to the end of the line, and with x^2 by the range:
-    light that leaves a point is bent more where it is farther. The plane is that of the field of
-    view, which is as wide on both sides of x = 0, wherever a target is seen; but where a driver
-    publishes x on one side only, its middle is that of the points.
+    They grow with x^2, by 1 from the middle to the end of the line, with x^2 by the range (light
+    that leaves a point is bent more where it is farther), and less with x^3, as an S. The plane
+    is that of the field of view, which is as wide on both sides of x = 0, wherever a target is
+    seen; but where a driver publishes x on one side only, its middle is that of the points.
     """
     low, high = points[:, 0].min(), points[:, 0].max()
     middle, half = (0.0, max(-low, high)) if low < 0 < high else ((low + high) / 2,
                                                                   (high - low) / 2)
-    bent = ((points[:, 0] - middle) / max(half, 1e-9)) ** 2 - 1 / 3
-    return np.column_stack([bent, BEND_PER_RANGE * bent * _normalised(points[:, 1])])
+    u = (points[:, 0] - middle) / max(half, 1e-9)
+    bent = u ** 2 - 1 / 3
+    return np.column_stack([bent, BEND_PER_RANGE * bent * _normalised(points[:, 1]),
+                            BEND_OF_S * (u ** 3 - 3 / 5 * u)])
 
 
 def box(points: Array, across: Sequence[float] | Array) -> Array:

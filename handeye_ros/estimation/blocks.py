@@ -28,6 +28,7 @@ from functools import partial
 
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import (
+    BEND_OF_S,
     bending,
     bent_line,
     box,
@@ -195,9 +196,11 @@ def line_bend(linear: Linear) -> Blocks:
 
 
 def _motion_of_bend(linear: Linear) -> Array:
-    """Return the motion to the plane through the middle of the line, as of a data sheet."""
-    motion = np.zeros((6, 2))
+    """Return the motion to the plane along the middle of the line, as of a data sheet."""
+    x = linear.problem.observations.points[:, 0]
+    motion = np.zeros((6, 3))
     motion[:3, 0] = -linear.estimate.X[:3, 1] / 3
+    motion[3:, 2] = -linear.estimate.X[:3, 2] * 3 / 5 * BEND_OF_S / max(np.abs(x).max(), 1e-9)
     return motion
 
 

@@ -272,9 +272,10 @@ class Session(Copyable):
                 'stands still, or raise sampling.max_pose_gap', reason='sparse_poses')
         raise DataError(f'the robot never stood still for {sampling.still_time:g} s in '
                         f'{poses.count} poses, but for {self._finder.longest_rest / NS:.2g} s at '
-                        'most: stop at each sample, or lower sampling.still_time; if its poses '
-                        'are noisy, raise sampling.still_translation and sampling.still_rotation; '
-                        'if the robot moves all the time, set sampling.mode to moving',
+                        'most: stop at each sample, and let its poses be sent while it stands, '
+                        'too, or lower sampling.still_time; if its poses are noisy, raise '
+                        'sampling.still_translation and sampling.still_rotation; if the robot '
+                        'moves all the time, set sampling.mode to moving',
                         reason='no_stops')
 
     @property

@@ -272,14 +272,20 @@ def test_ends_of_the_floor_that_scatter_are_no_edges(monkeypatch: pytest.MonkeyP
         pipeline.calibrate(made.profiles, made.poses, config)
 
 
-def clamped(scenario: Scenario, height: float, share: float = 1 / 3) -> tuple[Solid, ...]:
-    """Return a plate with three clamps on each of two edges, on a share of its length."""
+def clamped(scenario: Scenario, height: float, share: float = 1 / 3, lower: float = 1.0
+            ) -> tuple[Solid, ...]:
+    """
+    Return a plate with three clamps on each of two edges, on a share of its length.
+
+    lower: share of the height of those in the middle.
+    """
     clamps = []
     for along, length in enumerate(scenario.target.size):
         for middle in (length / 6, length / 2, length * 5 / 6):
             low, high = [-0.01] * 3, [0.015] * 3
             low[along], high[along] = middle - length * share / 6, middle + length * share / 6
-            clamps.append(box((*low[:2], 0.0), (*high[:2], height)))
+            clamps.append(box((*low[:2], 0.0), (
+                *high[:2], height * (lower if middle == length / 2 else 1.0))))
     return (*scenes.SCENES['plate'].solids(scenario), *clamps)
 
 
@@ -287,6 +293,7 @@ def clamped(scenario: Scenario, height: float, share: float = 1 / 3) -> tuple[So
 @pytest.mark.parametrize(('name', 'seed', 'solids', 'answered'), [
     ('plate', 3, barred, True),  # without the question it would look like the other sign, or
     ('plate', 1, partial(clamped, height=0.003), True),  # like a move
+    ('plate', 1, partial(clamped, height=0.015, lower=0.2), True),
     ('plate', 7, barred, True), ('plate', 0, partial(clamped, height=0.015), True),
     ('line', 0, partial(clamped, height=0.015), False)])
 def test_the_stops_that_show_another_surface_are_named_and_left_out(
@@ -304,8 +311,8 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
     for stop in (stop for stop in session.stops if stop.sample):
         face = next(f for f in stop.sample.features if isinstance(f, FaceLine))
         T = T_target_base @ stop.sample.T_base_flange @ made.truth.T_flange_sensor
-        height = abs(T[2, [0, 2]] @ face.centre + T[2, 3])
-        if height > 1e-3:
+        height = T[2, [0, 2]] @ face.centre + T[2, 3]
+        if abs(height) > 1e-3:
             elsewhere.append(stop)
             heights.append(height)
     answer = pipeline.answer_session(session, config)
@@ -317,7 +324,10 @@ def test_the_stops_that_show_another_surface_are_named_and_left_out(
     else:
         told = str(answer.refusal)
         assert answer.refusal.reason == 'surface'
-    assert f'{np.median(heights) * 1e3:.1f} mm above' in told
+    lowest_highest = re.search(
+        r'surface, ([-\d.]+) (?:to ([-\d.]+) )?mm above that of the others', told)
+    assert [float(height) for height in lowest_highest.groups(default=lowest_highest[1])
+            ] == pytest.approx([min(heights) * 1e3, max(heights) * 1e3], abs=0.2), told
     named = re.search(r'the stops ([\d, ]+) show', told)
     assert [int(number) for number in named[1].split(', ')] == [
         stop.number for stop in elsewhere]

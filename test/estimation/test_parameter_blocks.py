@@ -16,7 +16,8 @@ from handeye_ros.estimation.basis import (
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import PoseModel, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
-from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, simulate, simulate_samples
+from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
+from handeye_ros.simulate.scenario import SensorModel
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -194,3 +195,16 @@ def test_the_truth_lies_inside_and_a_bend_is_told(target: str, bend: float) -> N
     answer = pipeline.calibrate(recording.profiles, recording.poses, config)
     assert squared_error(answer, recording.truth) < chi2.ppf(0.999, 6)
     assert ('the laser line is bent' in answer.target.get('note', '')) == (bend > 0)
+
+
+def test_the_truth_lies_inside_if_the_laser_line_is_an_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario, straight = SCENARIOS['wedge'], sensor.columns
+
+    def bent(model: SensorModel) -> tuple[Array, Array]:
+        origins, directions = straight(model)
+        directions[1] += 0.6 * MM * np.linspace(-1, 1, model.columns) ** 3 / np.mean(model.range)
+        return origins, directions
+    monkeypatch.setattr(sensor, 'columns', bent)
+    recording = simulate(scenario, np.random.default_rng(1))
+    answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
+    assert squared_error(answer, recording.truth) < chi2.ppf(0.999, 6)

@@ -146,18 +146,39 @@ def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     assert caught.value.reason == 'moved'
 
 
+def test_a_sensor_that_slips_is_no_scale() -> None:
+    scenario, rng = SCENARIOS['small_plate_sweep'], np.random.default_rng(1)
+    made, way = simulate(scenario, rng), rng.normal(size=3)
+    slip = made.truth.T_flange_sensor[:3, :3] @ way / np.linalg.norm(way) * 1e-3
+    middle = (made.poses[0].stamp + made.poses[-1].stamp) // 2
+    # the flange reported is that from which a sensor that had not slipped would see the same
+    poses = [replace(p, translation=p.translation - (p.stamp > middle)
+                     * Rotation.from_quat(p.quaternion).apply(slip)) for p in made.poses]
+    with pytest.raises(DataError, match='the sensor seems to have moved') as caught:
+        pipeline.calibrate(made.profiles, poses, config_of(scenario))
+    assert caught.value.reason == 'moved'
+
+
 @pytest.mark.thorough
-def test_wrong_times_are_no_move() -> None:
-    scenario = SCENARIOS['plate_sweep']
+@pytest.mark.parametrize('name', ['plate_sweep', 'line_sweep'])
+def test_times_that_jump_are_no_move(name: str) -> None:
+    scenario = SCENARIOS[name]
     made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
     last = made.poses[int(0.9 * len(made.poses))].stamp
     late = [replace(p, stamp=p.stamp + (15_000_000 if p.stamp > last else 0)) for p in made.poses]
+    found = pipeline.calibrate(made.profiles, late, config)
+    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+
+
+@pytest.mark.thorough
+def test_points_taken_one_after_the_other_are_no_move() -> None:
+    scenario = SCENARIOS['plate_sweep']
+    made, config = simulate(scenario, np.random.default_rng(2)), config_of(scenario)
     middle = len(made.profiles[0].points) // 2
     halves = [replace(one, points=np.concatenate([one.points[:middle], other.points[middle:]]))
-              for one, other in pairwise(made.profiles)]  # taken one after the other
-    for profiles, poses in ((made.profiles, late), (halves, made.poses)):
-        found = pipeline.calibrate(profiles, poses, config)
-        assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
+              for one, other in pairwise(made.profiles)]
+    found = pipeline.calibrate(halves, made.poses, config)
+    assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
 
 
 @pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.thorough)])
