@@ -152,8 +152,8 @@ def smooth_basis(poses: Array, long_errors: bool = False) -> Array:
 
 
 def smooth_basis_in_time(times: Array) -> Array:
-    """Return a square root (n, k) of the kernel at times (n,) in s, k <= 30."""
-    count = min(30, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
+    """Return a square root (n, k) of the kernel at times (n,) in s, k <= 48."""
+    count = min(48, len(times), 2 + int(np.ptp(times) / TIME_LENGTH))
     evenly = np.linspace(times.min(), times.max(), count)
     nearest = np.abs(times - evenly[:, None]).argmin(axis=1)
     return _kernel_root(times[:, None] / TIME_LENGTH, np.unique(nearest).tolist())

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 UNUSED = -1  # the kind of an observation that is not part of the target
 # Of more stations, a single one matters less: (10) fades, and the others count as no redundancy.
 # From twice as many on, (10) is left out, a part of them tells noise and prior scales, and these
-# stay as further outliers are dropped.
-MANY_STATIONS = 100
+# stay as further outliers are dropped. Profiles of a sweep, neighbours on a path, are many sooner.
+MANY_STATIONS, MANY_PROFILES = 200, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,6 +241,11 @@ class Problem:
     def smooth_error_basis(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
         return smooth_basis(self.robot_poses, self.long_errors)
+
+    @property
+    def many(self) -> int:
+        """Return the number of stations of which a single one matters less."""
+        return MANY_STATIONS if self.pose_model is None else MANY_PROFILES
 
     @property
     def tolerances(self) -> Array:

@@ -45,7 +45,7 @@ from handeye_ros.estimation.noise import (
     Whitening,
     whitening,
 )
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY_STATIONS, Problem
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
@@ -347,7 +347,7 @@ class Solution:
 
         A repeated pose adds no information; of very many poses only some are counted.
         """
-        distinct = farthest_points(pose_features(self.problem.poses), MANY_STATIONS)
+        distinct = farthest_points(pose_features(self.problem.poses), self.problem.many)
         return int(self.ranks[distinct].sum()) - self.unknowns
 
     @property
@@ -470,8 +470,8 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     conservative scales, with long errors of the robot only. noise: to start with.
     """
     n = len(problem.poses)
-    if n >= 2 * MANY_STATIONS:  # some of them tell the scales and the noise
-        some = problem.subset(np.arange(0, n, n // MANY_STATIONS))
+    if n >= 2 * problem.many:  # some of them tell the scales and the noise
+        some = problem.subset(np.arange(0, n, round(n / problem.many)))
         return solution_like(map_solution(some, start, noise), problem)
     # near the minimum, at conservative scales
     reached, diverged = _until_converged(solution_at(problem, start, noise))
@@ -492,11 +492,14 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
 
 
 def solution_like(before: Solution, problem: Problem) -> Solution:
-    """Return the MAP solution of a problem near another one, with the noise and scales of that."""
+    """
+    Return the MAP solution of a problem near another one, with the noise and scales of that.
+
+    It is linearised where that one was, which many stations hardly move from.
+    """
     problem = problem.with_pose_values(before.problem.pose_values)
-    near = solution_at(problem, before.linear.estimate, before.noise)
-    for_estimate = Solution.of_linear(near.relinearise(), near.noise)
-    return _with_conservative(for_estimate, before.conservative.noise, 0)
+    for_estimate = solution_at(problem, before.linear.estimate, before.noise)
+    return _with_conservative(for_estimate, before.conservative.noise, LAST_STEPS)
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
