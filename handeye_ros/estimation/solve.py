@@ -499,7 +499,7 @@ def solution_like(before: Solution, problem: Problem) -> Solution:
     """
     problem = problem.with_pose_values(before.problem.pose_values)
     for_estimate = solution_at(problem, before.linear.estimate, before.noise)
-    return _with_conservative(for_estimate, before.conservative.noise, LAST_STEPS)
+    return _with_conservative(for_estimate, before.conservative.noise, 1)
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
