@@ -493,13 +493,15 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
 
 def solution_like(before: Solution, problem: Problem) -> Solution:
     """
-    Return the MAP solution of a problem near another one, with the noise and scales of that.
+    Return the MAP solution of many stations, from that of a part of them, or of a few more.
 
-    It is linearised where that one was, which many stations hardly move from.
+    It is linearised where that one was, and has its noise. Scales take one step from its own.
     """
-    problem = problem.with_pose_values(before.problem.pose_values)
-    for_estimate = solution_at(problem, before.linear.estimate, before.noise)
-    return _with_conservative(for_estimate, before.conservative.noise, 1)
+    problem, noise = problem.with_pose_values(before.problem.pose_values), before.noise
+    near, reported = solution_at(problem, before.linear.estimate, noise), before.conservative.noise
+    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
+    for_estimate = near.with_variances(conservative.prior_variances()[0])
+    return _with_conservative(for_estimate, reported, 1)
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
