@@ -179,7 +179,7 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         problem = problem_with_clocks(ordered, config)
         solution = robust_solution(problem, rng, subsets=True, start=synced.estimate)
         # 5. Estimate a stated shape of the target where only this makes the samples agree.
-        solution = with_free_shape_if_needed(problem, solution, rng)
+        solution = with_free_shape_if_needed(problem, solution, rng, synced.estimate)
         # 6. Where they do not agree, name the assumption that is wrong, if it is certain.
         require_agreement(ordered, problem, solution)
         # 7. Estimate all systematic errors with their scales, and the noise; outliers again; the

@@ -10,7 +10,7 @@ from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, H
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
 from handeye_ros.estimation.least_squares import covariance_of
-from handeye_ros.estimation.problem import Problem
+from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
     robust_solution,
@@ -26,16 +26,20 @@ FREED_FROM = 2.5  # sigmas: an estimated length is used; it costs little where t
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
-def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random.Generator
-                              ) -> Solution:
-    """Return the consensus, with free target measures if only these make the stations agree."""
+def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random.Generator,
+                              start: Estimate | None = None) -> Solution:
+    """
+    Return the consensus, with free target measures if only these make the stations agree.
+
+    start: the only one to use, if given.
+    """
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
     poor = (agreed.dropped_squares or len(agreed.without_edges)
             or agreed.variance_factor > CONVINCING_SQUARE)
     if config == stated_config or not poor:
         return agreed
-    other = robust_solution(replace(problem, config=config), rng)
+    other = robust_solution(replace(problem, config=config), rng, start=start)
     stated, _ = target.stated_values(stated_config)[target.labels[-1]]
     if abs(other.estimate.state[-1] - stated) > 0.5 * stated:
         return agreed  # another target

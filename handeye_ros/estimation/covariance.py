@@ -18,7 +18,6 @@ from handeye_ros.estimation.basis import box
 from handeye_ros.estimation.blocks import slices
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.estimation.noise import covariance_parts, Noise
-from handeye_ros.estimation.problem import MANY_STATIONS
 from handeye_ros.estimation.solve import Solution, solution_at
 import numpy as np
 
@@ -33,11 +32,11 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     """
     Return a solution with its contamination, (10), and the station that is almost surely wrong.
 
-    Between MANY_STATIONS and twice as many the probabilities fade to 0. dropped: number of
+    Between problem.many stations and twice as many the probabilities fade to 0. dropped: number of
     stations dropped as wrong, which make another wrong one likelier.
     """
     n = len(solution.problem.poses)
-    weight = min(1.0, 2 - n / MANY_STATIONS)
+    weight = min(1.0, 2 - n / solution.problem.many)
     if weight <= 0:
         return solution
     configured = solution_at(solution.problem, solution.estimate, Noise())

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from handeye_ros.estimation.blocks import ParameterBlock
 
 UNUSED = -1  # the kind of an observation that is not part of the target
-# Of more stations, a single one matters less: (10) fades, each solve without one more outlier
-# starts from the one before, and the others count as no redundancy. From twice as many on, (10) is
-# left out, and a part of them tells noise and prior scales.
-MANY_STATIONS = 200
+# Of more stations, a single one matters less: (10) fades, and the others count as no redundancy.
+# From twice as many on, (10) is left out, a part of them tells noise and prior scales, and these
+# stay as further outliers are dropped. Profiles of a sweep, neighbours on a path, are many sooner.
+MANY_STATIONS, MANY_PROFILES = 200, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +176,7 @@ class Problem:
 
     pose_model: parameters that the poses depend on, or None
     pose_values: (k,) their values
+    pose_twists: (n, 6, k) derivatives of the robot's poses by these
     long_errors: whether the robot's smooth error has long wavelengths only
     """
 
@@ -185,12 +186,17 @@ class Problem:
     config: Config
     pose_model: PoseModel | None = None
     pose_values: Array = field(default_factory=lambda: np.zeros(0))
+    pose_twists: Array = field(default_factory=lambda: np.zeros((0, 6, 0)))
     long_errors: bool = False
 
     def __post_init__(self) -> None:
-        """Set pose_values to 0 if there is a pose model and no values are given."""
-        if self.pose_model is not None and not len(self.pose_values):
+        """Set the pose values to 0, and their twists, if a pose model comes without."""
+        if self.pose_model is None:
+            return
+        if not len(self.pose_values):
             object.__setattr__(self, 'pose_values', np.zeros(sum(self.pose_model.counts)))
+        if not len(self.pose_twists):
+            object.__setattr__(self, 'pose_twists', self.pose_model.at(self.pose_values)[1])
 
     @cached_property
     def free_columns(self) -> NDArray[np.intp]:
@@ -232,15 +238,14 @@ class Problem:
         return self.poses if self.config.in_hand else se3.inverse(self.poses)
 
     @cached_property
-    def pose_twists(self) -> Array:
-        """Return the derivatives (n, 6, k) of the robot's poses by the pose values."""
-        assert self.pose_model is not None
-        return self.pose_model.at(self.pose_values)[1]
-
-    @cached_property
     def smooth_error_basis(self) -> Array:
         """Return basis functions (n, r) of the robot's smooth error at the poses."""
         return smooth_basis(self.robot_poses, self.long_errors)
+
+    @property
+    def many(self) -> int:
+        """Return the number of stations of which a single one matters less."""
+        return MANY_STATIONS if self.pose_model is None else MANY_PROFILES
 
     @property
     def tolerances(self) -> Array:
@@ -270,9 +275,9 @@ class Problem:
         """Return the problem with the poses of its pose model, if it has one, at values (k,)."""
         if self.pose_model is None:
             return self
-        poses, _ = self.pose_model.at(values)
+        poses, twists = self.pose_model.at(values)
         return replace(self, poses=poses if self.config.in_hand else se3.inverse(poses),
-                       pose_values=values)
+                       pose_values=values, pose_twists=twists)
 
     def subset(self, stations: NDArray[np.intp]) -> Problem:
         """Return the problem with only the given stations (ascending indices)."""
@@ -281,7 +286,8 @@ class Problem:
         fewer = self.observations.select(np.isin(self.observations.station, stations))
         renumbered = np.searchsorted(stations, fewer.station)
         model = self.pose_model and self.pose_model.subset(stations)
-        return replace(self, poses=self.poses[stations], pose_model=model,
+        twists = self.pose_twists if model is None else self.pose_twists[stations]
+        return replace(self, poses=self.poses[stations], pose_model=model, pose_twists=twists,
                        observations=replace(fewer, station=renumbered))
 
 

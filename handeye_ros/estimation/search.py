@@ -32,15 +32,8 @@ from handeye_ros.estimation.least_squares import (
     typical_square,
 )
 from handeye_ros.estimation.noise import BLOCKS_AS_NOISE, Noise, Whitening, whitening
-from handeye_ros.estimation.problem import (
-    Estimate,
-    Linear,
-    linearise,
-    MANY_STATIONS,
-    Problem,
-    UNUSED,
-)
-from handeye_ros.estimation.solve import map_solution, Solution, solution_at
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem, UNUSED
+from handeye_ros.estimation.solve import map_solution, Solution, solution_at, solution_like
 import numpy as np
 from numpy.typing import NDArray
 
@@ -117,12 +110,8 @@ def with_systematic_errors(agreed: Solution) -> Solution:
 
     def fitted(before: Solution | None, used: NDArray[np.intp]) -> Solution:
         kept = agreed.problem.subset(np.flatnonzero(np.isin(agreed.used, used)))
-        start, noise = agreed.estimate, Noise()
-        if before is not None and len(used) > MANY_STATIONS:
-            conservative = before.conservative  # a few of very many hardly move the solution
-            start, noise = conservative.estimate, conservative.noise
-            kept = kept.with_pose_values(conservative.problem.pose_values)
-        solution = map_solution(kept, start, noise)
+        solution = (map_solution(kept, agreed.estimate, Noise()) if before is None or
+                    len(used) < 2 * problem.many else solution_like(before, kept))
         return with_possibly_wrong_station(solution, len(problem.poses) - len(used))
 
     solution, used, dropped = drop_outliers(

@@ -45,7 +45,7 @@ from handeye_ros.estimation.noise import (
     Whitening,
     whitening,
 )
-from handeye_ros.estimation.problem import Estimate, Linear, linearise, MANY_STATIONS, Problem
+from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
@@ -347,7 +347,7 @@ class Solution:
 
         A repeated pose adds no information; of very many poses only some are counted.
         """
-        distinct = farthest_points(pose_features(self.problem.poses), MANY_STATIONS)
+        distinct = farthest_points(pose_features(self.problem.poses), self.problem.many)
         return int(self.ranks[distinct].sum()) - self.unknowns
 
     @property
@@ -469,8 +469,10 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     It is for the estimate, at the MAP scales, and holds another one for the report: at the
     conservative scales, with long errors of the robot only. noise: to start with.
     """
-    if len(problem.poses) >= 2 * MANY_STATIONS:
-        return _map_solution_of_many(problem, start, noise)
+    n = len(problem.poses)
+    if n >= 2 * problem.many:  # some of them tell the scales and the noise
+        some = problem.subset(np.arange(0, n, round(n / problem.many)))
+        return solution_like(map_solution(some, start, noise), problem)
     # near the minimum, at conservative scales
     reached, diverged = _until_converged(solution_at(problem, start, noise))
     if diverged:  # where it is stays the answer, as uncertain as any
@@ -489,14 +491,17 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     return _with_conservative(for_estimate, conservative.noise, LAST_STEPS)
 
 
-def _map_solution_of_many(problem: Problem, start: Estimate, noise: Noise) -> Solution:
-    """Return the MAP solution of very many stations, of which some tell the scales and noise."""
-    n = len(problem.poses)
-    of_part = map_solution(problem.subset(np.arange(0, n, n // MANY_STATIONS)), start, noise)
-    problem = problem.with_pose_values(of_part.problem.pose_values)
-    near = solution_at(problem, of_part.linear.estimate, of_part.noise)
-    for_estimate = Solution.of_linear(near.relinearise(), near.noise)
-    return _with_conservative(for_estimate, of_part.conservative.noise, 0)
+def solution_like(before: Solution, problem: Problem) -> Solution:
+    """
+    Return the MAP solution of many stations, from that of a part of them, or of a few more.
+
+    It is linearised where that one was, and has its noise. Scales take one step from its own.
+    """
+    problem, noise = problem.with_pose_values(before.problem.pose_values), before.noise
+    near, reported = solution_at(problem, before.linear.estimate, noise), before.conservative.noise
+    conservative = replace(near, noise=replace(noise, block_variances=reported.block_variances))
+    for_estimate = near.with_variances(conservative.prior_variances()[0])
+    return _with_conservative(for_estimate, reported, 1)
 
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:

@@ -33,7 +33,7 @@ NOISE_RATIO, MOST_SEARCHES = 2.0, 4
 RIM_INCIDENCE = 0.5  # an arc that ends at a larger angle of incidence (rad) ends at its rim
 RIM_WIDTH = 0.24  # angle of the arc before its rim that is not used (rad)
 RIM_COSINE = 0.5  # smallest cosine of the incidence of a usable point: the rim is bad
-NORMAL_POINTS = 12
+NORMAL_POINTS, POINTS_OF_SWEEP = 12, 6  # of an arc; where hundreds of profiles show the ball
 FINER_BINS = 4  # per bin of an arc: their scatter gives the variance of its normal point
 SMALLEST_DENSITY = 0.5  # smallest share of an arc's points among those between its ends
 LEAST_SAGITTA = 2.5  # smallest sagitta of an arc, in tolerances: less may be a corner
@@ -174,7 +174,8 @@ def _arc(points: Array, columns: NDArray[np.intp], noise: float, config: Config)
         raise FeatureError(f'fewer than {min_points} points on an arc of the sphere')
     if len(columns) < SMALLEST_DENSITY * (columns[-1] - columns[0] + 1):
         raise FeatureError('no arc of the sphere in the profile, only scattered points')
-    arc = normal_points(points.take(columns, axis=0))
+    most = POINTS_OF_SWEEP if config.sampling.moving else NORMAL_POINTS
+    arc = normal_points(points.take(columns, axis=0), most)
     if 0 < LARGEST_SHARE * radius < arc.radius or arc.radius < SMALLEST_SHARE * radius:
         raise FeatureError(f'the arc in the profile has a radius of {arc.radius * 1e3:.1f} mm, '
                            f'which does not fit the sphere of {mm(radius)}')
@@ -217,9 +218,9 @@ def _squares_of_lines(sums: Array) -> Array:
     return np.asarray((vv - slope * uv) / (1 + slope * slope))
 
 
-def normal_points(raw: Array) -> Arc:
+def normal_points(raw: Array, most: int = NORMAL_POINTS) -> Arc:
     """
-    Return the arc of (n, 2) raw points, with at most NORMAL_POINTS normal points.
+    Return the arc of (n, 2) raw points, with at most so many normal points.
 
     The points of several profiles may be mixed. Errors common to all profiles scatter between
     parts of the arc, so they are not taken for noise that averages out.
@@ -231,7 +232,7 @@ def normal_points(raw: Array) -> Arc:
                       x * math.cos(middle) + z * math.sin(middle))
     order = turn.argsort()
     residual = off_circle(raw, circle)[order]
-    bins = min(NORMAL_POINTS, len(raw) // 3)
+    bins = min(most, len(raw) // 3)
     radius, count = bin_means(residual, bins)
     turn = bin_means(turn[order], bins)[0] + middle
     points = circle[:2] + (circle[2] + radius)[:, None] * np.column_stack(

@@ -98,21 +98,23 @@ def _fitted_shapes(u: Array, v: Array, pitch: float, noise: float
     are wrong by many sigmas. Returned: where each leaves the face line (k, 1), its slope at the
     points (k, n), their weights (k, n), and -2 log likelihood of each (k,).
     """
-    # at first each shape passes through the centre of the low points
+    # a first begin of each: it passes through the centre of the low points
     low = v >= min(BEND_SIGMAS * noise, v.max())
     depth = max(float(v[low].mean()), 0.0)
     begin = u[low].mean() - _distances_at(depth)
-    longest = np.maximum(u[-1] - begin, pitch) / 3
+    longest_step = np.maximum(u[-1] - begin, pitch) / 3
     for _ in range(BEND_STEPS):
         below, slope = _shapes(u - begin)
         off = v - below
+        # how far a point lies along the laser line is uncertain: it counts where a shape is steep
         variance = noise ** 2 + (ALONG_STD * pitch * slope) ** 2
         strays = off ** 2 / (variance * STRAY_SIGMAS ** 2)
         weights = 1 / (variance * (1 + strays))
+        # one Gauss-Newton step of each begin: the depth at a point changes by minus the slope
         steep = weights * slope
         information = np.maximum((steep * slope).sum(axis=1, keepdims=True), TINY)
         step = (steep * off).sum(axis=1, keepdims=True) / information
-        begin = begin - np.clip(step, -longest, longest)
+        begin = begin - np.clip(step, -longest_step, longest_step)
     misfit = (STRAY_SIGMAS ** 2 * np.log1p(strays) + np.log(variance / noise ** 2)).sum(axis=1)
     return begin, slope, weights, misfit
 

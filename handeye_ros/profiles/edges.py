@@ -99,15 +99,11 @@ class FaceEnd:
         return last - first - int(bounds[1] - bounds[0])
 
     @cached_property
-    def column_pitch(self) -> float:
-        """Return the mean distance along x between neighbouring columns of the segment."""
-        first, last = self.segment.first, self.segment.last
-        return abs(float(self.points[last, 0] - self.points[first, 0])) / (last - first)
-
-    @property
     def pitch(self) -> float:
-        """Return the mean distance between neighbouring points along the face."""
-        return self.column_pitch * math.hypot(1.0, self.segment.slope)
+        """Return the mean distance (m) between neighbouring columns along the face."""
+        first, last = self.segment.first, self.segment.last
+        along = abs(self.points.item(last, 0) - self.points.item(first, 0)) / (last - first)
+        return along * math.hypot(1.0, self.segment.slope)
 
     @cached_property
     def frame(self) -> Array:
@@ -116,17 +112,14 @@ class FaceEnd:
 
         The origin is the point of the face line at the segment's last point.
         """
-        segment = self.segment
-        x, middle = (self.points.item(column, 0) for column in
-                     (self.column, segment.columns.item(len(segment.columns) // 2)))
-        outward = -1.0 if x < middle else 1.0
-        length, near = math.hypot(1.0, segment.slope), self.near_sign
-        return np.array([[x, segment.height(x)],
-                         [outward / length, outward * segment.slope / length],
-                         [near * segment.slope / length, -near / length]])
+        segment, near = self.segment, self.near_sign
+        x, first = self.points.item(self.column, 0), self.points.item(segment.first, 0)
+        along = np.array([1.0, segment.slope]) / math.hypot(1.0, segment.slope)
+        below = near * np.array([along[1], -along[0]])
+        return np.array([[x, segment.height(x)], math.copysign(1.0, x - first) * along, below])
 
     def outwards_and_below(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return the coordinates of columns of the profile along and below the face."""
+        """Return where columns (k,) are: outwards along the face (k,), and below it (k,), in m."""
         origin, along, below = self.frame
         away = self.points.take(columns, axis=0) - origin
         u = away @ along
@@ -177,14 +170,15 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     shadow if its foot is hidden), or where nothing is seen beyond it (gap, or open if the driver
     does not say).
     """
-    end_columns, size = _end_columns(end), len(end.points)
+    end_columns, size, corner = _end_columns(end), len(end.points), None
     next_surface = next((s for s in end.beyond
                          if s is not end.beyond[0] or not _is_bevel(end, s, end_columns)), None)
     # a driver that leaves lost points out does not say where the field of view ends
     marks_lost = len(end.returns) < size
     if next_surface:
         end_columns = end_columns[end_columns < next_surface.first]
-        ending = _ending_before(end, next_surface, end_columns)
+        corner = _corner(end, next_surface, end_columns)
+        ending = 'roof' if corner else _ending_before(end, next_surface, end_columns)
     elif not marks_lost:
         ending = 'open'
     elif end.lost(end.column + 1, size) >= GAP_COLUMNS:
@@ -196,23 +190,22 @@ def edge_at(end: FaceEnd) -> EdgePoint:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
             f'it {VIEW_MARGIN * 1e3:.0f} mm or more into the view)')
-    if next_surface and ending == 'roof':
-        return _corner(end, next_surface)
-    wall = _wall(end, end_columns)
-    if wall:
+    if corner:
+        return corner
+    if wall := _wall(end, end_columns):
         return end.edge(*wall, 'roof')
     ground = next_surface if ending in ('step', 'shadow') else None
     return _edge_before_drop(end, end_columns, ground, ending)
 
 
 def _ending_before(end: FaceEnd, next_surface: Segment, end_columns: NDArray[np.intp]) -> str:
-    """Return how a face ends before another surface; raises NoEdgeError where it does not."""
+    """
+    Return how a face ends before another surface; raises NoEdgeError where it does not.
+
+    A nearer surface hides what lies beside it, but not farther aside than SHADOW_SLOPE times its
+    height. Where nothing is seen even so, the face has ended before (gap).
+    """
     start, least = next_surface.first, smallest_step(end, next_surface)
-    if _meet_in_a_corner(end, next_surface, end_columns):
-        # a surface that turns away from the sensor leaves the line over its whole length
-        if end.rise_of(next_surface.last) <= 0:
-            return 'roof'
-        raise NoEdgeError('at something nearer')
     rise = end.rise_of(start)
     if rise < -least:
         last = int(end_columns[-1]) if len(end_columns) else end.column
@@ -220,7 +213,7 @@ def _ending_before(end: FaceEnd, next_surface: Segment, end_columns: NDArray[np.
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
     if abs(end.points[start, 0] - end.points[end.column, 0]) > SHADOW_SLOPE * rise:
-        return 'gap'  # beside what hides it
+        return 'gap'
     raise NoEdgeError('at something nearer')
 
 
@@ -238,31 +231,31 @@ def _is_bevel(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> bo
     return size <= LARGEST_BEVEL and down > 0 and abs(u[1] - u[0]) > WALL_SLOPE * down
 
 
-def _meet_in_a_corner(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> bool:
-    """Return whether two pieces end in a common corner."""
+def _corner(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> EdgePoint | None:
+    """
+    Return the edge where the lines of a face and of the next surface cross.
+
+    None where they do not meet there. Raises NoEdgeError where the other one rises to the sensor:
+    a surface that turns away from it leaves the line over its whole length.
+    """
     a, b = end.segment, other
     if abs(math.atan(a.slope) - math.atan(b.slope)) < ROOF_ANGLE:
-        return False
-    x = a.crossing(b)
-    x_end, x_start = end.points[end.column, 0], end.points[other.first, 0]
+        return None
+    x, (origin, along, _) = a.crossing(b), end.frame
+    place, start = ((where - origin[0]) / along[0] for where in (x, end.points[other.first, 0]))
     # a rounded or bevelled corner leaves room between the pieces, with points of its own
     bent = len(end_columns) > 0 and other.first - end_columns[-1] <= LOST_BETWEEN
-    reach = max(ROOF_REACH * end.column_pitch, LARGEST_BEVEL if bent else 0.0)
-    return bool(min(x_end, x_start) - reach <= x <= max(x_end, x_start) + reach
-                and abs(x_start - x_end) <= 2 * reach)
-
-
-def _corner(end: FaceEnd, other: Segment) -> EdgePoint:
-    """Return the edge where the lines of two pieces cross."""
-    a, b = end.segment, other
-    x = a.crossing(b)
+    reach = max(ROOF_REACH * end.pitch, LARGEST_BEVEL if bent else 0.0)
+    if not (min(start, 0.0) - reach <= place <= max(start, 0.0) + reach
+            and abs(start) <= 2 * reach):
+        return None
+    if end.rise_of(other.last) > 0:
+        raise NoEdgeError('at something nearer')
     # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
     # than the face has an additional error of that size
     steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5
-    offset_std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
-    origin, along, _ = end.frame
-    place, length = float((x - origin[0]) / along[0]), math.hypot(1.0, a.slope)
-    return end.edge(place, offset_std / abs(a.slope - b.slope) * length, 'roof')
+    std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
+    return end.edge(place, std / abs(a.slope - b.slope) * math.hypot(1.0, a.slope), 'roof')
 
 
 def _std_at(segment: Segment, x: float, points: Array) -> float:
@@ -299,7 +292,7 @@ def _follows(end: FaceEnd, column: int, after: int) -> bool:
     aside, drop = abs(x_after - x), end.near_sign * (z - z_after)
     slack = SLACK_SIGMAS * end.segment.noise
     # a driver may leave lost points out: then the next column need not be near
-    return (0 < after - column <= LOST_BETWEEN and aside < (LOST_BETWEEN + 0.5) * end.column_pitch
+    return (0 < after - column <= LOST_BETWEEN and aside < (LOST_BETWEEN + 0.5) * end.pitch
             and -slack < drop < STEEPEST_SURFACE * aside + slack)
 
 
@@ -322,7 +315,7 @@ def _wall(end: FaceEnd, end_columns: NDArray[np.intp]) -> tuple[float, float] | 
     if not abs(covariance) < WALL_SLOPE * spread ** 2:  # also of points at one depth
         return None
     slope = covariance / spread ** 2
-    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.column_pitch / 12 ** 0.5
+    scatter = float((u - u.mean() - slope * (v - mean)).std()) + end.pitch / 12 ** 0.5
     std = scatter * np.sqrt((1 + (mean / spread) ** 2) / len(v))
     place, least = float(u.mean() - slope * mean), _end_of_face(end, all_u, all_v)
     # a wall seen so steeply that it seems to stand below the face is badly measured
@@ -340,23 +333,23 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     """
     Return the end of a plate before a drop, the end columns included.
 
-    ground: the surface seen below, or None.
+    It lies between the last point of the plate and the next one that is not mixed of both sides,
+    or, where a sensor makes a ramp of the drop, where that is half way down. ground: the surface
+    seen below, or None.
     """
-    # in metres, outwards along the face: its last points, where it is flat, the last point of all
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], end_columns])
     u, v = end.outwards_and_below(plate)
     pitch, noise = end.pitch, end.segment.noise
-    step = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1)
-    step = min(max(step, 0.0), pitch) if len(end_columns) else pitch
     flat = _end_of_face(end, u[LAST_POINTS:], v[LAST_POINTS:])
     last = max(float(u[-1]), flat)
-    # the edge lies between it and the next column that is not mixed, or on the middle of a ramp
-    mixed_columns, ramp_columns = _transition(end, int(plate[-1]), ground)
-    place = last + (step * (1 + mixed_columns) / 2 if not ramp_columns else pitch * ramp_columns)
-    std = math.sqrt(pitch ** 2 * ((1 + min(mixed_columns, 2)) ** 2 / 12 + LOST_STD ** 2)
-                    + (RAMP_STD * pitch * 2 * ramp_columns) ** 2)
+    mixed, half_way = _transition(end, int(plate[-1]), ground)
+    # the points of a bent end are nearer to each other
+    step = float(u[-1] - u[-LAST_POINTS]) / (LAST_POINTS - 1) if len(end_columns) else pitch
+    place = last + (half_way or min(max(step, 0.0), pitch) * (1 + mixed) / 2)
+    std = math.hypot(pitch * (1 + min(mixed, MIXED_POINTS)) / 12 ** 0.5, pitch * LOST_STD,
+                     2 * RAMP_STD * half_way)
     edge = end.edge(place, std, ending)
-    if sum(v[-LAST_POINTS:].tolist()) / LAST_POINTS < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
+    if v[-LAST_POINTS:].mean() < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
     return _with_bent_end(edge, place, last - flat, end, end_columns)
 
@@ -385,12 +378,11 @@ def _with_bent_end(edge: EdgePoint, place: float, length: float, end: FaceEnd,
 
 def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, float]:
     """
-    Return the number of mixed points between plate and ground, and the middle of their ramp.
+    Return the number of mixed columns between plate and ground, and the place half way down.
 
     A column whose spot straddles the edge returns a range between the levels; the edge is equally
-    likely on both of its sides. A sensor that smooths, or has a wide spot, makes a ramp: the
-    second value is the number of columns from the last point of the plate to half height, 0
-    without a ramp.
+    likely on both of its sides. A sensor that smooths, or has a wide spot, makes a ramp of more
+    than MIXED_POINTS: only then the place (m) is not 0, from the last column of the plate, `last`.
     """
     if ground is None or not 0 < ground.first - last - 1 <= LONGEST_RAMP:
         return 0, 0.0
@@ -399,9 +391,10 @@ def _transition(end: FaceEnd, last: int, ground: Segment | None) -> tuple[int, f
     x, z = points.take(columns, axis=0).T
     height = np.abs(z - end.segment.height(x))
     share = (height - height[0]) / (np.abs(ground.height(x) - end.segment.height(x)) - height[0])
-    mixed_columns = int((share[1:-1] < 0.8).sum())
-    if mixed_columns <= MIXED_POINTS:
-        return (mixed_columns if len(columns) == len(points) else 0), 0.0
+    mixed = int((share[1:-1] < 0.8).sum())
+    if mixed <= MIXED_POINTS:
+        return (mixed if len(columns) == len(points) else 0), 0.0
     after = max(int(np.argmax(share > 0.5)), 1)
     way = (0.5 - share[after - 1]) / max(float(share[after] - share[after - 1]), 0.1)
-    return mixed_columns, float(columns[after - 1] + way * (columns[after] - columns[after - 1]))
+    half_way = columns[after - 1] + way * (columns[after] - columns[after - 1])
+    return mixed, float(half_way) * end.pitch

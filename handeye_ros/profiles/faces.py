@@ -75,7 +75,7 @@ def face_features(points: Array, config: Config) -> tuple[Feature, ...]:
     if not edges:
         raise FeatureError('no edge of a face in the profile: the face ends only '
                            + ' or '.join(dict.fromkeys(reasons)))
-    line = face_line(face, points)
+    line = face_line(face, points, config.sampling.moving)
     white_std = face.noise / math.hypot(1.0, face.slope) / math.sqrt(len(face.straight))
     return (line, *(on_line(edge, line, line.std / white_std) for edge in edges))
 
@@ -102,7 +102,7 @@ def plane_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
         raise FeatureError('no straight piece of '
                            f'{config.sampling.min_points} points or more in the profile')
     longest = sorted(segments, key=lambda s: -len(s.columns))[:MOST_SURFACES]
-    return tuple(face_line(segment, points) for segment in longest
+    return tuple(face_line(segment, points, config.sampling.moving) for segment in longest
                  if len(segment.columns) >= SMALLEST_SURFACE * len(longest[0].columns))
 
 
@@ -126,7 +126,8 @@ def corner_features(points: Array, config: Config) -> tuple[FaceLine, ...]:
     shorter = [min(len(segment.columns) for segment in pair) for pair in pairs]
     order = sorted(range(len(pairs)), key=lambda k: -shorter[k])[:MOST_CORNERS]
     best = [pairs[k] for k in order if shorter[k] >= SMALLEST_CORNER * max(shorter)]
-    lines = {segment: face_line(segment, points) for pair in best for segment in pair}
+    lines = {segment: face_line(segment, points, config.sampling.moving)
+             for pair in best for segment in pair}
     return tuple(line for pair in best for line in sorted(
         (lines[segment] for segment in pair), key=lambda line: float(line.centre[0])))
 

@@ -20,23 +20,28 @@ from handeye_ros.profiles.segment import bent, Segment
 import numpy as np
 from numpy.typing import NDArray
 
-NORMAL_POINTS = 6
+NORMAL_POINTS, POINTS_OF_SWEEP = 6, 4  # of a line; where hundreds of profiles show each part of it
 BIN_COUNT = 24  # bins whose scatter gives the variance of the normal points
 FEWEST_POINTS = 4  # of a bin
 FEWEST_BINS = 6
 SURELY_MORE = 1.7  # ratio to the variance of white noise that chance seldom exceeds
 
 
-def face_line(segment: Segment, points: Array) -> FaceLine:
-    """Return the face line of a segment of a profile (n, 2), with its normal points."""
+def face_line(segment: Segment, points: Array, moving: bool) -> FaceLine:
+    """
+    Return the face line of a segment of a profile (n, 2), with its normal points.
+
+    moving: whether the profile is one of a sweep.
+    """
+    most = POINTS_OF_SWEEP if moving else NORMAL_POINTS
     measured = points.take(segment.straight, axis=0)
     n, length = len(measured), math.hypot(1.0, segment.slope)
     middle, std = float(measured[:, 0].mean()), float(measured[:, 0].std())
     bins, count = bin_means(measured, BIN_COUNT if n >= BIN_COUNT * FEWEST_POINTS else min(
-        NORMAL_POINTS, n))
+        most, n))
     centre = np.array([middle, segment.height(middle)])
     return _line(centre, segment.slope, std * length, bins,
-                 (segment.noise / length) ** 2 * len(count) / n)
+                 (segment.noise / length) ** 2 * len(count) / n, most)
 
 
 def on_line(edge: EdgePoint, line: FaceLine, correlated: float = 1.0) -> EdgePoint:
@@ -73,13 +78,18 @@ def combined_line(lines: Sequence[FaceLine], centre: Array, slope: float, scatte
                    points_std=np.sqrt(line.points_std ** 2 + shared))
 
 
-def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float) -> FaceLine:
-    """Return the line with bins (m, 2); white_var: the variance of each for independent noise."""
+def _line(centre: Array, slope: float, spread: float, bins: Array, white_var: float,
+          most: int = NORMAL_POINTS) -> FaceLine:
+    """
+    Return the line with bins (m, 2), and at most so many normal points.
+
+    white_var: the variance of each bin for independent noise.
+    """
     direction = np.array([1.0, slope]) / math.hypot(1.0, slope)
     normal = np.array([-direction[1], direction[0]])
     across, along = (bins - centre) @ normal, bins @ direction
     variance = variance_of_bins(across, white_var)
-    normal_points, size = bin_means(bins, min(NORMAL_POINTS, len(bins)))
+    normal_points, size = bin_means(bins, min(most, len(bins)))
     if len(bins) >= FEWEST_BINS:  # the mean of a part of a parabola lies beside it
         bow = (across * bent((along - along.mean()) / along.std())).mean()
         normal_points -= bow * (bent(1 / len(size)) - bent(0.0)) * normal

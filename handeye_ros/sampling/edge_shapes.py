@@ -17,7 +17,6 @@ LEAST_SEEN = 0.1
 LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
 SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
 SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
-NO_INFORMATION = [np.zeros(len(TRIED_RADII) + 1)]  # no information on the shape
 OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
 DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
 
@@ -55,7 +54,7 @@ def common_shape(samples: Sequence[Sample]) -> EdgeShape:
     if len(ends) < 3 or np.median(depth) <= SHARP_DEPTH:
         return EdgeShape()
     bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
-    log_odds = np.sum([_blurred(odds) for odds in bent] or NO_INFORMATION, axis=0)
+    log_odds = sum(map(_blurred, bent), np.zeros(len(TRIED_RADII) + 1))
     if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
         shape = EdgeShape(*_radius(log_odds[:-1]))
     else:  # deeper ends say more about the shape

@@ -161,7 +161,12 @@ def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
 
 @dataclass(frozen=True)
 class Motion:
-    """Speed (m/s), angular speed (rad/s), and how long the robot has been where it is (s)."""
+    """
+    How the robot moves.
+
+    speed (m/s), turning (rad/s): over the last MOTION_TIME
+    still: how long it has stood near where it is (s); in a pass, too, it may stand
+    """
 
     speed: float
     turning: float
@@ -180,9 +185,10 @@ class StopFinder(Copyable):
     """
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
-    stamp: of the current stop
-    longest_rest: of those that are over (ns)
-    short_rests: number of stops that lasted SHORT_REST, but not sampling.still_time
+    stamp: of the first pose of the current stop or pass (ns), -1 before any pose
+    longest_rest: the longest time that the robot stood near one pose, of those that are over (ns);
+        in a pass, too
+    short_rests: number of stops or passes that lasted SHORT_REST, but not sampling.still_time
     """
 
     def __init__(self, sampling: SamplingConfig) -> None:

@@ -1,25 +1,33 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The samples of a moving robot: poses at times that are known up to an offset of the clocks.
+The samples of a moving robot: one for each profile, with poses that depend on three unknown times.
 
-A profile with stamp t has the pose T(t + offset + drift (t - middle)): the clock of the profiles
-is late, and runs faster. A robot may also report its rotation later than its position: then its
-rotation is that of the time + lag. The derivative of a condition by one of the three is its
-derivative by the flange pose times the twist: one more column each. No start value is needed: fits
-start from several offsets, on some of the samples, until one is good. However long a
-sweep is, MOST_SAMPLES of its profiles make the answer.
+The pose of a profile with stamp t is that of the time t + offset + drift (t - middle of the
+sweep). Its rotation is that of a time later by the lag.
 
-How a sweep differs from stops: a pass is cut by time (StopFinder), and its profiles are not
-combined (sampling/features.py); passes_expanded takes it apart, with one trajectory for all parts;
-with_estimated_clocks finds the clocks, on which the poses of the parts depend
-(problem_with_clocks). What follows from that elsewhere asks Sample.moving or sampling.moving: a
-pass is never a duplicate, nor taken early (session.py); other settings and clocks are not asked
-(checks/causes.py), and a move must be larger than the smooth error of the robot (checks/moved.py);
-edges may scatter (require_edges in checks/refusals.py), and profiles dropped at one end tell of no
-move (outliers_at_one_end in calibration.py); a pass agrees if most of its profiles do (review.py);
-advice is to sweep on (guidance/advice.py); a gauge is measured in passes
-(verification/stations.py), and a sweep checks a calibration too (verification/check.py).
+- offset: of the clocks, seconds to add to the stamps of the profiles
+- drift: the clock of the profiles is slower by this, seconds a second
+- lag: the robot reports its rotation later than its position, in seconds
+
+The derivative of a condition by one of them is its derivative by the pose of the flange times the
+twist of the flange: one more column each. They need no start value: with_estimated_clocks fits
+some of the samples from several offsets until one is good, then all. However long a sweep is,
+MOST_SAMPLES of its profiles make the answer.
+
+A sweep differs from stops in these places, found by Sample.moving and sampling.moving:
+
+- stops.py cuts it by time, into passes; features.py combines no profiles; passes_expanded (here)
+  takes a pass apart, with one trajectory for all
+- estimation: problem_with_clocks (here) adds the three unknowns; far fewer profiles than stops are
+  many (Problem.many)
+- session.py: a pass is never a duplicate, nor taken early; guidance advises to sweep on
+- checks: other settings and clocks are not tried (causes.py); a move must be larger than the
+  smooth error of the robot (moved.py); edges may scatter (refusals.py, require_edges); profiles
+  dropped at one end tell of no move (calibration.py); a pass agrees if most of its profiles do
+  (review.py)
+- verification: a gauge is measured in passes (stations.py); a sweep also checks a calibration
+  (check.py)
 """
 from __future__ import annotations
 
@@ -192,12 +200,11 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> Synchron
     problem = problem_with_clocks(samples, config)
     some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
     start = _searched(some, np.random.default_rng(0))
-    fit = _refined(problem.with_pose_values(start.problem.pose_values), start.estimate)
+    _, near = _poses_at(samples, start)
+    # profiles in gaps between the poses would pull the offset
+    inner = problem.subset(np.flatnonzero(near.inside))
+    fit = _refined(inner.with_pose_values(start.problem.pose_values), start.estimate)
     values, instants = _poses_at(samples, fit)
-    if not instants.inside.all():  # profiles in gaps between the poses pull the offset
-        inner = problem.subset(np.flatnonzero(instants.inside))
-        fit = _refined(inner.with_pose_values(fit.problem.pose_values), fit.estimate)
-        values, instants = _poses_at(samples, fit)
     paired = [replace(sample, T_base_flange=T, clock_values=values)
               for sample, T, inside in zip(
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]

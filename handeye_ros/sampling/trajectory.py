@@ -12,7 +12,7 @@ the knots (Craven and Wahba 1979, Numer. Math. 31:377).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -76,22 +76,15 @@ class Trajectory:
 
     def at(self, stamps: NDArray[np.int64], lag: float = 0.0) -> Instants:
         """Return the flange at stamps (n,); lag: of the reported rotation (s)."""
-        instants = self._reported(stamps)
-        if not lag:
-            return instants
-        late = self._reported(stamps + round(lag * 1e9))
-        instants.T_base_flange[:, :3, :3] = late.T_base_flange[:, :3, :3]
-        instants.twists[:, 3:] = late.twists[:, 3:]
-        return replace(instants, inside=instants.inside & late.inside)
-
-    def _reported(self, stamps: NDArray[np.int64]) -> Instants:
-        T, twists = np.tile(np.eye(4), (len(stamps), 1, 1)), np.zeros((len(stamps), 6))
-        inside = np.zeros(len(stamps), dtype=bool)
-        for piece, chosen in self._by_piece(stamps):
-            some = stamps[chosen]
+        n, both = len(stamps), np.concatenate([stamps, stamps + round(lag * 1e9)])
+        T, twists = np.tile(np.eye(4), (2 * n, 1, 1)), np.zeros((2 * n, 6))
+        inside = np.zeros(2 * n, dtype=bool)
+        for piece, chosen in self._by_piece(both):
+            some = both[chosen]
             inside[chosen] = (some >= piece.first) & (some <= piece.last)
             T[chosen], twists[chosen] = piece.at(some)
-        return Instants(T, twists, inside)
+        T[:n, :3, :3], twists[:n, 3:] = T[n:, :3, :3], twists[n:, 3:]
+        return Instants(T[:n], twists[:n], inside[:n] & inside[n:])
 
     def std(self, stamps: NDArray[np.int64]) -> Array:
         """Return 1 sigma of the poses at stamps (n,), each axis: (n, 2) in m and rad."""
