@@ -50,7 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # sigmas: the last step of the unknowns; one more follows with the final scales
-CONVERGED_SIGMAS = 0.1
+CONVERGED_SIGMAS, MOST_STEPS = 0.1, 10
 ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -472,8 +472,8 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     if len(problem.poses) >= 2 * MANY_STATIONS:
         return _map_solution_of_many(problem, start, noise)
     # near the minimum, at conservative scales
-    reached, diverged = _until_converged(solution_at(problem, start, noise))
-    if diverged:  # where it is stays the answer, as uncertain as any
+    reached, converged = _until_converged(solution_at(problem, start, noise))
+    if not converged:  # where it is stays the answer, as uncertain as any
         return _with_conservative(reached, reached.noise, LAST_STEPS)
     # both scales follow from the posterior at the conservative ones
     for_estimate = conservative = reached
@@ -501,27 +501,25 @@ def _map_solution_of_many(problem: Problem, start: Estimate, noise: Noise) -> So
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
     """
-    Return the solution after some steps and False, or the best before divergence and True.
+    Return the solution at the minimum and True, or the nearest to one and False.
 
     Each is linearised where the step of the one before leads, with the variance factors from its
     residuals, and takes one step of the conservative scales.
     """
-    current = best = start
+    current = nearest = start
     least = np.inf
-    for linearisation in range(10):
-        step, covariance, u = current._step, current.covariance, current.unknowns
-        size = float(np.abs(step[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
-        grew = size > 4.0 * max(least, 1.0)
-        if grew and linearisation > 1:  # the first steps may grow with the scale of a block
-            return best, True
-        best, least = best if grew else current, min(size, least)
+    for _ in range(MOST_STEPS):
+        step = current._step[:current.unknowns]
+        size = float(np.abs(step / np.sqrt(np.diag(current.covariance)[:len(step)])).max())
+        if size < least:
+            nearest, least = current, size
         factors, before = current.estimated_factors(), current.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
         current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
         if size < CONVERGED_SIGMAS and steady:
-            break
-    return current, False
+            return current, True
+    return nearest, False
 
 
 def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:
