@@ -3,9 +3,10 @@
 """
 What explains samples that do not fit, in the order in which it is asked.
 
-The sign of the range, a known error in the convention of the poses, a sensor or target that moved;
-and, where none of these is certain, another setting, stops that show another surface, or the
-clocks. The first that explains the same stops decisively better is named (hypotheses).
+The sign of the range, a known error in the convention of the poses, the scale of the robot or a
+sensor or target that moved, whichever explains more; and, where none of these is certain,
+another setting, stops that show another surface, or the clocks. The first that explains the same
+stops decisively better is named (hypotheses).
 """
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.checks.conventions import orientations_scatter, require_convention
 from handeye_ros.checks.hypotheses import Explanation, refuse_better
+from handeye_ros.checks.measures import scale_hypotheses
 from handeye_ros.checks.moved import move_hypotheses
 from handeye_ros.checks.refusals import (
     contradiction,
@@ -40,13 +42,13 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     """
     Raise DataError for a solution that the samples contradict, or explain better otherwise.
 
-    samples: in the order of the stations of the problem. The first of these is raised; the sign
-    and the conventions also where the samples do not contradict the solution:
+    samples: in the order of the stations of the problem. The first of these is raised; the sign,
+    conventions and the scale also where the samples do not contradict the solution:
 
     1. the other sign of the range;
     2. another convention of the poses, or orientations without any order;
     3. too little rotation, which can look like a move;
-    4. a move;
+    4. an error of the scale of the robot, or a move, whichever explains more;
     5. the contradiction itself.
     """
     stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
@@ -59,7 +61,9 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
         if rms_turns_and_axes(problem.poses)[0][1] < FEW_TURNS:
             require_certain(solution.reported_covariance, problem.config,
                             missing_motion(solution, problem.config))
-        refuse_better(stated, move_hypotheses(problem))
+    moves = move_hypotheses(problem) if refusal else []
+    refuse_better(stated, [*scale_hypotheses(solution), *moves])
+    if refusal:
         raise refusal
 
 

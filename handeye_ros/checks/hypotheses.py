@@ -52,10 +52,13 @@ class Explanation:
     parts: none where nothing fits
     squares: (2, n) q of (13), in sigmas and in metres, of the stops that are compared, inf for one
         that is not explained
+    richer: other believable explanations of these stops, by which more conditions agree: a corner
+        of two faces is an edge, and more
     """
 
     parts: tuple[Solution, ...]
     squares: Array
+    richer: tuple[Explanation, ...] = ()
 
     @classmethod
     def of_solutions(cls, *parts: Solution) -> Explanation:
@@ -88,6 +91,11 @@ class Explanation:
     def believable(self) -> bool:
         """Return whether the stops agree, and not by chance."""
         return self.agrees and self.redundancy >= FEWEST_CONDITIONS
+
+    @property
+    def is_determined(self) -> bool:
+        """Return whether no unknown of any part is left free."""
+        return all(part.is_determined for part in self.parts)
 
     @property
     def fitting(self) -> int:

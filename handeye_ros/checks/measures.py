@@ -6,9 +6,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE_LENGTHS
-from handeye_ros.checks.hypotheses import Explanation
+from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.blocks import scale_twists
+from handeye_ros.estimation.least_squares import covariance_of
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import (
     CONVINCING_SQUARE,
@@ -16,12 +18,13 @@ from handeye_ros.estimation.search import (
     with_systematic_errors,
 )
 from handeye_ros.estimation.solve import Solution
+from handeye_ros.frames import mount_poses
 import numpy as np
 
 VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
 FREED_SIZE = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
 FREED_FROM = 2.5  # sigmas: an estimated length is used; it costs little where the stated is right
-SMALLEST_SCALE_ERROR = 2e-3  # that is named
+SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
 def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random.Generator
@@ -67,6 +70,29 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     return other if wrong or seen == [True, False] else agreed
 
 
+def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
+    """
+    Return the hypothesis that robot and sensor differ in scale, if they may.
+
+    The scale is solved for to first order, with the stated measures of the target, so that a wrong
+    measure is not taken for a scale.
+    """
+    problem, linear = agreed.full_problem, agreed.linear
+    measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
+    by_scale = -linear.wrt_twists(scale_twists(agreed.problem))
+    further = agreed.whitening(np.hstack([by_scale, measures]))
+    J = np.hstack([further, agreed.jacobian])
+    covariance = covariance_of(J)
+    scale = float(covariance[0] @ (J.T @ agreed.postfit_residuals))
+    if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:
+        return []
+    T = problem.robot_poses.copy()
+    T[:, :3, 3] /= 1 + scale
+    scaled = replace(problem, poses=mount_poses(T, problem.config))
+    return [Hypothesis(lambda: explanation_of_problem(scaled), lambda fit: _scales_differ(
+        abs(scale), float(covariance[0, 0] * fit.variance_factor) ** 0.5))]
+
+
 def require_one_scale(agreed: Solution) -> None:
     """
     Raise for a solution in which robot and sensor differ too much in scale.
@@ -77,7 +103,11 @@ def require_one_scale(agreed: Solution) -> None:
     if scale and abs(scale.contradiction) > CONTRADICTION_SIGMAS and abs(scale.value) > max(
             SMALLEST_SCALE_ERROR, CONTRADICTION_SIGMAS * scale.std):
         with_possible_move(agreed)  # raises where something surely moved
-        raise DataError(
-            f'the lengths of robot and sensor differ by {100 * abs(scale.value):.2f} +- '
-            f'{100 * scale.std:.2f} %: one of them has a wrong scale; measure a known length with '
-            'each, and correct the unit or the calibration of the wrong one', reason='scale')
+        raise _scales_differ(abs(scale.value), scale.std)
+
+
+def _scales_differ(scale: float, std: float) -> DataError:
+    return DataError(
+        f'the lengths of robot and sensor differ by {100 * scale:.2f} +- {100 * std:.2f} %: one '
+        'of them has a wrong scale; measure a known length with each, and correct the unit or '
+        'the calibration of the wrong one', reason='scale')

@@ -103,7 +103,7 @@ def _same_target(first: Solution, second: Solution) -> bool:
     Parts of a few samples, some of them wrong, fit by chance, each with a target of its own. A
     part that leaves its target free, as one edge of a plate does, may see any.
     """
-    if any(np.linalg.eigvalsh(part.covariance)[-1] > 1.0 for part in (first, second)):  # m, rad
+    if not (first.is_determined and second.is_determined):
         return True
     near = Estimate(second.estimate.X, first.estimate.state)
     after = solution_at(reassigned(second.problem, near), near, BLOCKS_AS_NOISE)

@@ -421,6 +421,11 @@ class Solution:
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
+    def is_determined(self) -> bool:
+        """Return whether no direction of the unknowns is free: 1 sigma of 1 m or 1 rad."""
+        return bool(np.linalg.eigvalsh(self.covariance)[-1] <= 1.0)
+
+    @property
     def is_indispensable(self) -> NDArray[np.bool_]:
         """Return which stations (n,) determine something that no other one shows."""
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
