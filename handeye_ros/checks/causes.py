@@ -52,7 +52,8 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     5. the contradiction itself.
     """
     stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
-    if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
+    if refusal or solution.variance_factor > SIGN_TRIED or (
+            solution.fully_used < len(problem.poses)):
         require_sign(samples, problem.config, stated, clocks=refusal is not None)
     if refusal or solution.variance_factor >= MISFIT_FACTOR:
         require_convention(samples, problem, stated)

@@ -135,7 +135,7 @@ def _squares(found: Solution) -> Array:
     q = np.full((2, len(found.full_problem.poses)), np.inf)
     q[:, found.used] = found.left_out_squares()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])
-    q[:, found.without_edges] = q[:, found.used[found.is_indispensable]] = np.inf
+    q[:, found.stations_without_edges] = q[:, found.indispensable_stations] = np.inf
     return q
 
 

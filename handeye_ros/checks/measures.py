@@ -32,7 +32,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     """Return the consensus, with free target measures if only these make the stations agree."""
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
-    poor = (agreed.dropped_squares or len(agreed.without_edges)
+    poor = (agreed.dropped_squares or len(agreed.stations_without_edges)
             or agreed.variance_factor > CONVINCING_SQUARE)
     if config == stated_config or not poor:
         return agreed

@@ -151,8 +151,8 @@ class Solution:
         return bounded_inverse(self.information)
 
     @cached_property
-    def _step(self) -> Array:
-        """Return the step of all parameters (u + q,) to the minimum."""
+    def _step_to_minimum(self) -> Array:
+        """Return the change (u + q,) of unknowns and nuisance parameters to the minimum, (5)."""
         if self.noise.blocks_as_noise:  # the search ends where no step is left
             return np.zeros(self.unknowns)
         gradient = self.scales * (self.white_jacobian.T @ self.prefit_residuals)
@@ -161,7 +161,7 @@ class Solution:
     @property
     def nuisance(self) -> Array:
         """Return the estimates (q,) of the nuisance parameters, in their present sigmas."""
-        return self._step[self.unknowns:]
+        return self._step_to_minimum[self.unknowns:]
 
     @cached_property
     def jacobian(self) -> Array:
@@ -171,7 +171,7 @@ class Solution:
     @cached_property
     def postfit_residuals(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        step = self.scales * self._step
+        step = self.scales * self._step_to_minimum
         return np.asarray(self.prefit_residuals + self.white_jacobian @ step)
 
     @cached_property
@@ -179,7 +179,7 @@ class Solution:
         """Return the estimate after the last step, which is close to the minimum."""
         if self.noise.blocks_as_noise:
             return self.linear.estimate
-        return self.problem.retracted(self.linear.estimate, self._step[:self.unknowns])
+        return self.problem.retracted(self.linear.estimate, self._step_to_minimum[:self.unknowns])
 
     def relinearise(self) -> Linear:
         """Return the problem linearised after the step, with what depends on block parameters."""
@@ -220,7 +220,7 @@ class Solution:
 
     def prior_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        x, covariance = self._step, self.covariance
+        x, covariance = self._step_to_minimum, self.covariance
         u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
         largest = np.array([block.largest_variance for block in self.configured_blocks])
         return prior_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
@@ -265,8 +265,8 @@ class Solution:
         reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
         if self.at_conservative_scales is None:
             return reported
-        away = self.conservative_shift
-        reported[:6, :6] = cover(reported[:6, :6] + np.outer(away, away), self._best_fit)
+        shift = self.conservative_shift
+        reported[:6, :6] = cover(reported[:6, :6] + np.outer(shift, shift), self._best_fit)
         reported[:6, :6] += sum(self.added_covariances.values())
         return reported
 
@@ -286,8 +286,8 @@ class Solution:
         conservative = self.conservative
         moving = best_fit_motions(conservative.linear, conservative.blocks)
         columns = np.hstack([np.eye(6, conservative.unknowns), moving])
-        away = self.conservative_shift + moving @ conservative.nuisance
-        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))
+        shift = self.conservative_shift + moving @ conservative.nuisance
+        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(shift, shift))
 
     @cached_property
     def information(self) -> Array:
@@ -373,7 +373,7 @@ class Solution:
         return float(spread + np.linalg.slogdet(self.information)[1] + self.sum_of_squares + prior)
 
     @property
-    def without_edges(self) -> NDArray[np.intp]:
+    def stations_without_edges(self) -> NDArray[np.intp]:
         """Return the used stations that show essential observations, but of which none is used."""
         shown = self.full_problem.subset(self.used).shows_essential
         return self.used[shown & ~self.problem.shows_essential]
@@ -381,12 +381,7 @@ class Solution:
     @property
     def fully_used(self) -> int:
         """Return the number of used stations with their essential observations used."""
-        return len(self.used) - len(self.without_edges)
-
-    @property
-    def unused_share(self) -> float:
-        """Return the share of stations that are dropped or lack their essential observations."""
-        return 1 - self.fully_used / len(self.full_problem.poses)
+        return len(self.used) - len(self.stations_without_edges)
 
     def corrected_poses(self, nuisance: Array | None = None) -> Array:
         """
@@ -426,13 +421,13 @@ class Solution:
         return bool(np.linalg.eigvalsh(self.covariance)[-1] <= 1.0)
 
     @property
-    def is_indispensable(self) -> NDArray[np.bool_]:
-        """Return which stations (n,) determine something that no other one shows."""
+    def indispensable_stations(self) -> NDArray[np.intp]:
+        """Return the used stations that determine something that no other one shows."""
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
         for group in self.problem.station_groups:
             share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
             alone[station[group.rows[:, 0]]] = share > 1 - ALONE_REST
-        return alone
+        return self.used[alone]
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
@@ -514,7 +509,7 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
     current = nearest = start
     least = np.inf
     for _ in range(MOST_STEPS):
-        step = current._step[:current.unknowns]
+        step = current._step_to_minimum[:current.unknowns]
         size = float(np.abs(step / np.sqrt(np.diag(current.covariance)[:len(step)])).max())
         if size < least:
             nearest, least = current, size

@@ -18,7 +18,6 @@ from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
     Estimate,
     Linear,
-    Observations,
     Problem,
 )
 from handeye_ros.estimation.search import shortlisted
