@@ -60,7 +60,7 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     if refusal:
         _require_ordered_orientations(problem, solution)
         if rms_turns_and_axes(problem.poses)[0][1] < FEW_TURNS:
-            require_certain(solution.reported_covariance, problem.config,
+            require_certain(solution.transform_covariance, problem.config,
                             missing_motion(solution, problem.config))
     moves = move_hypotheses(problem) if refusal else []
     refuse_better(stated, [*scale_hypotheses(solution), *moves])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from handeye_ros.checks.hypotheses import Explanation, explanation_of_results
+from handeye_ros.checks.hypotheses import explanation_of_results
 from handeye_ros.checks.settings import thinned, with_settings, within_noise
 from handeye_ros.config import Config
 from handeye_ros.data import Array, FaceLine, Reject, Sample
@@ -65,9 +65,13 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     fit = explanation_of_results(planes, as_plane, all_starts=True)
     if not fit.believable or not within_noise(fit):
         return
-    # heights over the plane: of the face at the edge of each stop, and of all faces it shows
-    height = np.array([heights[0] for heights in _heights([s.sample for s in stops], stops, fit)])
-    seen = _heights(planes, stops, fit)
+    estimate = fit.parts[0].estimate
+    poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
+    T_plane_sensor = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
+    # of the face at the edge of each stop, and of all faces that it shows
+    height = np.array([_heights(stop.sample, T)[0]
+                       for stop, T in zip(stops, T_plane_sensor, strict=True)])
+    seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
     levels, several = _levels(height), False
     for level, at_level in levels:
         beside = [bool(np.any(_is_near(heights, level))) for heights in seen] & ~at_level
@@ -113,21 +117,10 @@ def _numbers(stops: Iterable[Stop]) -> str:
     return 'stops ' + ', '.join(str(stop.number) for stop in stops)
 
 
-def _heights(results: Sequence[Sample | Reject], stops: Iterable[Stop], plane: Explanation
-             ) -> list[Array]:
-    """
-    Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel.
-
-    results: what each stop gave.
-    """
-    estimate, config = plane.parts[0].estimate, plane.parts[0].full_problem.config
-    T_plane_base, heights = inverse(estimate.state.reshape(4, 4)), []
-    for result, stop in zip(results, stops, strict=True):
-        T = T_plane_base @ mount_poses(stop.sample.T_base_flange, config) @ estimate.X
-        by_x, _, by_z, offset = T[2] * np.sign(T[2, 3])
-        faces = [f for f in getattr(result, 'features', ()) if isinstance(f, FaceLine)]
-        heights.append(np.array([
-            by_x * face.centre[0] + by_z * face.centre[1] + offset
-            if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
-            else np.nan for face in faces]))
-    return heights
+def _heights(result: Sample | Reject, T_plane_sensor: Array) -> Array:
+    """Return the heights (m) of faces over a plane, towards the sensor; NaN if not parallel."""
+    by_x, _, by_z, offset = T_plane_sensor[2] * np.sign(T_plane_sensor[2, 3])
+    return np.array([
+        by_x * face.centre[0] + by_z * face.centre[1] + offset
+        if abs(by_x * face.direction[0] + by_z * face.direction[1]) < LARGEST_INCLINATION
+        else np.nan for face in getattr(result, 'features', ()) if isinstance(face, FaceLine)])
