@@ -94,8 +94,9 @@ class Explanation:
 
     @property
     def is_determined(self) -> bool:
-        """Return whether no unknown of any part is left free."""
-        return all(part.is_determined for part in self.parts)
+        """Return whether no unknown is free, nor would be without one of the stops."""
+        return all(part.is_determined and not len(part.indispensable_stations)
+                   for part in self.parts)
 
     @property
     def fitting(self) -> int:
