@@ -59,23 +59,31 @@ MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance facto
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    The least squares at an estimate, (4), solved, of the stations used.
+    The least squares at an estimate, (4), solved with one noise and one scale of each block.
 
-    linear: the used stations with the labels of their observations, linearised
+    Of the stations used:
+
+    linear: their observations with the labels that these have, linearised
     configured_blocks: blocks with their configured sigmas
     prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
     white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
         parameters in configured sigmas
     white_information: (u + q, u + q) their information
+
+    How these were chosen:
+
     full_problem: the problem with all stations and observations
     used: (n,) indices of those used
     dropped_squares: squared residual of the others
     probability_wrong: that one of few used stations is wrong
     surely_wrong: the station that almost surely is
+
+    What is reported, (8), is the estimate of one solution with the covariance of another:
+
+    at_conservative_scales: of a solution for the estimate, that for the report: its estimate moves
+        too far, its covariance is realistic
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
-    at_conservative_scales: of a solution for the estimate, the one at the conservative scales: its
-        estimate moves too far, its covariance is realistic
     """
 
     linear: Linear
