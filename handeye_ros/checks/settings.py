@@ -80,8 +80,9 @@ def settings_refusal(keys: Sequence[str], stated: Explanation, fit: Explanation)
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
     if keys == ['target.radius']:
-        named, to = 'target.radius 0', (f'target.radius to {solution.estimate.state[-1]:.4f}, which '
-                                        'these stops show, or to 0 (unknown)')
+        named = 'target.radius 0'
+        to = (f'target.radius to {solution.estimate.state[-1]:.4f}, which these stops show, or to '
+              '0 (unknown)')
     to += ''.join(f', or to {richer.parts[0].full_problem.config.target.type}, if it is one'
                   for richer in fit.richer)
     if values == {'target.type': 'plane'}:
