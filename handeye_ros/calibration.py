@@ -364,11 +364,12 @@ def outliers_at_one_end(solution: Solution) -> str:
 
 def lost_edges(solution: Solution) -> str:
     """Return in words the edges that an answer does not use, '' if it uses all."""
-    if not len(solution.without_edges):
+    stations, estimate = solution.stations_without_edges, solution.estimate
+    if not len(stations):
         return ''
     shown = int(solution.full_problem.subset(solution.used).shows_essential.sum())
-    lost, estimate = solution.full_problem.subset(solution.without_edges), solution.estimate
+    lost = solution.full_problem.subset(stations)
     where = lost.target.describe_strays(lost.observations, lost.points_in_base(estimate.X),
                                         estimate.state, lost.config)
-    return (f'the edges of {len(solution.without_edges)} of the {shown} samples that show one lie '
-            'on none of the target' + (f': {where}' if where else ''))
+    return (f'the edges of {len(stations)} of the {shown} samples that show one lie on none of '
+            'the target' + (f': {where}' if where else ''))

@@ -127,7 +127,7 @@ def _by_method(name: str) -> Callable[[ComparedStations], Array]:
     def fit(stations: ComparedStations) -> Array:
         config = replace(stations.config, method=name)
         solution = pipeline.answer_samples(stations.samples, (), config).require_solution()
-        require_certain(solution.reported_covariance, config, missing_motion(solution, config))
+        require_certain(solution.transform_covariance, config, missing_motion(solution, config))
         return solution.estimate.X
     return fit
 

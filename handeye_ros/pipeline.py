@@ -27,7 +27,6 @@ from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.checks.refusals import (
     missing_motion,
     require_certain,
-    require_certain_points,
     require_distinct_frame,
     require_edges,
     require_left_out,
@@ -195,8 +194,8 @@ def answer_samples(samples: Sequence[Sample], rejects: Sequence[Reject], config:
         require_tested(solution)
         require_no_half_turn_twin(solution)
         solution, warning = with_possible_move(solution)  # a move makes the answer uncertain
-        require_certain(solution.reported_covariance, config, missing_motion(solution, config))
-        require_certain_points(solution, config)
+        require_certain(solution.transform_covariance, config, missing_motion(solution, config),
+                        solution.linear.lever)
         require_edges(solution)
         # 9. Predict each sample from the others.
         warnings = session.warnings if session else warnings

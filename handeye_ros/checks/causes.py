@@ -52,14 +52,15 @@ def require_agreement(samples: Sequence[Sample], problem: Problem, solution: Sol
     5. the contradiction itself.
     """
     stated, refusal = Explanation.of_solutions(solution), contradiction(solution)
-    if refusal or solution.variance_factor > SIGN_TRIED or solution.unused_share:
+    if refusal or solution.variance_factor > SIGN_TRIED or (
+            solution.fully_used < len(problem.poses)):
         require_sign(samples, problem.config, stated, clocks=refusal is not None)
     if refusal or solution.variance_factor >= MISFIT_FACTOR:
         require_convention(samples, problem, stated)
     if refusal:
         _require_ordered_orientations(problem, solution)
         if rms_turns_and_axes(problem.poses)[0][1] < FEW_TURNS:
-            require_certain(solution.reported_covariance, problem.config,
+            require_certain(solution.transform_covariance, problem.config,
                             missing_motion(solution, problem.config))
     moves = move_hypotheses(problem) if refusal else []
     if refusal or not problem.config.sampling.moving:  # a sweep that fits: both are weighed later

@@ -27,7 +27,6 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.sampling.stops import evenly_chosen
 from handeye_ros.sampling.sweep import FEWER_SAMPLES
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 
@@ -86,46 +85,20 @@ def _composed(read_as: str, meant: str, T: Array, factor: float = 1.0) -> list[A
     return [se3.transform(Rotation.from_euler(meant, angles).as_matrix(), T[:, :3, 3])]
 
 
-def _reversed(T: Array) -> list[Array]:
-    """Undo yaw, pitch, roll taken for roll, pitch, yaw."""
-    return _two_ways(T, Rotation.from_euler('xyz', _both_rpy(T).reshape(-1, 3)[:, ::-1]))
-
-
 def _rotation_vectors(T: Array) -> list[Array]:
-    """Undo rotation vectors of at most half a turn read as roll, pitch, yaw."""
-    both = _both_rpy(T)
-    return _two_ways(T, Rotation.from_rotvec(both.reshape(-1, 3)),
-                     np.linalg.norm(both, axis=2) <= np.pi)
+    """
+    Undo rotation vectors of at most half a turn read as roll, pitch, yaw.
 
-
-def _both_rpy(T: Array) -> Array:
-    """Return the two solutions (2, n, 3) of roll, pitch, yaw for each rotation."""
+    Two triples of angles give the same rotation. Of those that may be such a vector, each is the
+    one whose rotation is nearest to that of the first pose, for which either is tried.
+    """
     one = Rotation.from_matrix(T[:, :3, :3]).as_euler('xyz')
-    other = one * [1, -1, 1] + np.pi
-    return np.stack([one, (other + np.pi) % (2 * np.pi) - np.pi])
-
-
-def _two_ways(T: Array, rotations: Rotation, valid: NDArray[np.bool_] | None = None
-              ) -> list[Array]:
-    """
-    Return the poses with one of two rotations (2 n) each; either way for the first pose.
-
-    valid: (2, n) which of them are possible, None: all. The pose with a rotation nearest to that
-    of a decided pose is decided next.
-    """
-    n, readings = len(T), []
-    R = rotations.as_matrix().reshape(2, n, 3, 3)
-    able = np.ones(R.shape[:2], dtype=bool) if valid is None else valid | ~valid.any(axis=0)
-    for first in range(2):
-        chosen, undecided = np.full(n, first), np.ones(n, dtype=bool)
-        nearness, pick, pose = np.full(R.shape[:2], -np.inf), first, 0
-        for _ in range(n):
-            chosen[pose], undecided[pose] = pick, False
-            nearness = np.maximum(nearness, np.einsum('cnij,ij->cn', R, R[pick, pose]))
-            best = int(np.argmax(np.where(undecided & able, nearness, -np.inf)))
-            pick, pose = divmod(best, n)
-        readings.append(se3.transform(R[chosen, np.arange(n)], T[:, :3, 3]))
-    return readings
+    both = np.stack([one, (one * [1, -1, 1] + 2 * np.pi) % (2 * np.pi) - np.pi])
+    possible = np.linalg.norm(both, axis=2) <= np.pi
+    R = Rotation.from_rotvec(both.reshape(-1, 3)).as_matrix().reshape(2, -1, 3, 3)
+    nearest = [np.where(possible, np.einsum('cnij,ij->cn', R, first), -np.inf).argmax(axis=0)
+               for first in R[:, 0]]
+    return [se3.transform(R[each, np.arange(len(T))], T[:, :3, 3]) for each in nearest]
 
 
 # Name, function that undoes it, and what to do.
@@ -146,7 +119,7 @@ CONVENTION_ERRORS: Sequence[tuple[str, Callable[[Array], list[Array]], str]] = (
     ('transposed rotations',
      lambda T: [se3.transform(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3])],
      'publish the rotation of the flange in the base, not its transpose'),
-    ('roll and yaw exchanged', _reversed,
+    ('roll and yaw exchanged', partial(_composed, 'xyz', 'ZYX'),
      'the angles came in the order yaw, pitch, roll, as the A, B, C of KUKA do (about z, y, x), '
      'but were taken as roll, pitch, yaw; compose them as Rz(A) Ry(B) Rx(C)'),
     ('rotation vectors', _rotation_vectors,

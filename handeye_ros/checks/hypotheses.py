@@ -52,10 +52,13 @@ class Explanation:
     parts: none where nothing fits
     squares: (2, n) q of (13), in sigmas and in metres, of the stops that are compared, inf for one
         that is not explained
+    richer: other believable explanations of these stops, by which more conditions agree: a corner
+        of two faces is an edge, and more
     """
 
     parts: tuple[Solution, ...]
     squares: Array
+    richer: tuple[Explanation, ...] = ()
 
     @classmethod
     def of_solutions(cls, *parts: Solution) -> Explanation:
@@ -88,6 +91,12 @@ class Explanation:
     def believable(self) -> bool:
         """Return whether the stops agree, and not by chance."""
         return self.agrees and self.redundancy >= FEWEST_CONDITIONS
+
+    @property
+    def is_determined(self) -> bool:
+        """Return whether no unknown is free, nor would be without one of the stops."""
+        return all(part.is_determined and not len(part.indispensable_stations)
+                   for part in self.parts)
 
     @property
     def fitting(self) -> int:
@@ -127,7 +136,7 @@ def _squares(found: Solution) -> Array:
     q = np.full((2, len(found.full_problem.poses)), np.inf)
     q[:, found.used] = found.left_out_squares()[0] * np.stack(
         [np.ones(n), metres / np.maximum(white, 1e-300)])
-    q[:, found.without_edges] = q[:, found.used[found.is_indispensable]] = np.inf
+    q[:, found.stations_without_edges] = q[:, found.indispensable_stations] = np.inf
     return q
 
 

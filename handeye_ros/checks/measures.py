@@ -9,6 +9,7 @@ from handeye_ros.calibration import block_estimates, CONTRADICTION_SIGMAS, PLATE
 from handeye_ros.checks.hypotheses import Explanation, explanation_of_problem, Hypothesis
 from handeye_ros.checks.moved import with_possible_move
 from handeye_ros.errors import DataError
+from handeye_ros.estimation.blocks import scale_twists
 from handeye_ros.estimation.least_squares import covariance_of
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import (
@@ -35,7 +36,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     """
     target, stated_config = problem.target, problem.config
     config = replace(stated_config, target=replace(stated_config.target, **target.free_shape))
-    poor = (agreed.dropped_squares or len(agreed.without_edges)
+    poor = (agreed.dropped_squares or len(agreed.stations_without_edges)
             or agreed.variance_factor > CONVINCING_SQUARE)
     if config == stated_config or not poor:
         return agreed
@@ -81,11 +82,10 @@ def scale_hypotheses(agreed: Solution) -> list[Hypothesis]:
     measure is not taken for a scale.
     """
     problem, linear = agreed.full_problem, agreed.linear
-    positions = agreed.problem.robot_poses[:, :3, 3]
-    moved = (positions - positions.mean(axis=0))[agreed.problem.observations.station]
-    by_scale = (linear.wrt_pose[:, :3] * moved).sum(axis=1)
     measures = linear.jacobian[:, 6:][:, problem.tolerances > 0]
-    J = np.column_stack([agreed.whitening(np.column_stack([by_scale, measures])), agreed.jacobian])
+    by_scale = -linear.wrt_twists(scale_twists(agreed.problem))
+    further = agreed.whitening(np.hstack([by_scale, measures]))
+    J = np.hstack([further, agreed.jacobian])
     covariance = covariance_of(J)
     scale = float(covariance[0] @ (J.T @ agreed.postfit_residuals))
     if not SMALLEST_SCALE_ERROR < abs(scale) < LARGEST_SCALE_ERROR:

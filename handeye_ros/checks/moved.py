@@ -46,7 +46,7 @@ MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
 SIZE_FACTORS = (1.0, 0.25)  # factors on it, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
-STRONG_EVIDENCE = 5.0
+WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
 WARNING_P, REFUSAL_P = 0.1, 0.01  # largest p-value of the permutation test: to warn, to refuse
 
@@ -103,7 +103,7 @@ def _same_target(first: Solution, second: Solution) -> bool:
     Parts of a few samples, some of them wrong, fit by chance, each with a target of its own. A
     part that leaves its target free, as one edge of a plate does, may see any.
     """
-    if any(np.linalg.eigvalsh(part.covariance)[-1] > 1.0 for part in (first, second)):  # m, rad
+    if not (first.is_determined and second.is_determined):
         return True
     near = Estimate(second.estimate.X, first.estimate.state)
     after = solution_at(reassigned(second.problem, near), near, BLOCKS_AS_NOISE)
@@ -134,7 +134,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     margin = 2 if agreed.problem.pose_model is None else max(2, n // MOMENTS_TRIED)  # of a sweep
     moments = np.unique(np.linspace(margin, n - margin, MOMENTS_TRIED).round().astype(int))
     first = _MoveSums.of(conservative, moments).gains()
-    if first.max() < -STRONG_EVIDENCE:  # evidence against a move
+    if first.max() < -WARNING_EVIDENCE:  # evidence against a move
         return agreed, ''
     # the likeliest move against none, and against wrong times
     body, k, moved = _likeliest(agreed, moments, first)
@@ -149,7 +149,7 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     least = LEAST_MOVE_SIGMAS * smooth
     if agreed.problem.pose_model is not None:  # a sweep: that error is smooth in time, as a move
         least = max(least, config.noise.robot_smooth)
-    if evidence < STRONG_EVIDENCE or size < least:
+    if evidence < WARNING_EVIDENCE or size < least:
         return agreed, ''
     # errors of the robot look like a move in any order of the samples
     p_value = _move_sums(agreed, moved, moments).p_value

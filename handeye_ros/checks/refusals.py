@@ -169,42 +169,27 @@ def require_no_half_turn_twin(solution: Solution) -> None:
             f'turned by half about it would see the same: {ALL_OF_THE_VIEW}', reason='views')
 
 
-def require_certain(covariance: Array, config: Config, advice: str) -> None:
+def require_certain(covariance: Array, config: Config, advice: str, seen: Array | None = None
+                    ) -> None:
     """
     Raise DataError (uncertain) for a transform with larger uncertainty than the limits.
 
-    covariance: (6, 6) of the transform; advice: what to do, in words.
+    covariance: (6, 6) of the transform; advice: what to do, in words; seen: (m, 3) points that the
+    samples show, from the sensor along the axes of the mount. A rotation and a translation that
+    make up for each other there are no uncertainty of what the sensor measures.
     """
-    limits, frame = config.limits, mount_frame(config)
-    std, axis = worst_rotation(covariance)
-    if not std <= limits.rotation:
-        words = f'is uncertain by {degrees(std)} (1 sigma; ' if std < 1 else 'is not determined ('
-        raise DataError(
-            f'the rotation about {name_direction(axis, frame)} {words}limits.rotation is '
-            f'{degrees(limits.rotation)}): {advice}', reason='uncertain')
-    std, direction = worst_translation(covariance)
-    if not std <= limits.translation:
-        raise DataError(
-            f'the position along {name_direction(direction, frame)} is uncertain by {mm(std)} (1 '
-            f'sigma; limits.translation is {mm(limits.translation)}): {advice}',
-            reason='uncertain')
-
-
-def require_certain_points(solution: Solution, config: Config) -> None:
-    """
-    Raise DataError (uncertain) where the measured points are more uncertain than the limit.
-
-    A rotation and a translation that make up for each other at the target are no uncertainty of
-    what the sensor measures; each alone may be large.
-    """
-    turned = solution.problem.observations.points @ solution.estimate.X[:3, [0, 2]].T
-    std, direction = worst_translation(mapped_covariance(turned, solution.transform_covariance))
-    limit, frame = config.limits.points, mount_frame(config)
-    if std > limit:
-        raise DataError(
-            f'the points that the samples show are uncertain by {mm(std)} along '
-            f'{name_direction(direction, frame)} (1 sigma; limits.points is {mm(limit)}): '
-            f'{missing_motion(solution, config)}', reason='uncertain')
+    errors = [('rotation about', 'rotation', degrees, worst_rotation(covariance)),
+              ('position along', 'translation', mm, worst_translation(covariance))]
+    if seen is not None:
+        errors.append(('place of the points that the samples show, along', 'points', mm,
+                       worst_translation(mapped_covariance(seen, covariance))))
+    for what, key, shown, (std, direction) in errors:
+        limit = getattr(config.limits, key)
+        if not std <= limit:
+            words = f'uncertain by {shown(std)} (1 sigma; ' if std < 1 else 'not determined ('
+            raise DataError(
+                f'the {what} {name_direction(direction, mount_frame(config))} is {words}limits.'
+                f'{key} is {shown(limit)}): {advice}', reason='uncertain')
 
 
 def missing_motion(solution: Solution, config: Config) -> str:

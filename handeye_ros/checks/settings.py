@@ -21,7 +21,7 @@ from handeye_ros.checks.hypotheses import (
     refuse_better,
 )
 from handeye_ros.checks.refusals import UnexplainedError
-from handeye_ros.config import Config, flipped_range, with_assignments
+from handeye_ros.config import Config, flatten, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
 from handeye_ros.sampling.edge_shapes import with_common_shape
@@ -44,7 +44,7 @@ def require_settings(session: Session, config: Config) -> None:
     edges = np.array([result.stamp in with_edge for result in results], dtype=bool)
     stated = explanation_of_results(results, config, all_starts=True)  # as a solve starts
 
-    def refit(values: dict[str, str]) -> Explanation:
+    def fit_as(values: dict[str, str]) -> Explanation:
         """Return the fit of the stops, read with other values of settings."""
         as_changed = with_settings(config, values)
         glance = [result_of(replace(stop, profiles=stop.profiles[:1]), as_changed)
@@ -56,18 +56,35 @@ def require_settings(session: Session, config: Config) -> None:
             fit = replace(fit, squares=np.where(edges, np.inf, fit.squares))
         return fit if within_noise(fit) else Explanation.nothing(len(stops))
 
+    def refit(choices: Sequence[dict[str, str]]) -> Explanation:
+        """Return the best fit, with those beside it by which more of the same stops agrees."""
+        fits = [fit for fit in map(fit_as, choices) if fit.believable and fit.is_determined]
+        if not fits:
+            return Explanation.nothing(len(stops))
+        best = max(fits, key=lambda fit: fit.evidence_against(stated))
+        return replace(best, richer=tuple(
+            fit for fit in fits
+            if fit.fitting >= best.fitting and fit.redundancy > best.redundancy))
+
     refuse_better(stated, [
-        Hypothesis(partial(refit, values), partial(settings_refusal, values, stated), len(values))
-        for values in _changes(config)])
+        Hypothesis(partial(refit, choices), partial(settings_refusal, [*choices[0]], stated),
+                   len(choices[0])) for choices in _changes(config)])
 
 
-def settings_refusal(values: dict[str, str], stated: Explanation, fit: Explanation) -> DataError:
-    """Return the refusal that names the settings with which the stops fit."""
+def settings_refusal(keys: Sequence[str], stated: Explanation, fit: Explanation) -> DataError:
+    """Return the refusal that names the settings of some keys with which the stops fit."""
+    solution = fit.parts[0]
+    now = flatten(solution.full_problem.config)
+    values = {key: '[{}, {}]'.format(*now[key]) if key == 'profile.axes' else f'{now[key]}'
+              for key in keys}
     named = ' and '.join(f'{key} {value}' for key, value in values.items())
     to = ' and '.join(f'{key} to {value}' for key, value in values.items())
-    if values == {'target.radius': '0'}:
-        radius = float(fit.parts[0].estimate.state[-1])
-        to = f'target.radius to {radius:.4f}, which these stops show, or to 0 (unknown)'
+    if keys == ['target.radius']:
+        named = 'target.radius 0'
+        to = (f'target.radius to {solution.estimate.state[-1]:.4f}, which these stops show, or to '
+              '0 (unknown)')
+    to += ''.join(f', or to {richer.parts[0].full_problem.config.target.type}, if it is one'
+                  for richer in fit.richer)
     if values == {'target.type': 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
     return DataError(f'{fit.compared(stated, named)}: set {to}', reason='settings')
@@ -87,15 +104,15 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
     others = [replace(samples[k], features=seen) if (seen := samples[k].flipped) else None
               for k in asked]
     flipped = flipped_range(config)
-    values = {RANGE_SIGN: str(flipped.profile.range_sign)}
 
     def refusal(fit: Explanation) -> DataError:
         if within_noise(fit):
-            return settings_refusal(values, stated, fit)
+            return settings_refusal([RANGE_SIGN], stated, fit)
+        other = f'{RANGE_SIGN} {flipped.profile.range_sign}'
         return UnexplainedError(
-            f'{fit.compared(stated, f"{RANGE_SIGN} {values[RANGE_SIGN]}")}, neither as well as '
-            f'the noise allows: check {RANGE_SIGN}, and that every sample shows the target itself '
-            'and no clamp or second plate', reason='misfit')
+            f'{fit.compared(stated, other)}, neither as well as the noise allows: check '
+            f'{RANGE_SIGN}, and that every sample shows the target itself and no clamp or second '
+            'plate', reason='misfit')
 
     refuse_better(stated, [Hypothesis(
         partial(explanation_of_results, others, flipped, clocks=clocks), refusal)])
@@ -111,19 +128,20 @@ def within_noise(fit: Explanation) -> bool:
     return all(part.residual_rms <= part.expected_rms for part in fit.parts)
 
 
-def _changes(config: Config) -> Iterator[dict[str, str]]:
-    """Yield the likely corrections of settings, the most likely first."""
+def _changes(config: Config) -> Iterator[Sequence[dict[str, str]]]:
+    """Yield the likely corrections of settings, the most likely first, each with its choices."""
     profile = config.profile
     sign = {RANGE_SIGN: str(-profile.range_sign)}
     kinds = [{'target.type': name} for name in targets.TARGETS if name != config.target.type]
     unit = {'m': 'mm', 'mm': 'm'}[profile.unit]
     kind = {'eye_on_base': 'eye_in_hand', 'eye_in_hand': 'eye_on_base'}[config.calibration_type]
-    axes = [{'profile.axes': f'[{a}, {b}]'} for a, b in permutations('xyz', 2)
-            if (a, b) != tuple(profile.axes)]
+    axes = [f'[{a}, {b}]' for a, b in permutations('xyz', 2) if (a, b) != tuple(profile.axes)]
     if config.target.radius:
-        yield {'target.radius': '0'}
-    yield from (sign, {'profile.unit': unit}, *kinds, *axes, {'calibration_type': kind})
-    yield from (change | sign for change in (*kinds, *axes))
+        yield [{'target.radius': '0'}]
+    yield from ([sign], [{'profile.unit': unit}], kinds,
+                *([{'profile.axes': pair}] for pair in axes), [{'calibration_type': kind}])
+    yield [choice | sign for choice in kinds]
+    yield from ([{'profile.axes': pair} | sign] for pair in axes)
 
 
 def with_settings(config: Config, values: dict[str, str]) -> Config:

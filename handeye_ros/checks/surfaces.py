@@ -69,41 +69,52 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     if not fit.believable or not within_noise(fit):
         return
     estimate = fit.parts[0].estimate
-    T = [inverse(estimate.state.reshape(4, 4)) @ mount_poses(stop.sample.T_base_flange, config)
-         @ estimate.X for stop in stops]
-    seen = [_heights(plane, T_k) for plane, T_k in zip(planes, T, strict=True)]
-    height = np.array([_heights(stop.sample, T_k)[0] for stop, T_k in zip(stops, T, strict=True)])
-    near = np.abs(height[:, None] - height) < SMALLEST_DISTANCE
-    # height and stops of the faces that lie at one height, most first
-    groups: list[tuple[float, NDArray[np.bool_]]] = []
-    for k in np.argsort(-near.sum(axis=1), kind='stable'):
-        if near[k].any() and not any(alike[k] for _, alike in groups):
-            groups.append((height[k], near[k]))
-    several = False
-    for middle, alike in groups:
-        both = ~alike & [np.any(np.abs(h - middle) < SMALLEST_DISTANCE) for h in seen]
-        if both.sum() < FEWEST_STOPS:
+    poses = mount_poses(np.array([stop.sample.T_base_flange for stop in stops]), config)
+    T_plane_sensor = inverse(estimate.state.reshape(4, 4)) @ poses @ estimate.X
+    # of the face at the edge of each stop, and of all faces that it shows
+    height = np.array([_heights(stop.sample, T)[0]
+                       for stop, T in zip(stops, T_plane_sensor, strict=True)])
+    seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
+    levels, several = _levels(height), False
+    for level, at_level in levels:
+        beside = [bool(np.any(_is_near(heights, level))) for heights in seen] & ~at_level
+        if beside.sum() < FEWEST_STOPS:  # only those that show both tell that there are two
             continue
-        several |= bool(alike.sum() >= FEWEST_STOPS)
-        above = height[~alike] - middle
+        several |= bool(at_level.sum() >= FEWEST_STOPS)
+        above = height[~at_level] - level
         # The others may be few: it is the plane that tells the surfaces apart. Only wrong axes
         # or a wrong sign let stops take the ground beneath the target for its face.
         if np.nanmedian(above) > 0 and explanation_of_results(
-                [stop.sample for stop in stops[alike]], config, all_starts=True).agrees:
-            raise OtherSurfaceError(list(stops[~alike]), above)
+                [stop.sample for stop in stops[at_level]], config, all_starts=True).agrees:
+            raise OtherSurfaceError(list(stops[~at_level]), above)
+    told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
+                     for level, at_level in levels)
     why = ''
     if refusal.reason in ('misfit', 'edges') and several:
-        told = '; '.join(f'{(middle - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[alike])}'
-                         for middle, alike in groups)
         why = f'they show edges at several heights ({told}), as of a clamp or a second plate'
     elif refusal.reason == 'misfit':
         why = ('the ends of their faces lie on another object, such as a clamp or a second plate, '
                'the target moved in its plane or is not as target.type and target.size state, '
                'or poses or clocks are wrong along this plane')
-    if why:
-        raise DataError(
-            f'{fit.fitting} of {len(stops)} stops agree on one plane, but not on the edges of the '
-            f'target: {why}: {ALONE}', reason='surface')
+    else:
+        return
+    raise DataError(
+        f'{fit.fitting} of {len(stops)} stops agree on one plane, but not on the edges of the '
+        f'target: {why}: {ALONE}', reason='surface')
+
+
+def _levels(height: Array) -> list[tuple[float, NDArray[np.bool_]]]:
+    """Return heights (m) that differ, and which of `height` (n,) are near each; most first."""
+    near = _is_near(height[:, None], height)
+    levels: list[tuple[float, NDArray[np.bool_]]] = []
+    for k in np.argsort(-near.sum(axis=1), kind='stable'):
+        if near[k].any() and not any(at_level[k] for _, at_level in levels):
+            levels.append((height[k], near[k]))
+    return levels
+
+
+def _is_near(heights: Array, level: Array | float) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(heights - level) < SMALLEST_DISTANCE)
 
 
 def _numbers(stops: Iterable[Stop]) -> str:

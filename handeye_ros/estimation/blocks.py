@@ -109,11 +109,17 @@ def stated_measures(linear: Linear) -> Blocks:
                                  largest_variance=1e8)  # a stated measure may be plainly wrong
 
 
-def robot_scale(linear: Linear) -> Blocks:
-    """Yield the block of one scale error of all lengths of the robot."""
-    std, position = linear.problem.config.noise.robot_scale, linear.problem.robot_poses[:, :3, 3]
+def scale_twists(problem: Problem) -> Array:
+    """Return the corrections (n, 6, 1) of the poses by one scale of all lengths of the robot."""
+    position = problem.robot_poses[:, :3, 3]
     twists = np.zeros((len(position), 6, 1))
     twists[:, :3, 0] = position.mean(axis=0) - position
+    return twists
+
+
+def robot_scale(linear: Linear) -> Blocks:
+    """Yield the block of one scale error of all lengths of the robot."""
+    std, twists = linear.problem.config.noise.robot_scale, scale_twists(linear.problem)
     yield ParameterBlock('scale', linear.wrt_twists(twists) * std, std, twists, report='scale',
                          origin=1.0)
 

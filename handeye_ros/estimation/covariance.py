@@ -40,7 +40,7 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     if weight <= 0:
         return solution
     configured = solution_at(solution.problem, solution.estimate, Noise())
-    explained, log_odds, squares = _if_wrong(configured)
+    explained, log_odds, added = _each_station_wrong(configured)
     # the posterior: that each is the only wrong one, or that none is
     log_odds = log_odds + np.log(PRIOR_ODDS_WRONG + dropped / (n + dropped))
     most = max(0.0, float(log_odds.max()))
@@ -51,14 +51,14 @@ def with_possibly_wrong_station(solution: Solution, dropped: int) -> Solution:
     freedom = max(configured.degrees_of_freedom - len(POSE_ERROR), 1)
     rest = chi2_sf(max(configured.sum_of_squares - explained[worst], 0.0), freedom)
     sure = probability[worst] > SURE_ODDS * (1 - probability[worst]) and rest > SMALLEST_P
-    return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, squares, 1)},
+    return replace(solution, added_covariances={ONE_WRONG: np.tensordot(probability, added, 1)},
                    probability_wrong=float(probability.sum()),
                    surely_wrong=worst if sure else None)
 
 
-def _if_wrong(configured: Solution) -> tuple[Array, Array, Array]:
+def _each_station_wrong(configured: Solution) -> tuple[Array, Array, Array]:
     """
-    Return of each station, if its pose is wrong: squares explained, log odds, and mean squares.
+    Return of each station, if its pose is wrong: squares explained, log odds, added covariance.
 
     Its whitened residuals are then r + J x + K e, with r those of the fit to all, x the change of
     the fit, of which the information is that of C, and e the error of the pose in sigmas of a
@@ -70,7 +70,7 @@ def _if_wrong(configured: Solution) -> tuple[Array, Array, Array]:
     """
     n = len(configured.problem.poses)
     wrt_pose_error = configured.whitening(configured.linear.wrt_pose * POSE_ERROR)
-    explained, log_odds, squares = np.empty(n), np.empty(n), np.empty((n, 6, 6))
+    explained, log_odds, added = np.empty(n), np.empty(n), np.empty((n, 6, 6))
     for group in configured.problem.station_groups:
         i = configured.problem.observations.station[group.rows[:, 0]]
         K, J = wrt_pose_error[group.rows], configured.jacobian[group.rows]
@@ -83,8 +83,8 @@ def _if_wrong(configured: Solution) -> tuple[Array, Array, Array]:
         log_odds[i] = (explained[i] - np.linalg.slogdet(A)[1]) / 2
         G = G[:, :6]  # of the transform
         h = G @ minus_e
-        squares[i] = h @ np.swapaxes(h, 1, 2) + G @ np.linalg.solve(A, np.swapaxes(G, 1, 2))
-    return explained, log_odds, squares
+        added[i] = h @ np.swapaxes(h, 1, 2) + G @ np.linalg.solve(A, np.swapaxes(G, 1, 2))
+    return explained, log_odds, added
 
 
 def budget(solution: Solution) -> Budget:
@@ -101,10 +101,10 @@ def budget(solution: Solution) -> Budget:
     for block, columns in slices(conservative.blocks, conservative.unknowns):
         gain = conservative.covariance[:6, columns]
         parts[block.name] = gain @ gain.T
-    away = solution.conservative_shift
-    parts |= {'prior scales': np.outer(away, away), **solution.added_covariances}
+    shift = solution.conservative_shift
+    parts |= {'prior scales': np.outer(shift, shift), **solution.added_covariances}
     parts['best-fit transform'] = (
-        solution.transform_covariance - conservative.covariance[:6, :6] - np.outer(away, away)
+        solution.transform_covariance - conservative.covariance[:6, :6] - np.outer(shift, shift)
         - sum(solution.added_covariances.values()))
     terms = [_term(solution, name, part) for name, part in parts.items()]
     return Budget(tuple(sorted((t for t in terms if t.mapped > 0), key=lambda t: -t.mapped)),

@@ -68,7 +68,7 @@ def quick_solution(problem: Problem) -> Solution | None:
     try:
         for start in islice(problem.target.starts(problem, np.random.default_rng(0)), 2):
             trial = refined_robustly(problem, start)
-            if typical_station_square(trial) < LARGEST_SQUARE:
+            if typical_square(_squares_of(trial)) < LARGEST_SQUARE:
                 return without_outliers(trial)
     except (HandeyeError, np.linalg.LinAlgError):
         pass
@@ -80,7 +80,7 @@ def without_outliers(robust: Solution) -> Solution:
     problem = robust.full_problem
     # least squares could move to a fit between the target and another surface
     limit = LARGEST_SQUARE if problem.ambiguous else GROSS_SQUARE
-    squares = station_squares(robust.linear, problem)
+    squares = _squares_of(robust)
     good = squares <= limit * max(1.0, typical_square(squares))
     good[np.argsort(squares, kind='stable')[:problem.target.min_samples]] = True
     gross = {int(i): float(squares[i]) for i in np.flatnonzero(~good)}
@@ -152,28 +152,17 @@ def station_squares(fit: Linear, whole: Problem) -> Array:
     return np.where(unused, np.maximum(squares, LARGEST_SQUARE), squares)
 
 
-def _is_undetermined(solution: Solution) -> bool:
-    """Return whether observations were left out, and the others leave a direction free."""
-    fewer = len(solution.problem.observations) < len(solution.full_problem.observations)
-    # a variance of more than (1 m or 1 rad)^2
-    return fewer and bool(np.linalg.eigvalsh(solution.covariance)[-1] > 1.0)
-
-
-def typical_station_square(solution: Solution) -> float:
-    """Return the square that most stations are below; large if a direction is undetermined."""
-    spread = typical_square(station_squares(solution.linear, solution.full_problem))
-    return max(spread, 2 * LARGEST_SQUARE) if _is_undetermined(solution) else spread
+def _squares_of(solution: Solution) -> Array:
+    return station_squares(solution.linear, solution.full_problem)
 
 
 def loss(solution: Solution) -> float:
     """
-    Return a robust mean of all squares, penalised if a direction is undetermined.
+    Return a robust mean of the squares of all stations.
 
     Its logarithm ranks estimates independently of the noise level above SMALL_SQUARE.
     """
-    squares = station_squares(solution.linear, solution.full_problem)
-    level = float(np.log(SMALL_SQUARE + squares).mean())
-    return max(level, float(np.log(2 * LARGEST_SQUARE))) if _is_undetermined(solution) else level
+    return float(np.log(SMALL_SQUARE + _squares_of(solution)).mean())
 
 
 def is_convincing(solution: Solution) -> bool:
@@ -183,11 +172,12 @@ def is_convincing(solution: Solution) -> bool:
     If stations show several surfaces, a better fit is required: a plane partly on one and partly
     on another near surface also fits within such errors.
     """
-    squares = station_squares(solution.linear, solution.full_problem)
-    far = squares > LARGEST_SQUARE * max(1.0, typical_square(squares))
+    squares = _squares_of(solution)
+    typical = typical_square(squares)
+    far = squares > LARGEST_SQUARE * max(1.0, typical)
     unused = solution.full_problem.shows_essential & ~solution.problem.shows_essential
     enough = UNRIVALLED_SQUARE if solution.full_problem.ambiguous else CONVINCING_SQUARE
-    return typical_station_square(solution) <= enough and bool((far | unused).mean() <= 0.1)
+    return typical <= enough and bool((far | unused).mean() <= 0.1)
 
 
 def subset_starts(problem: Problem, count: int, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -50,7 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # sigmas: the last step of the unknowns; one more follows with the final scales
-CONVERGED_SIGMAS = 0.1
+CONVERGED_SIGMAS, MOST_STEPS = 0.1, 10
 ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -59,23 +59,31 @@ MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance facto
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    The least squares at an estimate, (4), solved, of the stations used.
+    The least squares at an estimate, (4), solved with one noise and one scale of each block.
 
-    linear: the used stations with the labels of their observations, linearised
+    Of the stations used:
+
+    linear: their observations with the labels that these have, linearised
     configured_blocks: blocks with their configured sigmas
     prefit_residuals: (m,) whitened residuals with all parameters of blocks at 0
     white_jacobian: (m, u + q) whitened derivatives by u unknowns (first six: X) and by q
         parameters in configured sigmas
     white_information: (u + q, u + q) their information
+
+    How these were chosen:
+
     full_problem: the problem with all stations and observations
     used: (n,) indices of those used
     dropped_squares: squared residual of the others
     probability_wrong: that one of few used stations is wrong
     surely_wrong: the station that almost surely is
+
+    What is reported, (8), is the estimate of one solution with the covariance of another:
+
+    at_conservative_scales: of a solution for the estimate, that for the report: its estimate moves
+        too far, its covariance is realistic
     added_covariances: (6, 6) by cause, added to the reported covariance of the transform, as by
         (10)
-    at_conservative_scales: of a solution for the estimate, the one at the conservative scales: its
-        estimate moves too far, its covariance is realistic
     """
 
     linear: Linear
@@ -151,8 +159,8 @@ class Solution:
         return bounded_inverse(self.information)
 
     @cached_property
-    def _step(self) -> Array:
-        """Return the step of all parameters (u + q,) to the minimum."""
+    def _step_to_minimum(self) -> Array:
+        """Return the change (u + q,) of unknowns and nuisance parameters to the minimum, (5)."""
         if self.noise.blocks_as_noise:  # the search ends where no step is left
             return np.zeros(self.unknowns)
         gradient = self.scales * (self.white_jacobian.T @ self.prefit_residuals)
@@ -161,7 +169,7 @@ class Solution:
     @property
     def nuisance(self) -> Array:
         """Return the estimates (q,) of the nuisance parameters, in their present sigmas."""
-        return self._step[self.unknowns:]
+        return self._step_to_minimum[self.unknowns:]
 
     @cached_property
     def jacobian(self) -> Array:
@@ -171,7 +179,7 @@ class Solution:
     @cached_property
     def postfit_residuals(self) -> Array:
         """Return the whitened residuals (m,) at the solution, without the part of the blocks."""
-        step = self.scales * self._step
+        step = self.scales * self._step_to_minimum
         return np.asarray(self.prefit_residuals + self.white_jacobian @ step)
 
     @cached_property
@@ -179,7 +187,7 @@ class Solution:
         """Return the estimate after the last step, which is close to the minimum."""
         if self.noise.blocks_as_noise:
             return self.linear.estimate
-        return self.problem.retracted(self.linear.estimate, self._step[:self.unknowns])
+        return self.problem.retracted(self.linear.estimate, self._step_to_minimum[:self.unknowns])
 
     def relinearise(self) -> Linear:
         """Return the problem linearised after the step, with what depends on block parameters."""
@@ -220,7 +228,7 @@ class Solution:
 
     def prior_variances(self) -> tuple[Array, Array]:
         """Return the variances (d,) of blocks for the estimate and for the report, (6)."""
-        x, covariance = self._step, self.covariance
+        x, covariance = self._step_to_minimum, self.covariance
         u, first = self.unknowns, np.cumsum([0, *self._block_sizes])[:-1]
         largest = np.array([block.largest_variance for block in self.configured_blocks])
         return prior_variances(covariance[u:, u:], x[u:], first, self._tau_squared, largest)
@@ -265,8 +273,8 @@ class Solution:
         reported = self.conservative.covariance[:self.unknowns, :self.unknowns].copy()
         if self.at_conservative_scales is None:
             return reported
-        away = self.conservative_shift
-        reported[:6, :6] = cover(reported[:6, :6] + np.outer(away, away), self._best_fit)
+        shift = self.conservative_shift
+        reported[:6, :6] = cover(reported[:6, :6] + np.outer(shift, shift), self._best_fit)
         reported[:6, :6] += sum(self.added_covariances.values())
         return reported
 
@@ -286,8 +294,8 @@ class Solution:
         conservative = self.conservative
         moving = best_fit_motions(conservative.linear, conservative.blocks)
         columns = np.hstack([np.eye(6, conservative.unknowns), moving])
-        away = self.conservative_shift + moving @ conservative.nuisance
-        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(away, away))
+        shift = self.conservative_shift + moving @ conservative.nuisance
+        return np.asarray(columns @ conservative.covariance @ columns.T + np.outer(shift, shift))
 
     @cached_property
     def information(self) -> Array:
@@ -373,7 +381,7 @@ class Solution:
         return float(spread + np.linalg.slogdet(self.information)[1] + self.sum_of_squares + prior)
 
     @property
-    def without_edges(self) -> NDArray[np.intp]:
+    def stations_without_edges(self) -> NDArray[np.intp]:
         """Return the used stations that show essential observations, but of which none is used."""
         shown = self.full_problem.subset(self.used).shows_essential
         return self.used[shown & ~self.problem.shows_essential]
@@ -381,12 +389,7 @@ class Solution:
     @property
     def fully_used(self) -> int:
         """Return the number of used stations with their essential observations used."""
-        return len(self.used) - len(self.without_edges)
-
-    @property
-    def unused_share(self) -> float:
-        """Return the share of stations that are dropped or lack their essential observations."""
-        return 1 - self.fully_used / len(self.full_problem.poses)
+        return len(self.used) - len(self.stations_without_edges)
 
     def corrected_poses(self, nuisance: Array | None = None) -> Array:
         """
@@ -421,13 +424,18 @@ class Solution:
         return statistic / np.maximum(count, 1), np.clip(count, 1, 6)
 
     @property
-    def is_indispensable(self) -> NDArray[np.bool_]:
-        """Return which stations (n,) determine something that no other one shows."""
+    def is_determined(self) -> bool:
+        """Return whether no direction of the unknowns is free: 1 sigma of 1 m or 1 rad."""
+        return bool(np.linalg.eigvalsh(self.covariance)[-1] <= 1.0)
+
+    @property
+    def indispensable_stations(self) -> NDArray[np.intp]:
+        """Return the used stations that determine something that no other one shows."""
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
         for group in self.problem.station_groups:
             share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
             alone[station[group.rows[:, 0]]] = share > 1 - ALONE_REST
-        return alone
+        return self.used[alone]
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
         """
@@ -474,8 +482,8 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
         some = problem.subset(np.arange(0, n, round(n / problem.many)))
         return solution_like(map_solution(some, start, noise), problem)
     # near the minimum, at conservative scales
-    reached, diverged = _until_converged(solution_at(problem, start, noise))
-    if diverged:  # where it is stays the answer, as uncertain as any
+    reached, converged = _until_converged(solution_at(problem, start, noise))
+    if not converged:  # where it is stays the answer, as uncertain as any
         return _with_conservative(reached, reached.noise, LAST_STEPS)
     # both scales follow from the posterior at the conservative ones
     for_estimate = conservative = reached
@@ -506,27 +514,25 @@ def solution_like(before: Solution, problem: Problem) -> Solution:
 
 def _until_converged(start: Solution) -> tuple[Solution, bool]:
     """
-    Return the solution after some steps and False, or the best before divergence and True.
+    Return the solution at the minimum and True, or the nearest to one and False.
 
     Each is linearised where the step of the one before leads, with the variance factors from its
     residuals, and takes one step of the conservative scales.
     """
-    current = best = start
+    current = nearest = start
     least = np.inf
-    for linearisation in range(10):
-        step, covariance, u = current._step, current.covariance, current.unknowns
-        size = float(np.abs(step[:u] / np.sqrt(np.diag(covariance)[:u])).max())  # sigmas
-        grew = size > 4.0 * max(least, 1.0)
-        if grew and linearisation > 1:  # the first steps may grow with the scale of a block
-            return best, True
-        best, least = best if grew else current, min(size, least)
+    for _ in range(MOST_STEPS):
+        step = current._step_to_minimum[:current.unknowns]
+        size = float(np.abs(step / np.sqrt(np.diag(current.covariance)[:len(step)])).max())
+        if size < least:
+            nearest, least = current, size
         factors, before = current.estimated_factors(), current.noise.variance_factors
         steady = np.abs(np.log(factors / before)).max() < 0.1
         noise = replace(current.noise, variance_factors=factors)
         current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
         if size < CONVERGED_SIGMAS and steady:
-            break
-    return current, False
+            return current, True
+    return nearest, False
 
 
 def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:

@@ -41,7 +41,7 @@ NORMAL_COUNT = 400
 CANDIDATE_COUNT = 10
 NEAR_SHARE = 0.7  # of the stations
 AS_NEAR = 2.0  # ratio to the smallest distance of a start, up to which the surfaces' order decides
-ONE_ANGLE = 3.0  # degrees: angles to the plane that differ by less count as one
+ONE_ANGLE = 0.05  # rad: angles to the plane that differ by less count as one
 TINY = 1e-30  # m^2
 
 
@@ -111,13 +111,14 @@ class Plane(FaceTarget):
         """Return in words that all samples see the plane at one angle, '' if they do not."""
         range_axes = problem.poses[:, :3, :3] @ estimate.X[:3, 2]
         normal = estimate.state.reshape(4, 4)[:3, 2]
-        angles = np.degrees(np.arccos(np.clip(np.abs(range_axes @ normal), 0.0, 1.0)))
+        angles = np.arccos(np.clip(np.abs(range_axes @ normal), 0.0, 1.0))
         if np.ptp(angles) > ONE_ANGLE:
             return ''
-        return (f'all samples see the plane at one angle ({angles.mean():.0f} degrees between its '
-                'normal and the range axis), so that a shift of the sensor along the range cannot '
-                'be told from one of the plane: take samples square to the plane too, and at '
-                'other angles')
+        mean = np.degrees(angles.mean())
+        return (f'all samples see the plane at one angle ({mean:.0f} degrees between its normal '
+                'and the range axis), so that a shift of the sensor along the range cannot be '
+                'told from one of the plane: take samples square to the plane too, and at other '
+                'angles')
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:

@@ -141,22 +141,7 @@ def _two_lines(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
         total += np.minimum(of_q[:, :, None], of_p[:, None])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     turn = float(angles[k])
-    return _refined_corner(points, _rotation(turn) @ np.array([u[k, i], v[k, j]]), turn, limit)
-
-
-def _refined_corner(points: Array, corner: Array, turn: float, limit: float
-                    ) -> tuple[Array, float]:
-    """Return corner and direction fitted to the points (m, 2) near either line."""
-    for reach in (limit, limit / 2, limit / 4):
-        x, y = ((points - corner) @ _rotation(turn)).T
-        on_p, on_q = np.abs(y) < np.minimum(np.abs(x), reach), np.abs(x) < np.minimum(
-            np.abs(y), reach)
-        A = np.concatenate([
-            np.column_stack([np.zeros(on_p.sum()), np.ones(on_p.sum()), x[on_p]]),
-            np.column_stack([np.ones(on_q.sum()), np.zeros(on_q.sum()), -y[on_q]])])
-        step = np.linalg.lstsq(A, np.concatenate([y[on_p], x[on_q]]), rcond=None)[0]
-        corner, turn = corner + _rotation(turn) @ step[:2], turn + float(step[2])
-    return corner, turn
+    return _rotation(turn) @ np.array([u[k, i], v[k, j]]), turn
 
 
 def _rotation(turn: float) -> Array:

@@ -9,7 +9,6 @@ plane on which the centre lies need not be given.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -19,7 +18,6 @@ from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
     Estimate,
     Linear,
-    Observations,
     Problem,
 )
 from handeye_ros.estimation.search import shortlisted
@@ -33,17 +31,7 @@ from scipy.spatial.transform import Rotation
 
 ROTATION_COUNT = 600
 CANDIDATE_COUNT = 16
-LONG_ARC_POINTS = 9  # points: of longer arcs every third is used for a start
 MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
-AT_ONCE = 50  # rotations for which the offset across the plane is searched together
-
-
-def _fewer(observations: Observations) -> Observations:
-    """Return the observations with every third point of long arcs, enough for a start."""
-    station = observations.station
-    place = np.arange(len(station)) - np.searchsorted(station, station)
-    short = np.bincount(station)[station] < LONG_ARC_POINTS
-    return observations.select(short | (place % 3 == 1))
 
 
 def _candidates(problem: Problem, radius: float) -> list[Estimate]:
@@ -57,14 +45,7 @@ def _candidates(problem: Problem, radius: float) -> list[Estimate]:
     R_sensor = rotations(ROTATION_COUNT)
     centre, t, rms, y = _centres(R_sensor, problem.poses[:, :3, :3],
                                  problem.poses[:, :3, 3] - a_mean, circles)
-    k = len(R_sensor)
-    rms_y = np.full(k, np.inf)
-    order = np.argsort(rms)
-    for first in range(0, k, AT_ONCE):  # poor fits for any side are skipped
-        some = order[first:first + AT_ONCE]
-        if np.partition(np.hypot(rms, rms_y), CANDIDATE_COUNT)[CANDIDATE_COUNT] < rms[some[0]]:
-            break
-        t[some, 1], rms_y[some] = _side(y[some], height)
+    t[:, 1], rms_y = _side(y, height)
     best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATE_COUNT]
     X = se3.transform(R_sensor[best], (R_sensor[best] @ t[best, :, None])[..., 0])
     return [Estimate(*both) for both in zip(X, np.column_stack(
@@ -153,8 +134,7 @@ class Sphere(ProfileTarget):
         unknowns, on whichever side of the plane the centre lies.
         """
         problem = with_few_stations(whole, rng)
-        some = replace(problem, observations=_fewer(problem.observations))
-        yield from shortlisted(some, _candidates(problem, problem.config.target.radius))
+        yield from shortlisted(problem, _candidates(problem, problem.config.target.radius))
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """

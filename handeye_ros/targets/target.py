@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config
@@ -39,39 +39,31 @@ STEEPNESS_EXPONENTS = np.array([8, 16, 32])
 
 @dataclass
 class ObservationRows:
-    """Collects the conditions of a target, feature by feature."""
+    """
+    Collects the conditions of a target, feature by feature.
 
-    points: list[Array] = field(default_factory=list)
-    error_factor: list[Array] = field(default_factory=list)
-    numbers: list[tuple[int, int, int, int]] = field(default_factory=list)
-    outward: list[Array] = field(default_factory=list)
-    shape_std: list[float] = field(default_factory=list)
+    parts: the values of Observations, in order, of one feature each
+    """
+
+    parts: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
 
     def add(self, station: int, points: Array, kind: int, factor: Array, error: int = 0,
             edge: EdgePoint | None = None) -> None:
         """
         Append a condition for each of points (k, 2), with factors (k, 2, 2); see Observations.
 
-        edge: the edge that the points are on, or None.
+        error: of the first point, each has its own; edge: that the points are on, or None.
         """
-        self.points.append(points)
-        self.error_factor.append(factor)
-        self.numbers.append((station, kind, error, 1 + ENDINGS.index(edge.ending) if edge else 0))
-        self.outward.append(edge.direction if edge else NO_OUTWARD)
-        self.shape_std.append(edge.shape_std if edge else 0.0)
+        each = np.ones(len(points), dtype=np.intp)
+        ending, outward, shape_std = (
+            (1 + ENDINGS.index(edge.ending), edge.direction, edge.shape_std) if edge else
+            (0, NO_OUTWARD, 0.0))
+        self.parts.append((station * each, points, kind * each, factor, error - 1 + each.cumsum(),
+                           ending * each, outward * each[:, None], shape_std * each))
 
     def observations(self) -> Observations:
-        """Return the observations collected; each point of a feature has its own error."""
-        count = [len(points) for points in self.points]
-        first = np.repeat(np.cumsum(count, dtype=np.intp) - count, count)
-        numbers = np.array(self.numbers, dtype=np.intp).reshape(-1, 4).T
-        station, kind, error, ending = np.repeat(numbers, count, axis=1)
-        return Observations(
-            station, np.concatenate([np.empty((0, 2)), *self.points]), kind,
-            np.concatenate([np.empty((0, 2, 2)), *self.error_factor]),
-            error + np.arange(len(first)) - first, ending,
-            np.repeat(np.array(self.outward).reshape(-1, 2), count, axis=0),
-            np.repeat(np.array(self.shape_std), count))
+        """Return the observations collected, of one feature at least."""
+        return Observations(*map(np.concatenate, zip(*self.parts, strict=True)))
 
 
 def add_face(rows: ObservationRows, station: int, line: FaceLine, error: int, kind: int

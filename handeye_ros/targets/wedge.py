@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from typing import Any
 
 from handeye_ros import se3
@@ -27,7 +28,6 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.profiles.faces import corner_features
 from handeye_ros.targets import line as edge_line
-from handeye_ros.targets import plane
 from handeye_ros.targets.starts import (
     nearest_piece,
     sums_by_piece,
@@ -69,24 +69,12 @@ def one_corner(problem: Problem) -> list[Problem]:
     return [part for part in parts if len(part.poses) >= WEDGE.min_samples]
 
 
-def _guess(problem: Problem) -> Iterator[Estimate]:
-    """
-    Yield starts from two lines per station.
-
-    The crossings of the lines lie on one straight edge, for any labels. If the labels happen to be
-    right, the left lines lie in one plane and the right lines in another.
-    """
+def _guess(problem: Problem) -> list[Estimate]:
+    """Return starts: the crossings of two lines per station lie on one edge, for any labels."""
     corners = crossings(problem.observations)
     edges = replace(problem, target=edge_line.LINE, observations=corners)
-    yield from _refined(problem, [_with_faces(problem, e) for e in shortlisted(
+    return _refined(problem, [_with_faces(problem, e) for e in shortlisted(
         edges, edge_line.line_candidates(edges))])
-    for side in range(len(KINDS)):
-        lines = problem.observations.select(problem.observations.kind == side)
-        lines = replace(lines, kind=np.zeros_like(lines.kind))
-        faces = replace(problem, target=plane.PLANE, observations=lines)
-        yield from _refined(problem, [
-            _with_faces(problem, _edge_in(corners, problem.poses, e))
-            for e in shortlisted(faces, plane.plane_candidates(faces))])
 
 
 def _refined(problem: Problem, starts: Sequence[Estimate]) -> list[Estimate]:
@@ -123,13 +111,6 @@ def _line_through(points: Array) -> tuple[Array, Array]:
     return centre, np.linalg.svd(points - centre)[2][0]
 
 
-def _edge_in(corners: Observations, poses: Array, face: Estimate) -> Estimate:
-    """Return the estimate of the edge through the crossings, with the X of a face's estimate."""
-    p = corners.in_base(poses, face.X)
-    centre = p.mean(axis=0)
-    return Estimate(face.X, se3.transform(np.linalg.svd(p - centre)[2].T, centre).ravel())
-
-
 def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     """Return the estimate with the turns of both faces fitted to the points."""
     T = edge.state.reshape(4, 4).copy()
@@ -164,13 +145,9 @@ class Wedge(FaceTarget):
 
     def starts(self, problem: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
         """Yield starts; where several edges are visible, from each choice in turn."""
-        choices = [_guess(part) for part in one_corner(with_few_stations(problem, rng))]
-        while choices:
-            for choice in tuple(choices):
-                if (start := next(choice, None)) is None:
-                    choices.remove(choice)
-                else:
-                    yield start
+        choices = map(_guess, one_corner(with_few_stations(problem, rng)))
+        for of_each in zip_longest(*choices):
+            yield from filter(None, of_each)
 
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:

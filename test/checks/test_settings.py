@@ -70,6 +70,15 @@ def test_wrong_settings_are_named(name: str, wrong: dict[str, object], words: st
                            set_to(made(name).config, **wrong))
 
 
+@pytest.mark.parametrize('seed', [23, pytest.param(24, marks=pytest.mark.thorough)])
+def test_one_edge_is_a_line_or_a_plane_and_no_plate(seed: int) -> None:
+    """The other edge of a plate is seen by no stop, or by one stop by chance."""
+    seen = recorded(FAULTS['line'], seed, rate=8.0)
+    config = set_to(seen.config, target__type='sphere', method='auto')
+    with pytest.raises(DataError, match='set target.type to line, or to plane, if it is one$'):
+        pipeline.calibrate(seen.profiles, seen.poses, config)
+
+
 @pytest.mark.thorough
 def test_a_plate_whose_edges_are_seen_one_after_the_other_is_no_line_that_moved() -> None:
     seen = recorded('plate_in_order', rate=10.0)
