@@ -62,7 +62,8 @@ class ObservationRows:
                            ending * each, outward * each[:, None], shape_std * each))
 
     def observations(self) -> Observations:
-        """Return the observations collected, of one feature at least."""
+        """Return the observations collected."""
+        self.add(0, np.empty((0, 2)), 0, np.empty((0, 2, 2)))  # so that none are observations too
         return Observations(*map(np.concatenate, zip(*self.parts, strict=True)))
 
 
