@@ -33,6 +33,7 @@ from handeye_ros.errors import (
 from handeye_ros.results.calibration_file import input_values
 from handeye_ros.sampling.stream import (
     by_stamp,
+    FEW_SHARE,
     FEW_STRAYS,
     fitting,
     LAST_STAMP,
@@ -124,7 +125,7 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
         by_name[raw.topic].add(raw)
     profiles: list[RawProfile] = []
     previous = None
-    for message in clouds.ordered(reader):
+    for message in _of_one_frame('profile', clouds.ordered(reader), 'frame_id', reader):
         profiles += split(message, previous, config.profile)
         previous = message.stamp
     poses = _poses(pose_sources, tracker, reader)
@@ -225,11 +226,21 @@ def _poses(sources: Sequence[_Recorded], tracker: FlangeTracker, reader: Reader
         raise InputError(f'{reader.path}: no flange poses in its transforms: '
                          f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
                          'robot_effector_frame')
-    frames = Counter(pose.parent_frame for pose in poses).most_common()
-    frame, most = frames[0]
-    if (strays := len(poses) - most) > FEW_STRAYS:
-        raise two_frames('pose', frame, frames[1][0])
+    return _of_one_frame('pose', poses, 'parent_frame', reader)
+
+
+def _of_one_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:
+    """
+    Return the items of the frame of most; a few others are left out, with a warning.
+
+    kind: what they are, in words; frame: their attribute that names it. Raises InputError for two
+    frames.
+    """
+    (first, most), *others = Counter(getattr(item, frame) for item in items).most_common()
+    strays = len(items) - most
+    if strays > max(FEW_STRAYS, FEW_SHARE * len(items)) or 2 * strays >= len(items):
+        raise two_frames(kind, first, others[0][0])
     if strays:
-        reader.warnings.append(f'{strays} of {len(poses)} messages on {last.name} were left out: '
-                               f'their frame is "{frames[1][0]}", not "{frame}"')
-    return [pose for pose in poses if pose.parent_frame == frame]
+        reader.warnings.append(f'{strays} of {len(items)} {kind}s were left out: their frame is '
+                               f'"{others[0][0]}", not "{first}"')
+    return [item for item in items if getattr(item, frame) == first]

@@ -29,7 +29,7 @@ LAST_STAMP = 2 ** 63 - 1  # ns; largest stamp
 
 LATE_TIME = 500_000_000  # ns of messages that are late, after which the clock was set back
 FEW_STRAYS = 3  # messages of another frame, or with wrong stamps: a topic may hold this number,
-FEW_SHARE = 0.05  # or this share of many wrong stamps; with more, the right order is unknown
+FEW_SHARE = 0.05  # or a recording this share of many; with more, the right one is unknown
 UNMIXED_TIME = 3_000_000_000  # ns of messages of one frame, after which others are of the past
 
 by_stamp = attrgetter('stamp')

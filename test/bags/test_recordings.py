@@ -349,17 +349,25 @@ def test_messages_that_cannot_be_used_are_counted_and_left_out(good_bag, tmp_pat
         refused(words, written(tmp_path, name=name, **items), config)
 
 
-def test_a_pose_of_another_frame_is_a_stray_and_more_are_refused(tmp_path):
-    for name, mapped in (('few', [0]), ('some', range(1, 100, 10)), ('half', range(1, 100, 2))):
-        mixed = [replace(pose, parent_frame='map') if i in mapped else pose
-                 for i, pose in enumerate(POSES)]
-        path = written(tmp_path, poses=mixed, name=name)
-        if name == 'few':
+@pytest.mark.parametrize('kind, frame, items', [
+    ('pose', 'parent_frame', POSES), ('profile', 'frame_id', PROFILES * 4)])
+def test_messages_of_another_frame_are_strays_and_many_are_refused(tmp_path, kind, frame, items):
+    items = [replace(item, stamp=POSES[0].stamp + i * 10 ** 7) for i, item in enumerate(items)]
+    first = getattr(items[0], frame)
+    for name, others in (('first', [0]), ('last', range(len(items) - 5, len(items))),
+                         ('some', range(1, len(items), 10)), ('half', range(1, len(items), 2))):
+        mixed = [replace(item, **{frame: 'map'}) if i in others else item
+                 for i, item in enumerate(items)]
+        path = written(tmp_path, name=name, **{f'{kind}s': mixed})
+        if name in ('first', 'last'):
             recording = bag.read(path, CONFIG)
-            assert_equal_recordings(recording, poses=POSES[1:])
-            assert 'their frame is "map", not "base"' in recording.warnings[0]
+            kept = [item.stamp for i, item in enumerate(items) if i not in others]
+            assert [item.stamp for item in getattr(recording, f'{kind}s')] == kept
+            assert recording.warnings == [
+                f'{len(others)} of {len(items)} {kind}s were left out: their frame is "map", not '
+                f'"{first}"']
         else:
-            refused('two frames, "base" and "map"', path)
+            refused(f'two frames, "{first}" and "map"', path)
 
 
 # -- transforms
