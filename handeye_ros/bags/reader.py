@@ -234,4 +234,6 @@ def _in_database(path: Path, key: int) -> bytes:
 
 
 def _connected(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True)
+    """Connect to a .db3 file; only to read a write-ahead log SQLite must write beside it."""
+    mode = 'mode=ro' if path.with_name(f'{path.name}-wal').exists() else 'immutable=1'
+    return sqlite3.connect(f'{path.absolute().as_uri()}?{mode}', uri=True)

@@ -209,6 +209,16 @@ def test_a_db3_of_a_killed_recorder_is_read_with_its_write_ahead_log(good_bag, t
     assert all(path.read_bytes() == content for path, content in files.items())
 
 
+def test_nothing_is_written_beside_a_db3(good_bag, tmp_path):
+    file = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE) / 'copy.db3'
+    with closing(sqlite3.connect(file)) as database:
+        database.execute('PRAGMA journal_mode=WAL')
+    before = {*file.parent.iterdir()}
+    recording = bag.read(file, CONFIG)
+    assert_equal_recordings(recording)
+    assert {*file.parent.iterdir()} == before
+
+
 def test_a_db3_that_is_cut_or_without_its_table(good_bag, tmp_path):
     file = rosbags_copy(good_bag, tmp_path / 'copy', SQLITE3, NONE) / 'copy.db3'
     whole = file.read_bytes()
