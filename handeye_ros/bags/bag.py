@@ -128,6 +128,9 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     for message in _of_one_frame('profile', clouds.ordered(reader), 'frame_id', reader):
         profiles += split(message, previous, config.profile)
         previous = message.stamp
+    if not profiles:
+        raise InputError(f'{path}: the only message on {clouds.name} holds several profiles, and '
+                         'does not say when each was taken: set profile.period')
     poses = _poses(pose_sources, tracker, reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
     if config.time_offset:

@@ -98,7 +98,7 @@ def pose_from_cdr(data: bytes) -> TimedPose:
 
 def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose:
     """Return a pose with a quaternion of unit length and qw >= 0; raises UnusableMessageError."""
-    translation = np.array([position.x, position.y, position.z])
+    translation = position.x, position.y, position.z
     quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
     length, farthest = math.hypot(*quaternion), max(map(abs, translation))
     if not math.isfinite(length + sum(translation)):
@@ -110,7 +110,7 @@ def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose
     else:
         stamp, frame = _stamp_and_frame(message)
         sign = -1.0 if orientation.w < 0 else 1.0
-        return TimedPose(stamp, translation, quaternion * (sign / length), frame)
+        return TimedPose(stamp, np.array(translation), quaternion * (sign / length), frame)
     raise UnusableMessageError(f'{kind} message not used: {problem}')
 
 

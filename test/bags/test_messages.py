@@ -84,9 +84,11 @@ def test_what_others_write_is_read(little_endian: bool, frame_id: str) -> None:
     assert posed.parent_frame == frame_id.lstrip('/') and found[0][1].parent_frame == 'base'
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize(('position', 'quaternion', 'reason'), [
     ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5, 1.0), 'quaternion of length 1.118, expected 1'),
     ((0.0, 0.0, 0.0), (0.0, 0.0, np.nan, 1.0), 'not finite'),
+    ((np.inf, -np.inf, 0.0), (0.0, 0.0, 0.0, 1.0), 'not finite'),
     ((0.0, 3e12, 0.0), (0.0, 0.0, 0.0, 1.0), 'the position reaches 3e.12 m')])
 def test_malformed_poses(position: object, quaternion: object, reason: str) -> None:
     with pytest.raises(UnusableMessageError, match=reason):

@@ -119,3 +119,7 @@ def test_a_bag_of_batches(good_bag, tmp_path) -> None:
     assert [p.stamp for p in recording.returns()] == [p.stamp for p in recording.profiles]
     with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
         list(bag.read(file, Config()).returns())
+    one = rewrite(good_bag, tmp_path / 'one.mcap', [raws[0], *raws[20:]],
+                  {'/profile': CLOUD_TYPE, '/flange_pose': POSE_TYPE})
+    with pytest.raises(InputError, match='several profiles, .*: set profile.period'):
+        bag.read(one, Config())
