@@ -238,7 +238,8 @@ def write_folder(path: Path, texts: Mapping[str, str],
 
     A hidden folder beside the final one is filled and then renamed. fill: makes the folder and its
     files except texts, which are by file name. force: an existing recording is replaced. Raises
-    InputError if the path exists, or holds no recording, UnwritableError if it is not writable.
+    InputError if the path exists, or is no recording or the current folder, UnwritableError if it
+    is not writable.
     """
     path = path.resolve()
     with write_errors_for(path):
@@ -263,3 +264,5 @@ def _check_free(path: Path, force: bool) -> None:
     if not any((path / name).is_file() for name in OWN_FILES):
         raise InputError(f'{path}: is there already and is no bag, so it is not replaced: choose '
                          'another place')
+    if path == Path.cwd():  # a shell in it would lose its folder
+        raise InputError(f'{path}: is the current folder, which is not replaced: name one in it')

@@ -173,8 +173,8 @@ class LiveAnswer:
         live = self._live
         # a stop that goes on gives another sample of the same number
         samples = [(stop.number, stop.sample) for stop in live.session.stops if stop.sample]
-        return (values_of(live.config, (*ANSWER_KEYS, 'guidance.')), live.session,
-                len(live.failed_poses), samples)
+        return (values_of(live.config, ANSWER_KEYS), live.session,
+                values_of(live.config, ('guidance.',)), len(live.failed_poses), samples)
 
     def _begin_review(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
@@ -199,9 +199,9 @@ class LiveAnswer:
         Raises DataError for a refusal.
         """
         live, answer = self._live, review.answer
-        if made_from[1] is live.session:
+        if self._last and made_from is self._last[0]:  # others may be ready later
             self.review = review
-        elif asked:
+        if asked and made_from[1] is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
         if answer is None or not asked:

@@ -473,6 +473,13 @@ def test_an_existing_bag_is_replaced_only_when_asked(good_bag, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ['good']
 
 
+def test_the_current_folder_is_not_replaced(good_bag, monkeypatch):
+    monkeypatch.chdir(good_bag)
+    with pytest.raises(InputError, match='is the current folder, which is not replaced'):
+        bag_write.write(Path(), PROFILES, POSES, force=True)
+    assert_equal_recordings(bag.read(good_bag, CONFIG))
+
+
 def test_what_is_no_bag_is_never_replaced(tmp_path, monkeypatch):
     (tmp_path / 'mine').mkdir()
     (tmp_path / 'mine' / 'thesis.tex').write_text('x')

@@ -308,6 +308,8 @@ def test_an_answer_is_saved_once_and_by_one_node(tmp_path: Path) -> None:
         live.answer.save_calibration()
     assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     assert not (folder / 'history').exists()
+    changed(live, guidance__accuracy=1e-3)  # of which no answer follows
+    assert state_of(live)['calibration']['saved'] == str(folder / 'calibration.yaml')
     changed(live, record__operator='A. Nother')  # a text, of which no answer follows
     live.answer.save_calibration()
     assert 'A. Nother' in (folder / 'calibration.yaml').read_text()
@@ -437,6 +439,23 @@ def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.Mon
     monkeypatch.undo()
     assert computed(live) not in ('', text)
     assert not state_of(live)['session']['trouble']
+
+
+def test_a_review_that_is_ready_late_does_not_replace_a_newer_one(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    live = fed()
+    late, submit = Future(), live.pool.submit
+    monkeypatch.setattr(live.pool, 'submit', lambda *args: late)
+    live.remove_last_sample()
+    update(live)
+    monkeypatch.setattr(live.pool, 'submit', submit)
+    old = live.answer.review
+    live.remove_last_sample()
+    computed(live)
+    newest = live.answer.review
+    late.set_result(old)
+    update(live)
+    assert live.answer.review is newest
 
 
 def test_work_that_fails_is_reported_and_the_next_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
