@@ -89,7 +89,7 @@ class Verification:
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
     tolerance (m), angle_tolerance (rad): as configured
-    stations: number of stops used
+    stations: number of stops used, of a sweep of profiles
     smallest_error: the smallest detectable error of the calibration, in the least sensitive
         direction (m)
     weakest_direction: this direction, in words
