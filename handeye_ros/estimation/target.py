@@ -67,9 +67,9 @@ class Target(ABC):
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
-        Return the place of the view about which half a turn changes least, and how far off it is.
+        Return the place of the view about which half a turn changes least, and the misfit there.
 
-        The latter is how far off (m RMS) the conditions hold there.
+        The misfit is how far off (m RMS) the conditions hold after it.
 
         Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
         2 n (c - s) + r: where all lines go through c, all are as small as before.
