@@ -390,8 +390,8 @@ class Config(Section):
         1e-3, 'By how much later than its position the robot may report its rotation (1 '
         'sigma), with sampling.mode moving; 0: not at all.', 0.0, 0.1, 's')
     clock_drift_std: float = key(
-        1e-4, 'By how much faster the clock of the profiles may run than that of the poses (1 '
-        'sigma, seconds per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
+        1e-4, 'By how much the clocks of profiles and poses may differ in rate (1 sigma, seconds '
+        'per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
     profile: ProfileConfig = ProfileConfig()
     target: TargetConfig = TargetConfig()
     method: str = key('auto', 'The estimator; auto: the one of the target.')

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 T = TypeVar('T')
 NS = 1_000_000_000  # nanoseconds in a second: stamps are in ns
-# keys of estimated values: two times (s), and how much faster the clock of the profiles runs
+# keys of estimated values: two times (s), and the seconds that the clock of the profiles loses in
+# a second
 TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT = 'time_offset', 'rotation_lag', 'clock_drift'
 QUATERNION_TOLERANCE = 1e-3  # of its length
 ENDINGS = ('step', 'shadow', 'roof', 'gap', 'open')  # how a face ends; see EdgePoint
@@ -270,6 +271,7 @@ class Sample:
 
     stamp: of the first profile used, of a pass of its middle one
     T_base_flange: (4, 4)
+    profiles: how many it comes from
     flipped: features of the first profile with the opposite range sign, to detect a wrong setting;
         None where they were not asked for
     trajectory: trajectory of a moving robot (sampling.trajectory)
@@ -327,7 +329,11 @@ class Budget:
 
 @dataclass(frozen=True)
 class ClockEstimate:
-    """Seconds to be added to the stamps of the profiles, and 1 sigma."""
+    """
+    A parameter of the clocks (seconds; drift: seconds per second) and 1 sigma.
+
+    As time_offset of a Calibration: seconds to be added to the stamps of the profiles.
+    """
 
     value: float
     std: float
@@ -344,7 +350,12 @@ class Reject:
 
 @dataclass(frozen=True)
 class SampleReport:
-    """What became of a sample: its residual RMS (metres), or the reason it was not used."""
+    """
+    What became of a sample: its residual, or the reason it was not used.
+
+    edge: kinds of the target's edges that it shows, as p, q; of a table the kind of its row
+    residual: RMS (m)
+    """
 
     stamp: int
     used: bool

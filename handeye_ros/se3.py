@@ -159,12 +159,20 @@ def mean_pose(T: Array) -> Array:
 
 
 def worst_translation(covariance: Array) -> tuple[float, Array]:
-    """Return the largest 1 sigma of the translation (m) and its direction."""
+    """
+    Return the largest 1 sigma of the translation (m) and its direction in the parent frame.
+
+    covariance: (6, 6), or (3, 3) of a translation alone.
+    """
     values, vectors = np.linalg.eigh(covariance[:3, :3])
     return float(np.sqrt(values[2])), vectors[:, 2]
 
 
 def worst_rotation(covariance: Array) -> tuple[float, Array]:
-    """Return the largest 1 sigma of the rotation (rad) and its axis."""
+    """
+    Return the largest 1 sigma of the rotation (rad) and its axis in the parent frame.
+
+    covariance: (6, 6).
+    """
     values, vectors = np.linalg.eigh(covariance[3:6, 3:6])
     return float(np.sqrt(values[2])), vectors[:, 2]

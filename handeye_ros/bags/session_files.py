@@ -174,7 +174,7 @@ class SessionFiles:
         """
         Write an evaluated stop; return it as it is on the disk.
 
-        joints: stamps and serialised joint values. Raises UnwritableError.
+        joints: stamps (ns) and serialised JointState messages. Raises UnwritableError.
         """
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]

@@ -67,7 +67,11 @@ def require_steady_clocks(solution: Solution) -> None:
 
 
 def require_same_clock(session: Session, config: Config) -> None:
-    """Raise DataError (clocks_differ) where the samples fit poses of another time better."""
+    """
+    Raise DataError (clocks_differ) where the samples fit poses of another time better.
+
+    Asks nothing with fewer stops than the target needs.
+    """
     stops = [(stop, part) for stop in session.stops if not stop.final_reason
              and not session.excludes(stop) and (part := _profiles_pose_span(stop, config))]
     seen = [part for _, part in stops]
@@ -104,6 +108,11 @@ def _differences(profiles: Sequence[Profile]) -> Array:
 
 
 def _change(a: Array, b: Array) -> float:
+    """
+    Return the 80 % quantile of the range difference (m) of profiles (n, 2) where both are.
+
+    It is inf where one alone shows points.
+    """
     a, b = (points[np.isfinite(points).all(axis=1)] for points in (a, b))
     if min(len(a), len(b)) < 2:
         return 0.0 if len(a) == len(b) else np.inf

@@ -44,7 +44,7 @@ POSSIBLE_MOVE = 'possible move'  # its name in a budget of the covariance
 MOMENTS_TRIED = 40  # possible moments of a small move
 MOVE_STD = np.repeat([2e-3, 5e-3], 3)  # prior 1 sigma of a small move (m, rad)
 TIME_STD = 0.01  # of the times that may be wrong instead, 1 sigma (s)
-SIZE_FACTORS = (1.0, 0.25)  # factors on it, of equal prior probability
+SIZE_FACTORS = (1.0, 0.25)  # factors on MOVE_STD, of equal prior probability
 # twice the log of the Bayes factor (Kass and Raftery: positive, 2 to 6), to warn
 WARNING_EVIDENCE = 5.0
 LEAST_MOVE_SIGMAS = 3.0  # smallest move over the robot's smooth error
@@ -123,7 +123,8 @@ def with_possible_move(agreed: Solution) -> tuple[Solution, str]:
     Return a solution, and a warning on a move and its time, '' if there is none.
 
     The likeliest move of either and the noise with it are estimated in turn, until it stays. With
-    a warning, the covariance covers the transform with that move as well. Raises DataError (moved)
+    a warning, the covariance covers the transform with that move as well. Stations dropped at one
+    end of the recording alone are such a warning, without further tests. Raises DataError (moved)
     where the evidence is decisive.
     """
     if parted := outliers_at_one_end(agreed):

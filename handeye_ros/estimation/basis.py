@@ -193,7 +193,11 @@ def farthest_points(features: Array, most: int) -> list[int]:
 
 
 def plane_motions(X: Array) -> Array:
-    """Return the motion (6, 3) of the mount for motions of the sensor plane: x, z, turn."""
+    """
+    Return the increments (6, 3) of X (4, 4), along the axes of the mount, by motions of the plane.
+
+    That of the sensor moves along its x, along its z, and turns about its y at the origin.
+    """
     x, y, z = X[:3, :3].T
     none = np.zeros(3)
     return np.column_stack([np.append(x, none), np.append(z, none), np.append(none, y)])

@@ -66,7 +66,7 @@ class System(Generic[S]):
     """
     A least-squares problem: rows(state), and retract(state, step (u,)), the state after a step.
 
-    item: (m,) the number of each row's item.
+    item: (m,) the number of each row's item, from 0, ascending.
     """
 
     rows: Callable[[S], Rows]
@@ -174,7 +174,11 @@ def typical_square(squares: Array) -> float:
 
 
 def rows_by_count(item: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
-    """Return arrays (items, count) of rows, one for each count of rows per item."""
+    """
+    Return arrays (items, count) of rows, one for each count of rows per item.
+
+    item: (m,) ascending.
+    """
     _, first, count = np.unique(item, return_index=True, return_counts=True)
     return tuple(first[count == c, None] + np.arange(c) for c in np.unique(count))
 
@@ -207,7 +211,7 @@ def left_out_residuals(predicted_covariance: Array, whitened: Array) -> Array:
 def outliers(mean_squares: Array, freedom: NDArray[np.intp] | int, total: int, spare: int
              ) -> NDArray[np.intp]:
     """
-    Return the items to drop in this round, worst first, at most one in 50.
+    Return the items to drop in this round, worst first: at most one, or one in 50 of 100 or more.
 
     mean_squares: (n,) squared leave-one-out residuals per degree of freedom; total: initial number
     of items; spare: number of items beyond those needed.

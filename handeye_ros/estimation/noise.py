@@ -63,7 +63,11 @@ BLOCKS_AS_NOISE = Noise(blocks_as_noise=True)  # and all else as configured: of 
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Rows, and roots of the inverse covariances, of groups of stations of one size."""
+    """
+    The whitening of each group of stations of one size.
+
+    rows: row numbers (s, c); roots: inverse roots W (s, c, c) of the covariance, W V W' = 1.
+    """
 
     rows: tuple[NDArray[np.intp], ...]
     roots: tuple[Array, ...]

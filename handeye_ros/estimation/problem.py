@@ -40,8 +40,8 @@ class StationGroup:
     rows: (s, c) row numbers
     correlation: (s, c, c) of the distortion
     shared: (s, c, c) 1 where two observations share the error of one feature
-    components: (2, s, c, c) 1 where both are of the first variance component, or both of the
-        second
+    components: (2, s, c, c) 1 where both observations are of faces or arcs, or both are edge
+        points: each has a variance factor
     """
 
     rows: NDArray[np.intp]
@@ -294,10 +294,10 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Linear:
     """
-    Residuals (..., m) at an estimate, and their Jacobian (..., m, 6 + k) by X and state.
+    Residuals (..., m) in m at an estimate, and their Jacobian (..., m, 6 + k).
 
-    lever: (..., m, 3) from the sensor's origin to the points, in the mount; wrt_base: (..., m, 3)
-    derivatives by the points in the base.
+    jacobian: by X and the k parameters of the target; lever: (..., m, 3) from the sensor's origin
+    to the points, in the mount; wrt_base: (..., m, 3) derivatives by the points in the base.
     """
 
     problem: Problem

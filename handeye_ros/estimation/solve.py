@@ -411,9 +411,9 @@ class Solution:
         """
         Return per station the mean squared leave-one-out residual and its degrees of freedom.
 
-        It is whitened, and to first order from the fit without the station, (12): chi-squared
-        distributed when the station is good. All points of a station share one pose, which has 6
-        degrees of freedom.
+        Whitened, and to first order from the fit without the station, (12): times its degrees of
+        freedom it is chi-squared distributed when the station is good. All points of a station
+        share one pose, which has 6 degrees of freedom.
         """
         station, n = self.problem.observations.station, len(self.problem.poses)
         statistic, count = np.zeros(n), np.bincount(station, minlength=n)

@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Values g (m,) that should vanish, (1), and their derivatives by point and state."""
+    """
+    Values g (..., m) in m that should vanish, (1), and their derivatives.
+
+    dg_dp: (..., m, 3) by the points in the base; dg_dstate: (..., m, k) by the k parameters (not
+    by the entries of the state).
+    """
 
     g: Array
     dg_dp: Array
@@ -62,7 +67,9 @@ class Target(ABC):
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """
-        Return the place of the view about which half a turn changes least, and m RMS off it.
+        Return the place of the view about which half a turn changes least, and the misfit there.
+
+        The misfit is how far off (m RMS) the conditions hold after it.
 
         Half a turn of the sensor plane about a point c makes of a condition r at s, of gradient n,
         2 n (c - s) + r: where all lines go through c, all are as small as before.
@@ -91,11 +98,15 @@ class Target(ABC):
     @abstractmethod
     def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
                    ) -> Conditions:
-        """Return what should vanish for points of kinds (m,), and its derivatives."""
+        """
+        Return what should vanish for points p (..., m, 3) in the base, and its derivatives.
+
+        kind: (m,); state: (..., s).
+        """
 
     @abstractmethod
     def retract(self, state: Array, delta: Array) -> Array:
-        """Return the state after a step (..., k)."""
+        """Return the state (..., s) after a step delta (..., k) in the parameters, m and rad."""
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return value and 1 sigma of the parameters that are not free, by label."""
@@ -108,7 +119,11 @@ class Target(ABC):
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
                  ) -> Observations:
-        """Return kinds that fit better, for the next solve; UNUSED for what lies on nothing."""
+        """
+        Return the observations with the kinds that fit best; UNUSED for what is on no part of it.
+
+        p: (m, 3) in the base; state: (s,).
+        """
         return observations
 
     def ambiguous(self, observations: Observations) -> bool:

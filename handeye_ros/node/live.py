@@ -11,7 +11,8 @@ publishes ~/samples (outputs.py). What is used is stored, and what is stored is 
 from the samples is in answer.py and verification.py.
 
 When ~/take_sample has taken a stop, that is on the disk as a file of its own, synced
-(SessionFiles in bags/session_files.py). During a verification nothing is stored until its result.
+(SessionFiles in bags/session_files.py). During a verification no new stop is stored; its result is
+a file of its own. Settings and removals are stored as always.
 
 Threads: the drain thread, which calls add_...; one worker, which changes all else; the threads of
 ROS (node.py) and of the page, which `ask` the worker and wait for it. Stops are evaluated, and
@@ -478,7 +479,11 @@ class LiveSession:
         return text
 
     def remove_last_sample(self) -> str:
-        """Forget the last sample; raises DataError when there is none, InputError unstored."""
+        """
+        Forget the last sample.
+
+        Raises DataError without one, InputError where that cannot be stored.
+        """
         samples = [stop for stop in self.session.stops if stop.sample]
         if not samples:
             raise DataError('there is no sample to remove', reason='nothing_to_remove')

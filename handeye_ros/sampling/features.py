@@ -209,6 +209,11 @@ def _line_distance(line: FaceLine, other: FaceLine) -> float:
 
 
 def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
+    """
+    Return one line from those of the profiles of a stop; its std includes their scatter.
+
+    Raises FeatureError.
+    """
     centres = np.array([line.centre for line in lines])
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
     x = float(np.median(centres[:, 0]))
@@ -222,6 +227,11 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
+    """
+    Return one edge point from those of one side; ends of the most frequent kind alone.
+
+    Raises FeatureError.
+    """
     ending = Counter(e.ending for e in edges).most_common(1)[0][0]
     edges = [e for e in edges if e.ending == ending]  # each has its own bias
     points = np.array([e.point for e in edges])

@@ -78,6 +78,8 @@ class Check:
     """
     Result of a check.
 
+    stamp: of the first sample (ns)
+    stations: number of those compared
     verdict: unchanged, or the causes: target, sensor (it moved, or the robot's base did that is
         fixed to the other), robot (its pose errors changed), with "or" between those that the
         stops do not distinguish

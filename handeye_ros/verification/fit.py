@@ -240,8 +240,9 @@ class Fit:
     scatter: of the distances
     distances (m,): of the points from the shape (m)
     distance_std (m,): their 1 sigma due to sensor and robot (m)
-    nominal_chi2: (v - nominal)' cov^-1 (v - nominal) of the `freedom` values v with a nominal, cov
-        the sum of their covariances by measurement and calibration
+    nominal_chi2: (v - nominal)' cov^-1 (v - nominal) of the values v with a nominal, cov the sum
+        of their covariances by measurement and calibration
+    freedom: number of values with a nominal
     claim_p: probability of a larger one if the calibration's covariance is true
     detectable_error: the smallest error of the calibration that would show, in the direction in
         which it shows least, as RMS displacement of the points (m)
@@ -334,7 +335,11 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
 
 
 def _likeliest(A: Array, b: Array, prior: Array) -> tuple[Array, Array, float]:
-    """Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum."""
+    """
+    Return the x of least |b - A x|^2 + x' diag(prior) x, its covariance, and this sum.
+
+    A: (m, u), b: (m,), white; prior: (u,) information.
+    """
     covariance = np.asarray(np.linalg.inv(A.T @ A + np.diag(prior)), dtype=float)
     explained = A.T @ b
     x = covariance @ explained

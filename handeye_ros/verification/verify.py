@@ -84,11 +84,15 @@ class Verification:
     """
     Result of a routine.
 
+    calibration: its name
     verdict: pass, fail, undecided (the uncertainty is too large for the tolerance), or insensitive
         (an error of the calibration as large as the tolerance would not have shown)
     reasons: sentences
+    tolerance (m), angle_tolerance (rad): as configured
+    stations: number of stops used, of a sweep of profiles
     smallest_error: the smallest detectable error of the calibration, in the least sensitive
         direction (m)
+    weakest_direction: this direction, in words
     region: squared distance of the values from their nominals, in units of both covariances
     freedom: number of values with a nominal
     claim_p: probability of a larger region if the calibration's covariance is true
