@@ -184,25 +184,27 @@ class Solution:
 
     @cached_property
     def estimate(self) -> Estimate:
-        """Return the estimate after the last step, which is close to the minimum."""
+        """Return the estimate after the last step, the stated measures of the target too."""
         if self.noise.blocks_as_noise:
             return self.linear.estimate
-        return self.problem.retracted(self.linear.estimate, self._step_to_minimum[:self.unknowns])
+        moved = self.problem.retracted(
+            self.linear.estimate, self._step_to_minimum[:self.unknowns])
+        delta = np.zeros(len(self.problem.target.labels))
+        for block, columns in slices(self.blocks):
+            if block.parameter is not None and block.value is not None:
+                after = self.nuisance[columns] * block.std
+                delta[block.parameter] = (after - block.value)[0]
+        return Estimate(moved.X, self.problem.target.retract(moved.state, delta))
 
     def relinearise(self) -> Linear:
-        """Return the problem linearised after the step, with what depends on block parameters."""
-        problem, estimate = self.problem, self.estimate
-        values, delta = problem.pose_values.copy(), np.zeros(len(problem.target.labels))
+        """Return the problem linearised after the step, with the poses at their values then."""
+        problem, values = self.problem, self.problem.pose_values.copy()
         for block, columns in slices(self.blocks):
-            after = self.nuisance[columns] * block.std
-            if block.parameter is not None and block.value is not None:
-                delta[block.parameter] = (after - block.value)[0]
-            elif block.pose_slice is not None:
-                values[block.pose_slice] = after
-        state = problem.target.retract(estimate.state, delta)
+            if block.pose_slice is not None:
+                values[block.pose_slice] = self.nuisance[columns] * block.std
         if len(values):
             problem = problem.with_pose_values(values)
-        return linearise(problem, Estimate(estimate.X, state))
+        return linearise(problem, self.estimate)
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
