@@ -49,8 +49,9 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
-# sigmas: the last step of the unknowns; one more follows with the final scales
-CONVERGED_SIGMAS, MOST_STEPS = 0.1, 10
+# sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
+# step of NEAR_SIGMAS is small enough.
+CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.1, 1.0, 10
 ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -533,8 +534,9 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
         noise = replace(current.noise, variance_factors=factors)
         current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
         if size < CONVERGED_SIGMAS and steady:
-            return current, True
-    return nearest, False
+            break
+    # a variance factor of a few points may settle slowly, and hardly moves the solution
+    return (current, True) if size < NEAR_SIGMAS else (nearest, False)
 
 
 def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:
