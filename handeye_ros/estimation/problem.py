@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 UNUSED = -1  # the kind of an observation that is not part of the target
 # Of more stations, a single one matters less: (10) fades, and the others count as no redundancy.
-# From twice as many on, (10) is left out, a part of them tells noise and prior scales, and these
-# stay as further outliers are dropped. Profiles of a sweep, neighbours on a path, are many sooner.
+# From twice as many on, (10) is left out, and a part of them tells the noise, which stays as
+# further outliers are dropped. Profiles of a sweep, neighbours on a path, are many sooner.
 MANY_STATIONS, MANY_PROFILES = 200, 100
 
 

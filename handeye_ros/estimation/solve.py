@@ -49,8 +49,9 @@ from handeye_ros.estimation.problem import Estimate, Linear, linearise, Problem
 import numpy as np
 from numpy.typing import NDArray
 
-# sigmas: the last step of the unknowns; one more follows with the final scales
-CONVERGED_SIGMAS, MOST_STEPS = 0.1, 10
+# sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
+# step of NEAR_SIGMAS is small enough.
+CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.1, 1.0, 10
 ALONE_REST = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
@@ -184,25 +185,27 @@ class Solution:
 
     @cached_property
     def estimate(self) -> Estimate:
-        """Return the estimate after the last step, which is close to the minimum."""
+        """Return the estimate after the last step, the stated measures of the target too."""
         if self.noise.blocks_as_noise:
             return self.linear.estimate
-        return self.problem.retracted(self.linear.estimate, self._step_to_minimum[:self.unknowns])
+        moved = self.problem.retracted(
+            self.linear.estimate, self._step_to_minimum[:self.unknowns])
+        delta = np.zeros(len(self.problem.target.labels))
+        for block, columns in slices(self.blocks):
+            if block.parameter is not None and block.value is not None:
+                after = self.nuisance[columns] * block.std
+                delta[block.parameter] = (after - block.value)[0]
+        return Estimate(moved.X, self.problem.target.retract(moved.state, delta))
 
     def relinearise(self) -> Linear:
-        """Return the problem linearised after the step, with what depends on block parameters."""
-        problem, estimate = self.problem, self.estimate
-        values, delta = problem.pose_values.copy(), np.zeros(len(problem.target.labels))
+        """Return the problem linearised after the step, with the poses at their values then."""
+        problem, values = self.problem, self.problem.pose_values.copy()
         for block, columns in slices(self.blocks):
-            after = self.nuisance[columns] * block.std
-            if block.parameter is not None and block.value is not None:
-                delta[block.parameter] = (after - block.value)[0]
-            elif block.pose_slice is not None:
-                values[block.pose_slice] = after
-        state = problem.target.retract(estimate.state, delta)
+            if block.pose_slice is not None:
+                values[block.pose_slice] = self.nuisance[columns] * block.std
         if len(values):
             problem = problem.with_pose_values(values)
-        return linearise(problem, Estimate(estimate.X, state))
+        return linearise(problem, self.estimate)
 
     def predicted_covariance(self, rows: NDArray[np.intp]) -> Array:
         """Return the covariance (s, c, c) of whitened predictions in the rows (s, c)."""
@@ -531,8 +534,9 @@ def _until_converged(start: Solution) -> tuple[Solution, bool]:
         noise = replace(current.noise, variance_factors=factors)
         current = Solution.of_linear(current.relinearise(), noise).with_conservative_scales(1)
         if size < CONVERGED_SIGMAS and steady:
-            return current, True
-    return nearest, False
+            break
+    # a variance factor of a few points may settle slowly, and hardly moves the solution
+    return (current, True) if size < NEAR_SIGMAS else (nearest, False)
 
 
 def _with_conservative(for_estimate: Solution, noise: Noise, steps: int) -> Solution:

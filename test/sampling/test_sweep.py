@@ -129,6 +129,15 @@ def test_clocks_that_drift_apart_are_no_move_of_the_sensor() -> None:
     assert 'moved' not in ' '.join(found.provenance.get('warnings', ()))
 
 
+def test_a_wrong_radius_of_the_ball_of_a_sweep_is_told_as_it_was_configured() -> None:
+    scenario = sweep('sphere', 0.02)
+    made, config = simulate(scenario, np.random.default_rng(3)), config_of(scenario)
+    wrong = replace(config, target=replace(
+        config.target, radius=config.target.radius + 6e-4, radius_std=1e-4))
+    found = pipeline.calibrate(made.profiles, made.poses, wrong)
+    assert f'not the configured {wrong.target.radius * 1e3:.3f}:' in found.target['note']
+
+
 def test_what_jumps_in_the_middle_of_a_sweep_is_named() -> None:
     scenario = sweep('plane', 0.02)
     made, config = simulate(scenario, np.random.default_rng(1)), config_of(scenario)
