@@ -68,7 +68,7 @@ class MessageCount:
         self.malformed, self.reason = self.malformed + 1, reason
         self._bad_in_a_row += 1
 
-    def excuse(self) -> None:
+    def forget_malformed(self) -> None:
         """Forget the invalid messages, as they were read with other settings."""
         self.malformed, self.reason, self._bad_in_a_row = 0, '', 0
 
@@ -152,7 +152,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
         'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}
 
 
-def taken(state: State) -> int:
+def sample_count(state: State) -> int:
     """Return the number of samples, including excluded ones."""
     return sum(sample['taken'] for sample in state['samples'])
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import Curve, spline, STIFF
+from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
 from handeye_ros.scanning.seam_course import Course, position_text, Sheets, unit
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,11 @@ class _Side(NamedTuple):
         return self._replace(end=self.end + self.resolution[:, None] * self.outwards)
 
 
-def edges(sheets: Sheets, rough: Course) -> Edges:
+def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
     """Return the edges of the seam along a rough course; raises DataError."""
     is_corner = rough.kind in ('v', 'fillet')
     middle, (i, j) = sheets.points[rough.pairs].mean(axis=1), rough.pairs.T
-    curve = spline(rough.t, middle, STIFF)
+    curve = spline(rough.t, middle, STIFF_ONLY)
     distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
     if widest > WIDEST_LINE * sheets.spacing:
@@ -100,7 +100,7 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
     found = _edges_along(sheets, rough, curve)
     if is_corner:  # out of it the rough course may bend at its ends
-        stiff = spline(found.lengths, found.lines['root'], STIFF)
+        stiff = spline(found.lengths, found.lines['root'], STIFF_ONLY)
         found = _edges_along(sheets, rough, stiff)
     return found
 
@@ -137,8 +137,9 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     filled = shorter > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
-    met = {'fillet': np.inf, 'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
-    lines, *changed = (_lines(rough.kind, met.get(rough.kind, 0.0), *sides)
+    meeting_gaps = {'fillet': np.inf,
+                    'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
+    lines, *changed = (_lines(rough.kind, meeting_gaps.get(rough.kind, 0.0), *sides)
                        for sides in ((a, b), (a.further(), b), (a, b.further())))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
