@@ -39,7 +39,7 @@ from handeye_ros.bags.session_files import (
     files_of,
     OutputFolders,
     read_session,
-    resumed,
+    settings_and_session,
 )
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Profile, Sample, TimedPose
@@ -112,7 +112,8 @@ class Inline(Pool):
 
 def work(output_dir: Path, acknowledge: int) -> None:
     """Go on with the last session: take samples, and sometimes remove one, for ever."""
-    config, found = resumed(SETTINGS | {'output_dir': str(output_dir)}, OutputFolders())
+    config, found = settings_and_session(SETTINGS | {'output_dir': str(output_dir)},
+                                         OutputFolders())
     live = LiveSession(config, OutputFolders(), Inline(), lambda: None)
     if found:
         live.open(found, config)

@@ -26,7 +26,7 @@ from handeye_ros.data import (
     SampleReport,
     TIME_OFFSET,
 )
-from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, slices
+from handeye_ros.estimation.blocks import LINE_BEND, ParameterBlock, with_columns
 from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, name_direction, T_sensor_plane
@@ -235,7 +235,7 @@ def block_estimates(solution: Solution) -> dict[str, BlockEstimate]:
     """Return the first parameter of each block of a solution, by the name of the block."""
     estimates = dict[str, BlockEstimate]()
     variances = np.diag(solution.covariance)[solution.unknowns:]
-    for block, columns in slices(solution.blocks):
+    for block, columns in with_columns(solution.blocks):
         n = float(solution.nuisance[columns][0])
         p = min(float(variances[columns][0]), 1 - 1e-9)  # of a prior variance of 1
         alone, variance = n / (1 - p), p / (1 - p)

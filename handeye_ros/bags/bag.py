@@ -109,9 +109,10 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
     converter = ProfileReader(config.profile)
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-    clouds = _Recorded(config.profile_topic, 'profile_topic', CLOUD_TYPE,
-                       lambda raw: [converter.take(raw.data, raw.fetch)])
-    pose_sources = [_Recorded(topic.name, topic.key, topic.kind, partial(_read_data, topic.read))
+    clouds = _RecordedTopic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
+                            lambda raw: [converter.take(raw.data, raw.fetch)])
+    pose_sources = [_RecordedTopic(topic.name, topic.key, topic.kind,
+                                   partial(_read_data, topic.read))
                     for topic in pose_topics(config, tracker, arm)]
     # if two settings name one topic, the first gets its messages; its type refuses the second
     by_name = {topic.name: topic for topic in reversed((clouds, *pose_sources))}
@@ -149,7 +150,7 @@ def _read_data(read: Callable[[bytes], Sequence[TimedPose]], raw: Raw) -> Sequen
     return read(raw.data)
 
 
-class _Recorded:
+class _RecordedTopic:
     """What can be used of the messages of a topic, in recording order."""
 
     def __init__(self, name: str, key: str, kind: str, read: Callable[[Raw], Sequence[Any]]
@@ -218,7 +219,7 @@ class _Recorded:
         return sorted(compress(self.items, fits), key=by_stamp)
 
 
-def _poses(sources: Sequence[_Recorded], tracker: FlangeTracker, reader: Reader
+def _poses(sources: Sequence[_RecordedTopic], tracker: FlangeTracker, reader: Reader
            ) -> list[TimedPose]:
     """Return the poses of topics, of which the last must be there; InputError, DataError."""
     last = sources[-1]

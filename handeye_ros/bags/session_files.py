@@ -93,14 +93,14 @@ class OutputFolders:
         if folder not in self._own:
             with write_errors_for(folder):
                 folder.mkdir(parents=True, exist_ok=True)
-                self._own[folder] = _claimed(
+                self._own[folder] = _locked(
                     folder, f'another running node saves its results in {folder}: set name or '
                     'output_dir of this one, so that neither replaces those of the other')
         return folder
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredSession:
     """
     A session on the disk.
 
@@ -138,7 +138,7 @@ class SessionFiles:
     path: the folder of the session, None before the first event. Not for several threads at once.
     """
 
-    def __init__(self, parent: Callable[[Config], Path], stored: Stored | None = None,
+    def __init__(self, parent: Callable[[Config], Path], stored: StoredSession | None = None,
                  config: Config | None = None) -> None:
         """
         Begin with the first event, or continue a session.
@@ -152,7 +152,7 @@ class SessionFiles:
         self._lock: int | None = None
         if stored:
             with write_errors_for(stored.path):
-                self._lock = _claimed(
+                self._lock = _locked(
                     stored.path, f'{stored.path} is in use by another node: end that node first, '
                     'or begin a new session')
             _write_metadata(stored.path)
@@ -179,7 +179,7 @@ class SessionFiles:
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]
         file = self.add_event(STOP, config, seen, joints)
-        return replace(stop, poses=(), profiles=(), reader=partial(load, file, stop.stamp))
+        return replace(stop, poses=(), profiles=(), reader=partial(load_stop, file, stop.stamp))
 
     def add_event(self, kind: str, config: Config, stop: Stop = NO_STOP,
                   joints: Sequence[tuple[int, bytes]] = ()) -> Path:
@@ -221,7 +221,7 @@ class SessionFiles:
         folder.mkdir(parents=True)
         for made in (folder, *missing):
             sync(made.parent)
-        return folder, _claimed(folder, f'another node has begun {folder}')
+        return folder, _locked(folder, f'another node has begun {folder}')
 
 
 def _write_metadata(folder: Path) -> None:
@@ -229,7 +229,7 @@ def _write_metadata(folder: Path) -> None:
         write_metadata(folder, files_of(folder))
 
 
-def _claimed(folder: Path, taken: str) -> int:
+def _locked(folder: Path, taken: str) -> int:
     """Lock a folder until the process ends; taken: the refusal if another has. OSError."""
     lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CREAT, 0o644)
     try:
@@ -290,7 +290,7 @@ def sessions_in(folder: Path) -> Iterator[Path]:
     return filter(is_session, paths)
 
 
-def read_session(path: Path) -> Stored:
+def read_session(path: Path) -> StoredSession:
     """
     Return a session from its folder, even if metadata.yaml lacks the last file.
 
@@ -307,11 +307,11 @@ def read_session(path: Path) -> Stored:
             stops.pop(stop.number, None)
         if kind == STOP:
             stops[stop.number] = stop, gave_a_sample
-    return Stored(path, config, {number: stop for number, (stop, _) in stops.items()},
-                  sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
+    return StoredSession(path, config, {number: stop for number, (stop, _) in stops.items()},
+                         sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
 
 
-def load(file: Path, stamp: int, config: Config) -> Stop:
+def load_stop(file: Path, stamp: int, config: Config) -> Stop:
     """Return a stop with its poses and profiles from its file; raises InputError."""
     offset = config.offset_ns
     reader = ProfileReader(config.profile)
@@ -346,7 +346,7 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
         known = flatten(Config())
         settings = {key: value for key, value in content['config'].items() if key in known}
         stamp, refused = int(values['began']), str(values['refused'])
-        stop = Stop(stamp, reader=partial(load, file, stamp), number=int(values['number']),
+        stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(values['number']),
                     result=Reject(stamp, refused, final=True) if refused else NOT_EVALUATED)
         return (str(values['event']), with_values(Config(), settings, str(file)), stop,
                 bool(values['taken']))
@@ -354,7 +354,8 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
         raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
 
 
-def resumed(overrides: Mapping[str, Any], folders: OutputFolders) -> tuple[Config, Stored | None]:
+def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
+                         ) -> tuple[Config, StoredSession | None]:
     """
     Return the settings, and the session to continue, None for a new one.
 

@@ -73,7 +73,7 @@ def require_same_clock(session: Session, config: Config) -> None:
     Asks nothing with fewer stops than the target needs.
     """
     stops = [(stop, part) for stop in session.stops if not stop.final_reason
-             and not session.excludes(stop) and (part := _profiles_pose_span(stop, config))]
+             and not session.excludes(stop) and (part := _compared_profiles(stop, config))]
     seen = [part for _, part in stops]
     if len(seen) < targets.target_for(config).min_samples:
         return
@@ -84,11 +84,12 @@ def require_same_clock(session: Session, config: Config) -> None:
     stated = explanation_of_results([
         stop.sample for (stop, _), still in zip(stops, stills, strict=True) if still.sample],
         config)
-    refuse_better(stated, [_late(stills, stops_earlier, config) for stops_earlier in (0, 1, -1)
+    refuse_better(stated, [_shifted_by(stills, stops_earlier, config)
+                           for stops_earlier in (0, 1, -1)
                            if abs(_offset(stills, stops_earlier)) > SMALLEST_OFFSET])
 
 
-def _profiles_pose_span(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
+def _compared_profiles(stop: Stop, config: Config) -> tuple[list[Profile], Array, Array] | None:
     """Return some profiles of a stop, its pose (4, 4), start and end (2,) in s; None: too few."""
     seen, profiles = stop.load(config), list[Profile]()
     for profile in seen.profiles:
@@ -156,7 +157,7 @@ def _offset(stills: Sequence[_Still], stops_earlier: int) -> float:
     return float(np.median(offsets if 2 * len(offsets) > len(about) else about))
 
 
-def _late(stills: Sequence[_Still], stops_earlier: int, config: Config) -> Hypothesis:
+def _shifted_by(stills: Sequence[_Still], stops_earlier: int, config: Config) -> Hypothesis:
     """Return the hypothesis that profiles belong a given number of stops earlier."""
     def refit() -> Explanation:
         return explanation_of_results([

@@ -25,7 +25,7 @@ from handeye_ros.errors import DataError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.sampling.stops import evenly_chosen
-from handeye_ros.sampling.sweep import FEWER_SAMPLES
+from handeye_ros.sampling.sweep import SEARCH_SAMPLES
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -41,7 +41,7 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
     trajectory = next((sample.trajectory for sample in samples if sample.moving), None)
     poses = problem.robot_poses
     if trajectory:
-        some = evenly_chosen(len(samples), FEWER_SAMPLES)
+        some = evenly_chosen(len(samples), SEARCH_SAMPLES)
         samples = [samples[i] for i in some]
         stated = replace(stated, squares=stated.squares[:, some])
         poses = se3.from_quaternion(trajectory.values[:, :3], trajectory.values[:, 3:])
@@ -57,7 +57,7 @@ def require_convention(samples: Sequence[Sample], problem: Problem, stated: Expl
         """Return the hypothesis that T (n, 4, 4) are the poses without an error."""
         return Hypothesis(partial(refit, T), lambda fit: DataError(
             'the poses contradict the samples: '
-            f'{fit.compared(stated, f"{name} undone".format(other=other))}; '
+            f'{fit.in_words_beside(stated, f"{name} undone".format(other=other))}; '
             f'{advice.format(other=other)}', reason='convention'))
     refuse_better(stated, [undone(name, T, advice) for name, undo, advice in CONVENTION_ERRORS
                            for T in undo(poses)])

@@ -52,13 +52,13 @@ class Explanation:
     parts: none where nothing fits
     squares: (2, n) q of (13), in sigmas and in metres, of the stops that are compared, inf for one
         that is not explained
-    richer: other believable explanations of these stops, by which more conditions agree: a corner
-        of two faces is an edge, and more
+    with_more_conditions: other believable explanations of these stops, by which more conditions
+        agree: a corner of two faces is an edge, and more
     """
 
     parts: tuple[Solution, ...]
     squares: Array
-    richer: tuple[Explanation, ...] = ()
+    with_more_conditions: tuple[Explanation, ...] = ()
 
     @classmethod
     def of_solutions(cls, *parts: Solution) -> Explanation:
@@ -103,7 +103,7 @@ class Explanation:
         """Return the number of stops that fit."""
         return int(np.isfinite(self.squares[0]).sum())
 
-    def evidence_against(self, stated: Explanation) -> float:
+    def evidence_over(self, stated: Explanation) -> float:
         """Return twice the log of the odds for this fit against the stated one."""
         if self.fitting < 0.9 * stated.fitting:  # the stops that stay may fit by chance
             return -math.inf
@@ -115,7 +115,7 @@ class Explanation:
                    for before, after, scale in zip(stated.squares, self.squares, (1.0, unit),
                                                    strict=True))
 
-    def compared(self, stated: Explanation, change: str) -> str:
+    def in_words_beside(self, stated: Explanation, change: str) -> str:
         """Return in words what fits as set, and what with a change."""
         return f'as set, {stated._words}; with {change}, {self._words}'
 
@@ -208,7 +208,7 @@ def refuse_better(stated: Explanation, hypotheses: Sequence[Hypothesis]) -> None
     for hypothesis in hypotheses:
         fit = hypothesis.refit()
         level = hypothesis.changes * (DECISIVE_EVIDENCE + 2 * math.log(len(hypotheses)))
-        if fit.believable and (gain := fit.evidence_against(stated) - level) > most:
+        if fit.believable and (gain := fit.evidence_over(stated) - level) > most:
             most, best = gain, hypothesis.refusal(fit)
     if best:
         raise best

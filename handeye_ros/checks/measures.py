@@ -21,9 +21,9 @@ from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
 import numpy as np
 
-VERY_STRONG = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
-FREED_SIZE = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
-FREED_FROM = 2.5  # sigmas: an estimated length is used; it costs little where the stated is right
+VERY_STRONG_EVIDENCE = 10.0  # twice the log of a Bayes factor (Kass and Raftery)
+FREED_SIZE_STD = 3e-3  # m: 1 sigma of a length of the plate that is stated wrongly
+FREED_FROM_SIGMAS = 2.5  # an estimated length is used; it costs little where the stated is right
 SMALLEST_SCALE_ERROR, LARGEST_SCALE_ERROR = 2e-3, 5e-2  # named; more is another unit
 
 
@@ -47,7 +47,7 @@ def with_free_shape_if_needed(problem: Problem, agreed: Solution, rng: np.random
     # if a free shape explains more stations, the refinement can decide about the shape
     fit, stated_fit = Explanation.of_solutions(other), Explanation.of_solutions(agreed)
     complete = fit.believable and other.fully_used - agreed.fully_used > 0.1 * len(problem.poses)
-    return other if complete or fit.evidence_against(stated_fit) > VERY_STRONG else agreed
+    return other if complete or fit.evidence_over(stated_fit) > VERY_STRONG_EVIDENCE else agreed
 
 
 def with_free_size_if_needed(agreed: Solution) -> Solution:
@@ -59,18 +59,18 @@ def with_free_size_if_needed(agreed: Solution) -> Solution:
     """
     config, problem = agreed.full_problem.config, agreed.problem
     stated = config.target.size_std
-    if not config.target.size or stated >= FREED_SIZE:
+    if not config.target.size or stated >= FREED_SIZE_STD:
         return agreed
-    free = replace(config, target=replace(config.target, size_std=FREED_SIZE))
+    free = replace(config, target=replace(config.target, size_std=FREED_SIZE_STD))
     # solved anew from the observations and the estimate; what is linearised here is not used
     other = with_systematic_errors(replace(
         agreed, full_problem=replace(agreed.full_problem, config=free),
         linear=replace(agreed.linear, problem=replace(problem, config=free))))
     freed, before = (block_estimates(one.conservative) for one in (other, agreed))
     lengths = [freed[name] for name in PLATE_LENGTHS if name in freed]
-    wrong = any(abs(one.value) > max(FREED_FROM * one.std, 2 * stated) for one in lengths)
+    wrong = any(abs(one.value) > max(FREED_FROM_SIGMAS * one.std, 2 * stated) for one in lengths)
     scales = [each['scale'] for each in (before, freed) if 'scale' in each]
-    seen = [abs(one.value) > FREED_FROM * one.std for one in scales]
+    seen = [abs(one.value) > FREED_FROM_SIGMAS * one.std for one in scales]
     return other if wrong or seen == [True, False] else agreed
 
 

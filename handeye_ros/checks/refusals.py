@@ -31,9 +31,10 @@ SURELY_WRONG_P = 0.99
 STRAY_EDGES = 9.0  # variance factor of edges (3 sigma) above which they are of something else
 SMALLEST_TURN = 0.01  # rad: less RMS rotation about an axis counts as none
 # residuals of a sensor turned by half, over those of the answer, that surely tell them apart
-TURNED_TIMES = 5.0
-ALL_OF_THE_VIEW = ('take more samples with the target in all parts of the field of view (near, '
-                   'far, left, right), each with another tilt')
+TWIN_RATIO = 5.0
+SHOW_ALL_OF_THE_VIEW = (
+    'take more samples with the target in all parts of the field of view (near, far, left, '
+    'right), each with another tilt')
 
 
 class UnexplainedError(DataError):
@@ -163,10 +164,10 @@ def require_no_half_turn_twin(solution: Solution) -> None:
     """Raise DataError for views so much alike that a sensor turned by half would see the same."""
     place, off = solution.problem.target.half_turn_misfit(solution.linear)
     allowed = solution.full_problem.config.limits.residual  # a larger one has other causes
-    if 2 * off < TURNED_TIMES * min(solution.residual_rms, allowed):
+    if 2 * off < TWIN_RATIO * min(solution.residual_rms, allowed):
         raise DataError(
             f'all samples show the target {place} of the view (within {mm(off)}), and a sensor '
-            f'turned by half about it would see the same: {ALL_OF_THE_VIEW}', reason='views')
+            f'turned by half about it would see the same: {SHOW_ALL_OF_THE_VIEW}', reason='views')
 
 
 def require_certain(covariance: Array, config: Config, advice: str, seen: Array | None = None
@@ -205,7 +206,7 @@ def missing_motion(solution: Solution, config: Config) -> str:
         return views_alike
     turns, axes = rms_turns_and_axes(solution.full_problem.poses)
     if turns[1] > 0.12:  # rad RMS: tilts by 12 degrees to both sides
-        return ALL_OF_THE_VIEW
+        return SHOW_ALL_OF_THE_VIEW
     return (f'the poses turn by only {degrees(turns[1])} RMS about '
             f'{name_direction(axes[1], frame)}; tilt the tool about this axis by 15 degrees or '
             'more to both sides')

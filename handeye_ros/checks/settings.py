@@ -61,8 +61,8 @@ def require_settings(session: Session, config: Config) -> None:
         fits = [fit for fit in map(fit_as, choices) if fit.believable and fit.is_determined]
         if not fits:
             return Explanation.nothing(len(stops))
-        best = max(fits, key=lambda fit: fit.evidence_against(stated))
-        return replace(best, richer=tuple(
+        best = max(fits, key=lambda fit: fit.evidence_over(stated))
+        return replace(best, with_more_conditions=tuple(
             fit for fit in fits
             if fit.fitting >= best.fitting and fit.redundancy > best.redundancy))
 
@@ -84,10 +84,10 @@ def settings_refusal(keys: Sequence[str], stated: Explanation, fit: Explanation)
         to = (f'target.radius to {solution.estimate.state[-1]:.4f}, which these stops show, or to '
               '0 (unknown)')
     to += ''.join(f', or to {richer.parts[0].full_problem.config.target.type}, if it is one'
-                  for richer in fit.richer)
+                  for richer in fit.with_more_conditions)
     if values == {'target.type': 'plane'}:
         to += '; or, if the target has edges, cross them inside the field of view'
-    return DataError(f'{fit.compared(stated, named)}: set {to}', reason='settings')
+    return DataError(f'{fit.in_words_beside(stated, named)}: set {to}', reason='settings')
 
 
 def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation, clocks: bool
@@ -110,7 +110,7 @@ def require_sign(samples: Sequence[Sample], config: Config, stated: Explanation,
             return settings_refusal([RANGE_SIGN], stated, fit)
         other = f'{RANGE_SIGN} {flipped.profile.range_sign}'
         return UnexplainedError(
-            f'{fit.compared(stated, other)}, neither as well as the noise allows: check '
+            f'{fit.in_words_beside(stated, other)}, neither as well as the noise allows: check '
             f'{RANGE_SIGN}, and that every sample shows the target itself and no clamp or second '
             'plate', reason='misfit')
 

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 SMALLEST_DISTANCE = 1e-3  # m: faces that are farther apart are several surfaces
 LARGEST_INCLINATION = 0.05  # rad: what is more inclined is no surface of a clamp or plate
 FEWEST_STOPS = 2  # that show both surfaces: of a target that moved, each stop shows one
-ALONE = ('take samples where the laser crosses the target alone; if it does, check '
-         'profile.range_sign and profile.axes')
+ADVICE = ('take samples where the laser crosses the target alone; if it does, check '
+          'profile.range_sign and profile.axes')
 
 
 class OtherSurfaceError(DataError):
@@ -50,7 +50,7 @@ class OtherSurfaceError(DataError):
                     'such as a clamp or a second plate')
         shown = f'the {_numbers(stops)} show {self.why}'
         self.warning = f'{shown}: they are left out'
-        super().__init__(f'{shown}: {ALONE}', reason='surface')
+        super().__init__(f'{shown}: {ADVICE}', reason='surface')
 
 
 def require_one_surface(session: Session, config: Config, refusal: DataError) -> None:
@@ -77,15 +77,16 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
     seen = [_heights(plane, T) for plane, T in zip(planes, T_plane_sensor, strict=True)]
     levels, several = _levels(height), False
     for level, at_level in levels:
-        beside = [bool(np.any(_is_near(heights, level))) for heights in seen] & ~at_level
-        if beside.sum() < FEWEST_STOPS:  # only those that show both tell that there are two
-            continue
+        shows_level = np.array([bool(np.any(_is_near(faces, level))) for faces in seen])
+        if (shows_level & ~at_level).sum() < FEWEST_STOPS:
+            continue  # only those that show both tell that there are two
         several |= bool(at_level.sum() >= FEWEST_STOPS)
         above = height[~at_level] - level
-        # The others may be few: it is the plane that tells the surfaces apart. Only wrong axes
-        # or a wrong sign let stops take the ground beneath the target for its face.
-        if np.nanmedian(above) > 0 and explanation_of_results(
-                [stop.sample for stop in stops[at_level]], config, all_starts=True).agrees:
+        if not np.nanmedian(above) > 0:
+            continue  # only wrong axes or a wrong sign make the ground beneath a face
+        # the others may be few: it is the plane that tells the surfaces apart
+        on_target = [stop.sample for stop in stops[at_level]]
+        if explanation_of_results(on_target, config, all_starts=True).agrees:
             raise OtherSurfaceError(list(stops[~at_level]), above)
     told = '; '.join(f'{(level - np.nanmin(height)) * 1e3:.1f} mm: {_numbers(stops[at_level])}'
                      for level, at_level in levels)
@@ -100,7 +101,7 @@ def require_one_surface(session: Session, config: Config, refusal: DataError) ->
         return
     raise DataError(
         f'{fit.fitting} of {len(stops)} stops agree on one plane, but not on the edges of the '
-        f'target: {why}: {ALONE}', reason='surface')
+        f'target: {why}: {ADVICE}', reason='surface')
 
 
 def _levels(height: Array) -> list[tuple[float, NDArray[np.bool_]]]:

@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from handeye_ros.arm import Arm
     from handeye_ros.bags.bag import Recording
-    from handeye_ros.bags.session_files import Stored
+    from handeye_ros.bags.session_files import StoredSession
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
@@ -119,7 +119,7 @@ def open_calibration(file: Path, config: Path | None, assignments: list[str],
     return calibration, configuration(None, assignments, settings, kinematics=kinematics)
 
 
-def stored_session(path: Path) -> 'Stored | None':
+def stored_session(path: Path) -> 'StoredSession | None':
     """Return the session in a folder, None if there is none."""
     from handeye_ros.bags.session_files import is_session, read_session
     return read_session(path) if is_session(path) else None

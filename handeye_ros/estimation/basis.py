@@ -51,12 +51,12 @@ def _normalised(w: Array) -> Array:
     return np.asarray((2 * w - low - high) / max(high - low, 1e-9))
 
 
-def without(columns: Array, absorbed: Array) -> Array:
+def projected_off(columns: Array, absorbed: Array) -> Array:
     """Return columns (m, k) projected onto the complement of the columns of absorbed (m, j)."""
     return np.asarray(columns - absorbed @ np.linalg.lstsq(absorbed, columns, rcond=1e-5)[0])
 
 
-def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
+def distortion_fields(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     Return displacement fields (m, 2, k) at points (m, 2) of the sensor plane, one per degree.
 
@@ -65,7 +65,7 @@ def bending(points: Array, degrees: Sequence[int]) -> list[Array]:
     """
     m, (u, v) = len(points), map(_normalised, points.T)
     every = np.kron(np.eye(2), polynomials(u, v, degrees)).astype(float)
-    fields = without(every, _rigid(points - points.mean(axis=0)))
+    fields = projected_off(every, _rigid(points - points.mean(axis=0)))
     both = fields.reshape(2, m, 2, -1).swapaxes(0, 1)  # point, axis, terms along x and z
     return [some.reshape(m, 2, -1) for some in _by_degree(both, degrees)]
 
@@ -82,7 +82,7 @@ def field_motions(points: Array, degrees: Sequence[int]) -> list[Array]:
     view, seen = (
         np.linalg.lstsq(_rigid(where), np.kron(np.eye(2), polynomials(u, v, degrees)),
                         rcond=None)[0]
-        for where, (u, v) in ((box(points, across), grid(across).T),
+        for where, (u, v) in ((grid_over(points, across), grid(across).T),
                               (points, map(_normalised, points.T))))
     return [some.reshape(3, -1) for some in _by_degree((view - seen).reshape(3, 2, -1), degrees)]
 
@@ -105,7 +105,7 @@ def bent_line(points: Array) -> Array:
                             BEND_OF_S * (u ** 3 - 3 / 5 * u)])
 
 
-def box(points: Array, across: Sequence[float] | Array) -> Array:
+def grid_over(points: Array, across: Sequence[float] | Array) -> Array:
     """Return a grid (k, 2) over the bounding box of points (m, 2), scaled to -1 to 1."""
     low, high = points.min(axis=0), points.max(axis=0)
     return np.asarray((low + high) / 2 + grid(across) * (high - low) / 2)
@@ -133,7 +133,7 @@ def bent_surface(p: Array, on_surface: NDArray[np.bool_], degrees: Sequence[int]
     u, v = centred @ axes[:, 2], centred @ axes[:, 1]
     some = polynomials(_normalised(u), _normalised(v), degrees)
     terms = np.zeros((len(p), some.shape[1]))
-    terms[on_surface] = without(some, np.column_stack([np.ones(len(u)), u, v]))
+    terms[on_surface] = projected_off(some, np.column_stack([np.ones(len(u)), u, v]))
     return _by_degree(terms, degrees)
 
 

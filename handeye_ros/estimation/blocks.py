@@ -29,10 +29,10 @@ from functools import partial
 from handeye_ros.data import Array
 from handeye_ros.estimation.basis import (
     BEND_OF_S,
-    bending,
     bent_line,
-    box,
+    distortion_fields,
     field_motions,
+    grid_over,
     motions_by_poses,
     plane_motions,
 )
@@ -148,7 +148,7 @@ def robot_smooth(linear: Linear) -> Blocks:
 
 
 def _motions_of_smooth(linear: Linear) -> Array:
-    problem, field = linear.problem, box(linear.problem.observations.points, (-1, 0, 1))
+    problem, field = linear.problem, grid_over(linear.problem.observations.points, (-1, 0, 1))
     motions = motions_by_poses(problem.poses, linear.estimate.X, field,
                                problem.config.in_hand)
     motions[..., 3:] /= TURN_LENGTH
@@ -179,7 +179,7 @@ def sensor_scale(linear: Linear) -> Blocks:
 def sensor_distortion(linear: Linear) -> Blocks:
     """Yield the blocks of the sensor's distortion: polynomials in its plane, one per degree."""
     std = linear.problem.config.noise.distortion
-    fields = bending(points_on_target(linear), DEGREES) if std else []
+    fields = distortion_fields(points_on_target(linear), DEGREES) if std else []
     for i, field in enumerate(fields):
         size = std * DISTORTION_SHARES[DEGREES[i]]
         by_x, by_z = (linear.wrt_point * size).T[:, :, None]
@@ -210,7 +210,7 @@ def _motion_of_bend(linear: Linear) -> Array:
     return motion
 
 
-def pose_model(linear: Linear) -> Blocks:
+def pose_parameters(linear: Linear) -> Blocks:
     """Yield the blocks of the parameters in the problem's pose model, such as a time offset."""
     problem, model = linear.problem, linear.problem.pose_model
     if model is None:
@@ -224,8 +224,8 @@ def pose_model(linear: Linear) -> Blocks:
                              least_variance=model.least_variance, report=name)
 
 
-def slices(blocks: Sequence[ParameterBlock], first: int = 0
-           ) -> Iterator[tuple[ParameterBlock, slice]]:
+def with_columns(blocks: Sequence[ParameterBlock], first: int = 0
+                 ) -> Iterator[tuple[ParameterBlock, slice]]:
     """Yield each block with the place of its parameters among those of all, from `first` on."""
     for block in blocks:
         yield block, slice(first, first + block.count)
@@ -248,12 +248,12 @@ def pose_corrections(problem: Problem, blocks: Sequence[ParameterBlock], values:
     """
     n = len(problem.poses)
     errors, values = np.zeros((n, 6)), np.broadcast_to(values, (n, values.shape[-1]))
-    for block, columns in slices(blocks):
+    for block, columns in with_columns(blocks):
         if block.twists is not None:
             errors += block.std * np.einsum('nxk,nk->nx', block.twists, values[:, columns])
     return errors
 
 
 BLOCK_SOURCES: tuple[BlockSource, ...] = (
-    stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_model,
+    stated_measures, robot_scale, sensor_scale, sensor_distortion, line_bend, pose_parameters,
     robot_smooth)

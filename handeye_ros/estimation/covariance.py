@@ -14,8 +14,8 @@ from dataclasses import replace
 
 from handeye_ros import se3
 from handeye_ros.data import Array, Budget, Term
-from handeye_ros.estimation.basis import box
-from handeye_ros.estimation.blocks import slices
+from handeye_ros.estimation.basis import grid_over
+from handeye_ros.estimation.blocks import with_columns
 from handeye_ros.estimation.least_squares import chi2_sf
 from handeye_ros.estimation.noise import covariance_parts, Noise
 from handeye_ros.estimation.solve import Solution, solution_at
@@ -98,7 +98,7 @@ def budget(solution: Solution) -> Budget:
     """
     conservative = solution.conservative
     parts = _of_noise(conservative)
-    for block, columns in slices(conservative.blocks, conservative.unknowns):
+    for block, columns in with_columns(conservative.blocks, conservative.unknowns):
         gain = conservative.covariance[:6, columns]
         parts[block.name] = gain @ gain.T
     shift = solution.conservative_shift
@@ -127,7 +127,7 @@ def _of_noise(conservative: Solution) -> dict[str, Array]:
 
 def _term(solution: Solution, name: str, part: Array) -> Term:
     """Return the sigmas of a part (6, 6) of the covariance."""
-    points = box(solution.problem.observations.points, (-1, 0, 1))
+    points = grid_over(solution.problem.observations.points, (-1, 0, 1))
     levers = points @ solution.estimate.X[:3, [0, 2]].T
     mapped = np.trace(se3.mapped_covariance(levers, part))
     squares = (np.trace(part[:3, :3]) / 3, np.trace(part[3:, 3:]) / 3, mapped)

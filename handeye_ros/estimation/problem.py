@@ -205,16 +205,16 @@ class Problem:
         return np.concatenate([np.arange(6), 6 + np.flatnonzero(free)])
 
     @cached_property
-    def mounts(self) -> tuple[Array, Array]:
+    def mounts_of_rows(self) -> tuple[Array, Array]:
         """Return rotation (m, 3, 3) and position (m, 3) of the mount at each observation."""
         T = self.poses[self.observations.station]
         return np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3].copy()
 
     @cached_property
-    def by_columns(self) -> Array:
+    def wrt_X_columns(self) -> Array:
         """Return derivatives (9, m * 3) of the points in the base by the columns x, z, t of X."""
         x, z = self.observations.points.T[:, :, None, None]
-        R, _ = self.mounts
+        R, _ = self.mounts_of_rows
         return np.stack([R * x, R * z, R]).transpose(0, 3, 1, 2).reshape(9, -1)
 
     @property
@@ -310,14 +310,14 @@ class Linear:
     @cached_property
     def wrt_pose(self) -> Array:
         """Return derivatives (..., m, 6) by pose errors: base frame, rotation about the flange."""
-        R, a = self.problem.mounts
+        R, a = self.problem.mounts_of_rows
         to_point = np.einsum('mij,...mj->...mi', R, self.lever + self.estimate.X[..., None, :3, 3])
         if self.problem.config.in_hand:
             return np.concatenate([self.wrt_base, np.cross(to_point, self.wrt_base)], axis=-1)
         # the poses are T_flange_base; the robot's error is in its base frame
         wrt_mount = self.jacobian[..., :3]
-        p_base = np.einsum('mji,...mj->...mi', R, to_point + a)
-        return -np.concatenate([wrt_mount, np.cross(p_base, wrt_mount)], axis=-1)
+        from_flange = np.einsum('mji,...mj->...mi', R, to_point + a)  # in the axes of the base
+        return -np.concatenate([wrt_mount, np.cross(from_flange, wrt_mount)], axis=-1)
 
     @cached_property
     def wrt_jitter(self) -> Array | None:
@@ -351,13 +351,13 @@ def linearise(problem: Problem, estimate: Estimate) -> Linear:
     Or at several estimates at once, X (n, 4, 4) and state (n, s), where the target allows that.
     """
     obs, X = problem.observations, estimate.X
-    R, a = problem.mounts
+    R, a = problem.mounts_of_rows
     columns = np.swapaxes(X[..., :3, [0, 2, 3]], -1, -2)
     lever = obs.points @ columns[..., :2, :]
-    turned = columns.reshape(*X.shape[:-2], 9) @ problem.by_columns
+    turned = columns.reshape(*X.shape[:-2], 9) @ problem.wrt_X_columns
     p = turned.reshape(*X.shape[:-2], len(obs), 3) + a
     conditions = problem.target.conditions(p, obs.kind, estimate.state, problem.config)
     wrt_mount = np.einsum('mji,...mj->...mi', R, conditions.dg_dp)
-    jacobian = np.concatenate([wrt_mount, np.cross(lever, wrt_mount), conditions.dg_dstate],
+    jacobian = np.concatenate([wrt_mount, np.cross(lever, wrt_mount), conditions.dg_dparameters],
                               axis=-1)
     return Linear(problem, estimate, conditions.g, jacobian, lever, conditions.dg_dp)

@@ -26,7 +26,7 @@ from handeye_ros.estimation.blocks import (
     blocks_at,
     ParameterBlock,
     pose_corrections,
-    slices,
+    with_columns,
 )
 from handeye_ros.estimation.least_squares import (
     bounded_inverse,
@@ -52,7 +52,7 @@ from numpy.typing import NDArray
 # sigmas: the last step of the unknowns; one more follows with the final scales. After MOST_STEPS a
 # step of NEAR_SIGMAS is small enough.
 CONVERGED_SIGMAS, NEAR_SIGMAS, MOST_STEPS = 0.1, 1.0, 10
-ALONE_REST = 1e-6  # rest of a variance that the other stations leave
+LEFT_BY_OTHERS = 1e-6  # rest of a variance that the other stations leave
 LAST_STEPS = 3  # iterations of variance factors and scales after it
 MAP_PRIOR_FACTORS = np.array([1.0, 1.0, 1e-4, 1.0, 1.0])  # prior variance factors for the estimate
 
@@ -191,7 +191,7 @@ class Solution:
         moved = self.problem.retracted(
             self.linear.estimate, self._step_to_minimum[:self.unknowns])
         delta = np.zeros(len(self.problem.target.labels))
-        for block, columns in slices(self.blocks):
+        for block, columns in with_columns(self.blocks):
             if block.parameter is not None and block.value is not None:
                 after = self.nuisance[columns] * block.std
                 delta[block.parameter] = (after - block.value)[0]
@@ -200,7 +200,7 @@ class Solution:
     def relinearise(self) -> Linear:
         """Return the problem linearised after the step, with the poses at their values then."""
         problem, values = self.problem, self.problem.pose_values.copy()
-        for block, columns in slices(self.blocks):
+        for block, columns in with_columns(self.blocks):
             if block.pose_slice is not None:
                 values[block.pose_slice] = self.nuisance[columns] * block.std
         if len(values):
@@ -346,7 +346,7 @@ class Solution:
         std, conservative = np.zeros(len(self.problem.target.labels)), self.conservative
         variances = np.diag(conservative.covariance)
         std[self.problem.free_columns[6:] - 6] = np.sqrt(variances[6:self.unknowns])
-        for block, columns in slices(conservative.blocks, self.unknowns):
+        for block, columns in with_columns(conservative.blocks, self.unknowns):
             if block.parameter is not None:
                 std[block.parameter] = block.std * variances[columns][0] ** 0.5
         return std
@@ -437,7 +437,7 @@ class Solution:
         station, alone = self.problem.observations.station, np.zeros(len(self.used), dtype=bool)
         for group in self.problem.station_groups:
             share = np.linalg.eigvalsh(self.predicted_covariance(group.rows))[:, -1]
-            alone[station[group.rows[:, 0]]] = share > 1 - ALONE_REST
+            alone[station[group.rows[:, 0]]] = share > 1 - LEFT_BY_OTHERS
         return self.used[alone]
 
     def predictions(self, fold: NDArray[np.intp]) -> tuple[list[Estimate], Array]:
@@ -483,7 +483,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     n = len(problem.poses)
     if n >= 2 * problem.many:  # some of them tell the scales and the noise
         some = problem.subset(np.arange(0, n, round(n / problem.many)))
-        return solution_like(map_solution(some, start, noise), problem)
+        return extended_solution(map_solution(some, start, noise), problem)
     # near the minimum, at conservative scales
     reached, converged = _until_converged(solution_at(problem, start, noise))
     if not converged:  # where it is stays the answer, as uncertain as any
@@ -502,7 +502,7 @@ def map_solution(problem: Problem, start: Estimate, noise: Noise) -> Solution:
     return _with_conservative(for_estimate, conservative.noise, LAST_STEPS)
 
 
-def solution_like(before: Solution, problem: Problem) -> Solution:
+def extended_solution(before: Solution, problem: Problem) -> Solution:
     """
     Return the MAP solution of many stations, from that of a part of them, or of a few more.
 

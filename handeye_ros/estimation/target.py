@@ -29,7 +29,7 @@ class Conditions:
 
     g: Array
     dg_dp: Array
-    dg_dstate: Array
+    dg_dparameters: Array
 
 
 class Target(ABC):

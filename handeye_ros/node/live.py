@@ -37,7 +37,7 @@ from handeye_ros.bags.session_files import (
     OutputFolders,
     REMOVED,
     SessionFiles,
-    Stored,
+    StoredSession,
 )
 from handeye_ros.config import Config, SamplesConfig
 from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
@@ -65,7 +65,7 @@ MOST_STOPS = 32  # waiting for evaluation: at most 7 MB each with 1280 points a 
 KEPT_JOINTS = 20_000  # messages with joint values: more than those of the longest stop
 KEPT_LATEST = 100  # messages of a kind: one of the two streams may be late
 # s without a pose after which the robot may be anywhere, if profiles come: in the last s
-POSES_SILENT, PROFILES_COME = 2.0, 1.0
+LONGEST_POSE_SILENCE, LONGEST_PROFILE_SILENCE = 2.0, 1.0
 
 Result = TypeVar('Result')
 
@@ -212,9 +212,9 @@ class LiveSession:
         """Have the worker look for what is due; threads that meet here at worst ask twice."""
         if not self._woken:
             self._woken = True
-            self._later(self._do_what_is_due)
+            self._submit(self._do_what_is_due)
 
-    def _later(self, work: Callable[..., object], *args: Any) -> None:
+    def _submit(self, work: Callable[..., object], *args: Any) -> None:
         """Have the worker do something; a failure is a trouble until something succeeds."""
         def done() -> None:
             try:
@@ -261,7 +261,7 @@ class LiveSession:
             self.wake()  # samples or settings may have changed meanwhile
 
         self.running.append(name)
-        self.pool.submit(function, *args).add_done_callback(partial(self._later, finish))
+        self.pool.submit(function, *args).add_done_callback(partial(self._submit, finish))
         return answered
 
     # what others tell of it
@@ -467,7 +467,8 @@ class LiveSession:
         """
         poses, profiles = self.messages['pose'], self.messages['profile']
         try:
-            if poses.count and poses.silence > POSES_SILENT and profiles.silence < PROFILES_COME:
+            if (poses.count and poses.silence > LONGEST_POSE_SILENCE
+                    and profiles.silence < LONGEST_PROFILE_SILENCE):
                 raise silent_poses(poses.silence)
             with self.lock:
                 stop = self.session.stop_on_request()
@@ -505,7 +506,7 @@ class LiveSession:
         self._switch_to(files, Session(config), 'the samples were cleared')
         return f'{count_of(count, "sample")} removed; bags and clocks may start again{note}'
 
-    def open(self, stored: Stored, config: Config) -> str:
+    def open(self, stored: StoredSession, config: Config) -> str:
         """Continue a session of the disk, and solve; return the message. Raises InputError."""
         files = SessionFiles(self.folders.folder, stored, config)
         self._switch_to(files, stored.session(config), 'a session was opened')
@@ -536,7 +537,7 @@ class LiveSession:
         if config.verify.routine != old.verify.routine:
             self.verification.end()
         if config.profile != old.profile:  # what could not be read may be readable now
-            self.messages['profile'].excuse()
+            self.messages['profile'].forget_malformed()
         if values_of(config, SAMPLE_KEYS) != values_of(old, SAMPLE_KEYS):
             self._evaluate_again(self.session.stops)
         if self.files.path:

@@ -16,8 +16,8 @@ from handeye_ros.bags.session_files import (
     OutputFolders,
     PARAMETERS,
     read_session,
-    resumed,
-    Stored,
+    settings_and_session,
+    StoredSession,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
 from handeye_ros.errors import InputError, sentence_and_log, UnknownKeyError
@@ -223,7 +223,7 @@ class HandeyeNode(Node):
             self.streams.start()
 
 
-def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
+def declare(node: Node, folders: OutputFolders) -> tuple[Config, StoredSession | None]:
     """
     Declare all parameters; return the configuration and the session to continue.
 
@@ -232,7 +232,7 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, Stored | None]:
     be read.
     """
     # rclpy offers no other access to the values of parameter files and arguments
-    config, stored = resumed(_values(node._parameter_overrides.values()), folders)
+    config, stored = settings_and_session(_values(node._parameter_overrides.values()), folders)
     _check_names(config)
     values, record = configuration.flatten(config), dict(config.record)
     for parameter in _parameters():

@@ -23,11 +23,11 @@ from handeye_ros.node.state import (
     Attempt,
     CURRENT,
     NONE,
+    sample_count,
     samples_message,
     State,
     state_of,
     status_message,
-    taken,
     WITHDRAWN,
 )
 from handeye_ros.node.streams import TFMessage
@@ -192,7 +192,7 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
             f'lost {kind}s': stream['lost'],
             f'seconds since the last {kind}': f'{stream["age"]:.1f}',
             f'topic of the {kind}s': stream['topic']}
-    session, attempt, count = state['session'], state['attempt'], taken(state)
+    session, attempt, count = state['session'], state['attempt'], sample_count(state)
     yield 'session', WARN if session['trouble'] else OK, (
         session['trouble'] or session['working'] or count_of(count, 'sample')), {
         'samples': count, 'mode': session['mode'], 'folder': session['path'] or 'none yet',

@@ -68,7 +68,7 @@ class MessageCount:
         self.malformed, self.reason = self.malformed + 1, reason
         self._bad_in_a_row += 1
 
-    def excuse(self) -> None:
+    def forget_malformed(self) -> None:
         """Forget the invalid messages, as they were read with other settings."""
         self.malformed, self.reason, self._bad_in_a_row = 0, '', 0
 
@@ -124,17 +124,6 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
                        rotations.get(stop.number)) for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
     motion = session.motion
-    remedy = '' if trouble else ': sampling continues by itself if the clock was set back'
-    late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
-            f'before{remedy}') if session.late else ''
-    # what disturbs the node from outside comes first; of two publishers late stamps follow, and
-    # clocks that seem to differ
-    conflict = session.conflict
-    without = 'all samples are of the first; without them, ' if T else ''
-    begin_anew = (f'; {without}~/clear_samples begins anew with the frame of now' if
-                  conflict and conflict.reason == 'two_frames' else '')
-    troubles = (trouble, f'{conflict or ""}{begin_anew}', late, str(session.unusable_poses or ''),
-                '' if trouble else _clocks(profiles, poses), session.unasked, *live.troubles)
     return {
         'name': folder_name(config),
         'profiles': _stream(profiles, config.profile_topic, obstacles.get('profile', '')),
@@ -143,7 +132,7 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
             'standing': session.is_standing,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
-                    'trouble': '; '.join(filter(None, troubles)),
+                    'trouble': _session_trouble(live, session, trouble),
                     'notes': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst],
         'review': review.refusal,
@@ -152,7 +141,24 @@ def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trou
         'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}
 
 
-def taken(state: State) -> int:
+def _session_trouble(live: LiveSession, session: Session, trouble: str) -> str:
+    """Return what disturbs the session, outside causes first, as one text."""
+    # of two publishers late stamps follow, and clocks that seem to differ
+    remedy = '' if trouble else ': sampling continues by itself if the clock was set back'
+    late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
+            f'before{remedy}') if session.late else ''
+    clocks = '' if trouble else _clocks(live.messages['profile'], live.messages['pose'])
+    conflict = session.conflict
+    has_samples = any(stop.sample for stop in session.stops)
+    without = 'all samples are of the first; without them, ' if has_samples else ''
+    begin_anew = (f'; {without}~/clear_samples begins anew with the frame of now' if
+                  conflict and conflict.reason == 'two_frames' else '')
+    return '; '.join(filter(None, (
+        trouble, f'{conflict or ""}{begin_anew}', late, str(session.unusable_poses or ''), clocks,
+        session.unasked, *live.troubles)))
+
+
+def sample_count(state: State) -> int:
     """Return the number of samples, including excluded ones."""
     return sum(sample['taken'] for sample in state['samples'])
 

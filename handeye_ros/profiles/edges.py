@@ -171,8 +171,10 @@ def edge_at(end: FaceEnd) -> EdgePoint:
     does not say).
     """
     end_columns, size, corner = _end_columns(end), len(end.points), None
-    next_surface = next((s for s in end.beyond
-                         if s is not end.beyond[0] or not _is_bevel(end, s, end_columns)), None)
+    beyond = end.beyond
+    if beyond and _is_bevel(end, beyond[0], end_columns):
+        beyond = beyond[1:]  # of the same plate
+    next_surface = beyond[0] if beyond else None
     # a driver that leaves lost points out does not say where the field of view ends
     marks_lost = len(end.returns) < size
     if next_surface:

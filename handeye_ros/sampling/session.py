@@ -127,8 +127,8 @@ class Session(Copyable):
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
         self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
-        stops = self._given_out([stop for stop in self._waiting
-                                 if stop.end < self._profile_stream.latest])
+        stops = self._take_out([stop for stop in self._waiting
+                                if stop.end < self._profile_stream.latest])
         # only what the current stop, those that wait, and those to come can use is kept
         first, last = self._finder.window()
         self._profiles.keep(min([first, *(stop.start for stop in self._waiting)]),
@@ -137,7 +137,7 @@ class Session(Copyable):
 
     def _before_setting_back(self) -> list[Stop]:
         """Continue after a clock was set back; return the stops from before."""
-        stops = self._given_out(self._all_stops())
+        stops = self._take_out(self._all_stops())
         self._finder = StopFinder(self.config.sampling)
         if self._profile_stream.set_back:
             self._profiles = ProfileBuffer()
@@ -156,14 +156,14 @@ class Session(Copyable):
         self._require_samples_of_one_frame()
         self._take_poses(self._pose_stream.released(0, FOREVER))
         self._profiles.add(self._profile_stream.released(0, FOREVER))
-        return self._given_out(self._all_stops())
+        return self._take_out(self._all_stops())
 
     def _all_stops(self) -> list[Stop]:
         """Return the stops that wait, and the current one unless stops are taken by hand."""
         current = self._finder.current() if self.config.sampling.by_itself else None
         return [*self._waiting, *([current] if current else [])]
 
-    def _given_out(self, stops: Sequence[Stop]) -> list[Stop]:
+    def _take_out(self, stops: Sequence[Stop]) -> list[Stop]:
         """Let stops wait no longer; return those that were not returned before, with profiles."""
         stamps = {stop.stamp for stop in stops}
         self._waiting = [stop for stop in self._waiting if stop.stamp not in stamps]

@@ -58,7 +58,7 @@ from numpy.typing import NDArray
 
 CLOCK_KEYS = TIME_OFFSET, ROTATION_LAG, CLOCK_DRIFT
 NO_POSES = 'there are no poses of that time'
-MOST_SAMPLES, FEWER_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
+MOST_SAMPLES, SEARCH_SAMPLES = 400, 60  # of a sweep; where some do: a start, a wrong convention
 
 
 def passes_expanded(samples: Sequence[Sample]) -> tuple[Sample, ...]:
@@ -175,7 +175,7 @@ def errors_in_motion(stamps: NDArray[np.int64], linear: Linear) -> Blocks:
 
 
 @dataclass(frozen=True, eq=False)
-class Synchronised:
+class TimedSamples:
     """
     Samples with the poses at the most likely times, and an estimate near their solution.
 
@@ -187,7 +187,7 @@ class Synchronised:
     estimate: Estimate | None = None
 
 
-def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> Synchronised:
+def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> TimedSamples:
     """
     Return samples of a moving robot with the poses at the most likely times.
 
@@ -195,11 +195,11 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> Synchron
     neither samples of the answer nor rejects.
     """
     if not any(sample.moving for sample in samples):
-        return Synchronised(list(samples), [])
+        return TimedSamples(list(samples), [])
     samples = evenly(samples, MOST_SAMPLES)
     problem = problem_with_clocks(samples, config)
-    some = problem.subset(evenly_chosen(len(samples), FEWER_SAMPLES))
-    start = _searched(some, np.random.default_rng(0))
+    some = problem.subset(evenly_chosen(len(samples), SEARCH_SAMPLES))
+    start = _best_over_offsets(some, np.random.default_rng(0))
     _, near = _poses_at(samples, start)
     # profiles in gaps between the poses would pull the offset
     inner = problem.subset(np.flatnonzero(near.inside))
@@ -210,7 +210,7 @@ def with_estimated_clocks(samples: Sequence[Sample], config: Config) -> Synchron
                   samples, instants.T_base_flange, instants.inside, strict=True) if inside]
     rejects = [Reject(sample.stamp, NO_POSES)
                for sample, inside in zip(samples, instants.inside, strict=True) if not inside]
-    return Synchronised(paired, rejects, fit.estimate)
+    return TimedSamples(paired, rejects, fit.estimate)
 
 
 def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...], Instants]:
@@ -219,7 +219,7 @@ def _poses_at(samples: Sequence[Sample], fit: Linear) -> tuple[tuple[float, ...]
     return values, ClockedPoses.of(samples).at(*values)
 
 
-def _searched(problem: Problem, rng: np.random.Generator) -> Linear:
+def _best_over_offsets(problem: Problem, rng: np.random.Generator) -> Linear:
     """Return the best fit over several offsets, or the first convincing one."""
     best: tuple[float, Linear] | None = None
     for offset in sorted(np.arange(-10, 11, 2), key=abs):  # prior sigmas

@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline, make_lsq_spline
 
 KNOT_SPACING = 0.03  # m between the knots of a spline
 PIECES_TRIED = 1, 2, 4  # between these knots
-STIFF = PIECES_TRIED[:1]
+STIFF_ONLY = PIECES_TRIED[:1]
 CUBIC_ENOUGH = 4e-5  # m RMS between cubic and spline, up to which the cubic is used
 OUTLIER_SIGMAS = 3.5  # sigmas of points that are left out
 SMALLEST_SCATTER = 1e-6  # m: the smallest scatter assumed when outliers are removed
@@ -102,7 +102,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
                     key=lambda curve: curve.score)
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square
-        scatter = (robust_std if len(pieces) > len(STIFF) else rms)(distance[inliers])
+        scatter = (robust_std if len(pieces) > len(STIFF_ONLY) else rms)(distance[inliers])
         inliers = distance <= OUTLIER_SIGMAS * max(scatter, SMALLEST_SCATTER)
     return curve
 

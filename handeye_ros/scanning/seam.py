@@ -22,7 +22,7 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.output import csv_text, write_atomically, yaml_text
 from handeye_ros.scanning.curves import Curve, spline
 from handeye_ros.scanning.seam_course import course, FLAT_RATIO, sheets_of, unit
-from handeye_ros.scanning.seam_sections import Edges, edges
+from handeye_ros.scanning.seam_sections import Edges, edges_of_seam
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -119,7 +119,7 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     if start is not None and np.argmin(np.linalg.norm(
             points[rough.pairs[[0, -1], 0]] - start, axis=1)) == 1:
         rough = replace(rough, pairs=rough.pairs[::-1], t=rough.t[-1] - rough.t[::-1])
-    sections = edges(sheets, rough)
+    sections = edges_of_seam(sheets, rough)
     if line == 'auto':
         line = 'root' if rough.kind in ('v', 'fillet') else 'centre'
     first, last = sections.ends

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
-from handeye_ros.scanning.curves import Curve, spline, STIFF
+from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
 from handeye_ros.scanning.seam_course import Course, position_text, Sheets, unit
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,11 @@ class _Side(NamedTuple):
         return self._replace(end=self.end + self.resolution[:, None] * self.outwards)
 
 
-def edges(sheets: Sheets, rough: Course) -> Edges:
+def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
     """Return the edges of the seam along a rough course; raises DataError."""
     is_corner = rough.kind in ('v', 'fillet')
     middle, (i, j) = sheets.points[rough.pairs].mean(axis=1), rough.pairs.T
-    curve = spline(rough.t, middle, STIFF)
+    curve = spline(rough.t, middle, STIFF_ONLY)
     distance = np.linalg.norm(curve.position(rough.t) - middle, axis=1)
     widest = float(np.quantile(distance, 0.95))
     if widest > WIDEST_LINE * sheets.spacing:
@@ -100,7 +100,7 @@ def edges(sheets: Sheets, rough: Course) -> Edges:
     rough = replace(rough, pairs=np.where(turned, rough.pairs[:, ::-1], rough.pairs))
     found = _edges_along(sheets, rough, curve)
     if is_corner:  # out of it the rough course may bend at its ends
-        stiff = spline(found.lengths, found.lines['root'], STIFF)
+        stiff = spline(found.lengths, found.lines['root'], STIFF_ONLY)
         found = _edges_along(sheets, rough, stiff)
     return found
 
@@ -137,8 +137,9 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     filled = shorter > 0.5 * step - sheets.spacing
     a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
     gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
-    met = {'fillet': np.inf, 'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
-    lines, *changed = (_lines(rough.kind, met.get(rough.kind, 0.0), *sides)
+    meeting_gaps = {'fillet': np.inf,
+                    'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
+    lines, *changed = (_lines(rough.kind, meeting_gaps.get(rough.kind, 0.0), *sides)
                        for sides in ((a, b), (a.further(), b), (a, b.further())))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
@@ -155,40 +156,47 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     if not len(own):
         return None
     position, tangent = curve.beyond(t)
-    inwards, upright = _axes(sheets, own, other, tangent)
+    into_sheet, upright = _axes(sheets, own, other, tangent)
     on_line = curve.position(np.clip(rough.t[window], curve.first, curve.last))
     offset = np.median(points[own] - on_line, axis=0)
     # the points of a pair may be displaced along the seam
-    start = position + offset - (offset @ tangent) * tangent
+    origin = position + offset - (offset @ tangent) * tangent
     width = max(SECTION_WIDTH * spacing, LEAST_SECTION_WIDTH)
-    rows = np.array(sheets.tree.query_ball_point(start + 0.5 * width * inwards, 0.8 * width),
+    rows = np.array(sheets.tree.query_ball_point(origin + 0.5 * width * into_sheet, 0.8 * width),
                     dtype=int)
     labels, counts = np.unique(sheets.label[own], return_counts=True)
     rows = rows[np.isin(sheets.label[rows], labels[counts > 0.1 * len(own)])]
-    along, b, height = np.stack([tangent, inwards, upright]) @ (points[rows] - start).T
+    along, inward, height = np.stack([tangent, into_sheet, upright]) @ (points[rows] - origin).T
     limit = LARGEST_END_OFFSET
     if np.isin(labels, sheets.label[other]).any():  # one sheet on both sides
-        separation = np.median((points[own] - points[other]) @ inwards)
+        separation = np.median((points[own] - points[other]) @ into_sheet)
         limit = min(0.5 * abs(float(separation)), LARGEST_END_OFFSET)
-    resolution = _column_resolution(b, spacing)
-    slab = (np.abs(along) <= step / 2) & (b <= width) & (b >= -limit)
-    along, b, height = along[slab], b[slab], height[slab]
-    fitted = _sheet_through(b, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
+    resolution = _column_resolution(inward, spacing)
+    slab = (np.abs(along) <= step / 2) & (inward <= width) & (inward >= -limit)
+    along, inward, height = along[slab], inward[slab], height[slab]
+    fitted = _sheet_through(inward, height, margin, 1 if rough.kind in ('v', 'fillet') else 2)
     if fitted is None:
         return None
     sheet, noise = fitted
-    on_sheet = np.abs(height - np.polyval(sheet, b)) < SHEET_SIGMAS * noise
-    inner = on_sheet & (b > margin)
-    # half the mean distance of points beyond the last one
-    end = b[on_sheet].min() - 0.5 * (b[inner].max() - margin) / inner.sum()
+    end, on_sheet, inner = _end_of_sheet(sheet, noise, inward, height, margin)
     if abs(end) > LARGEST_END_OFFSET:
         return None
     slope = np.polyval(np.polyder(sheet), end)
-    mean = np.polyfit(b[inner], height[inner], 1)[0]
-    return _Side(start + end * inwards + np.polyval(sheet, end) * upright,
-                 -(inwards + slope * upright) / np.hypot(1, slope),
-                 (upright - mean * inwards) / np.hypot(1, mean), np.array(noise),
+    mean = np.polyfit(inward[inner], height[inner], 1)[0]
+    return _Side(origin + end * into_sheet + np.polyval(sheet, end) * upright,
+                 -(into_sheet + slope * upright) / np.hypot(1, slope),
+                 (upright - mean * into_sheet) / np.hypot(1, mean), np.array(noise),
                  np.quantile(along[on_sheet], [0, 1]), np.array(resolution))
+
+
+def _end_of_sheet(sheet: Array, noise: float, inward: Array, height: Array, margin: float
+                  ) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return where a sheet ends (m), and which points are on it, and of these beyond margin."""
+    on_sheet = np.abs(height - np.polyval(sheet, inward)) < SHEET_SIGMAS * noise
+    inner = on_sheet & (inward > margin)
+    # half the mean distance of points beyond the last one
+    end = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
+    return end, on_sheet, inner
 
 
 def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array
@@ -203,28 +211,28 @@ def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangen
     return inwards, upright if upright @ sheets.normals[own].mean(axis=0) >= 0 else -upright
 
 
-def _sheet_through(b: Array, height: Array, margin: float, degree: int
+def _sheet_through(inward: Array, height: Array, margin: float, degree: int
                    ) -> tuple[Array, float] | None:
-    """Return the polynomial through the sheet at b > margin, and the residual scatter."""
+    """Return the polynomial through the sheet at inward > margin, and the residual scatter."""
     sheet, noise = np.zeros(3), np.inf
     for cut in (np.inf, 3.0, 3.0):
-        used = (b > margin) & (np.abs(height - np.polyval(sheet, b)) <= cut * noise)
-        if used.sum() < FEWEST_OF_SIDE or np.ptp(b[used]) < margin:
+        used = (inward > margin) & (np.abs(height - np.polyval(sheet, inward)) <= cut * noise)
+        if used.sum() < FEWEST_OF_SIDE or np.ptp(inward[used]) < margin:
             return None
-        sheet = np.polyfit(b[used], height[used], degree)
-        noise = max(robust_std(height[used] - np.polyval(sheet, b[used])), 1e-6)
+        sheet = np.polyfit(inward[used], height[used], degree)
+        noise = max(robust_std(height[used] - np.polyval(sheet, inward[used])), 1e-6)
     return sheet, noise
 
 
-def _column_resolution(b: Array, spacing: float) -> float:
+def _column_resolution(inward: Array, spacing: float) -> float:
     """
     Return 1 sigma (m) of an end anywhere between two columns.
 
-    b: (n,) across the seam from its edge, of the points of many profiles (m). If the columns
-    follow the seam, their distance is a period of b; else the position of the end between columns
-    differs from profile to profile.
+    inward: (n,) across the seam from its edge, of the points of many profiles (m). If the columns
+    follow the seam, their distance is a period of inward; else the position of the end between
+    columns differs from profile to profile.
     """
-    counts, _ = np.histogram(b / spacing, round((INNER_WIDTH - END_MARGIN) / BIN_WIDTH),
+    counts, _ = np.histogram(inward / spacing, round((INNER_WIDTH - END_MARGIN) / BIN_WIDTH),
                              (END_MARGIN, INNER_WIDTH))
     periodic = np.abs(np.fft.rfft(counts, 1024)) / max(counts.sum(), 1)
     periodic[(FREQUENCIES < 0.5) | (FREQUENCIES > 5.0)] = 0.0  # not those of columns

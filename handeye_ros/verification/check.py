@@ -54,7 +54,7 @@ import scipy.linalg
 
 FORMAT = 'handeye_ros/check/2'
 LEAST_EVIDENCE = 100.0
-SURE_CHANGE = 4.0  # sigmas of a change of the time offset
+SURE_CHANGE_SIGMAS = 4.0  # sigmas of a change of the time offset
 SMALLEST_CHANGE = 1e-4  # s: a smaller change does not matter to a scan
 MOVE_SCALES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # m: how far something moves, a priori
 TURN_LEVER = 0.1  # m: a scale over it is that of a turn
@@ -404,7 +404,7 @@ def _with_offset(result: Check, offset: ClockEstimate, calibration: Calibration)
     change, std = offset.value - previous.value, math.hypot(offset.std, previous.std)
     words = f'{change * 1e3:+.2f} ms (1 sigma {std * 1e3:.2f})'
     sentence = f'The time offset is as it was: {words}'
-    if abs(change) > max(SURE_CHANGE * std, SMALLEST_CHANGE):
+    if abs(change) > max(SURE_CHANGE_SIGMAS * std, SMALLEST_CHANGE):
         verdict = 'clock' if verdict == 'unchanged' else f'{verdict} and clock'
         sentence = (f'The time offset has changed by {words}: the clock or the delay of sensor or '
                     f'robot is another; set time_offset to {offset.value:.5f}, or calibrate again')

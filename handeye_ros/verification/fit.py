@@ -47,10 +47,11 @@ DIFFERENCE_STEP = 1e-7  # of numeric derivatives (m, rad)
 REFIT_COUNT = 5  # iterations for the calibration's error
 LARGEST_SHIFT = 0.1  # m: no calibration error is larger
 LARGEST_ERROR = np.repeat([0.01, 0.1], 3)  # m, rad: 1 sigma of a calibration in use, a priori
-OPEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
+UNSEEN_CHANGE = 1e-6  # change of a value that no distance shows, per unit of an unknown
 LEAST_STATIONS = 4  # of a recording
 FREE_STD = 1e6  # 1 sigma of an unknown that may have any value, beside that by which it shows
-ALONE_SHARE = 1e-3  # share of the others in what a group nearly determines alone: extrapolated
+# share of the others in what a group nearly determines alone: extrapolated
+LEFT_BY_OTHERS_SHARE = 1e-3
 MOST_OUTLIERS = 0.2  # of the groups: more are no outliers, but a disagreement
 
 T = TypeVar('T')
@@ -191,7 +192,7 @@ class Shape:
     def linear(self, X: Array, q: Array) -> Linear:
         """Return the distances and their derivatives, with the sensor plane at X (4, 4)."""
         problem = self.stations.problem
-        p, (R, _) = problem.points_in_base(X), problem.mounts
+        p, (R, _) = problem.points_in_base(X), problem.mounts_of_rows
         lever, wrt_base = problem.observations.points @ X[:3, [0, 2]].T, self.wrt_point(p, q)
         wrt_mount = np.einsum('mji,mj->mi', R, wrt_base)
         wrt_shape = derivatives(partial(self.distance, p), q)
@@ -307,17 +308,11 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
     scatter = Scatter(len(r), float(size.mean()), float(size.std()), rms(size), float(size.max()),
                       float(chi2_sf(claimed_square, freedom)))
     values = _values(shape, q, J, E, claim)
-    # the errors that distances and nominal values show, whatever the covariance says
     known = len(values.deviation)
-    A, b = np.vstack([E_left, -values.wrt_error]), np.append(left, values.deviation)
-    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(robot.shape[1]))
-    errors, covariance, square = _likeliest(A, b, prior)
-    _, _, without = _likeliest(A[:, 6:], b, prior[6:])
-    error, covariance = errors[:6], covariance[:6, :6]
-    square, freedom = square - float(error ** 2 @ prior[:6]), max(freedom + known - 6, 1)
-    scale = max(square / freedom, 1.0)
+    error, covariance, factor, p_error, p_of_error = _calibration_error(
+        left, E_left, values, freedom)
     detectable_error, weakest_direction = _weakest(covariance, lever, mount_frame(problem.config))
-    largest_error, largest_error_std = largest_displacement(lever, error, scale * covariance)
+    largest_error, largest_error_std = largest_displacement(lever, error, factor * covariance)
     # of each point what sensor and robot add; and what a fit of other groups would leave unknown
     variances = np.square(robot).sum(axis=1)
     for group in groups:
@@ -328,10 +323,31 @@ def fit_shape(shape: Shape, X: Array, C: Array, smooth_std: float = 0.0) -> Fit:
         values.quantities, scatter, distances, np.sqrt(variances), values.nominal_chi2, known,
         float(chi2_sf(values.nominal_chi2, known)) if known else 1.0,
         detectable_error, weakest_direction, error,
-        p_error=float(chi2_sf(square, freedom)),
-        p_of_error=float(chi2_sf((without - square) / scale, 6)),
-        largest_error=largest_error, largest_error_std=largest_error_std, white_distances=r,
+        p_error=p_error, p_of_error=p_of_error, largest_error=largest_error,
+        largest_error_std=largest_error_std, white_distances=r,
         wrt_unknowns=np.hstack([unknowns, E[:, 6:]]))
+
+
+def _calibration_error(left: Array, E_left: Array, values: _Values, freedom: int
+                       ) -> tuple[Array, Array, float, float, float]:
+    """
+    Return error (6,), covariance (6, 6), misfit factor, p_error and p_of_error of a Fit.
+
+    It is the error that distances and nominal values show, whatever the claimed covariance says.
+    left (m,), E_left (m, 6 + s): what the shape does not take up of the white distances, and of
+    their derivatives by the errors; freedom: of these distances.
+    """
+    A = np.vstack([E_left, -values.wrt_error])
+    b = np.append(left, values.deviation)
+    prior = np.append(LARGEST_ERROR ** -2.0, np.ones(A.shape[1] - 6))
+    errors, covariance, square = _likeliest(A, b, prior)
+    _, _, square_without = _likeliest(A[:, 6:], b, prior[6:])
+    error = errors[:6]
+    square -= float(error ** 2 @ prior[:6])
+    freedom = max(freedom + len(values.deviation) - 6, 1)
+    factor = max(square / freedom, 1.0)
+    return (error, covariance[:6, :6], factor, float(chi2_sf(square, freedom)),
+            float(chi2_sf((square_without - square) / factor, 6)))
 
 
 def _likeliest(A: Array, b: Array, prior: Array) -> tuple[Array, Array, float]:
@@ -367,7 +383,7 @@ def _values(shape: Shape, q: Array, J: Array, E: Array, claim: Array) -> _Values
     wrt_error = by_distances @ E
     wrt_claim, wrt_smooth = np.split(wrt_error @ claim, [6], axis=1)
     covariance, claimed = by_distances @ by_distances.T, wrt_claim @ wrt_claim.T
-    unseen = np.abs(by_shape - by_distances @ J).max(axis=1, initial=0.0) > OPEN_CHANGE
+    unseen = np.abs(by_shape - by_distances @ J).max(axis=1, initial=0.0) > UNSEEN_CHANGE
     nominal = np.array([quantity.nominal for quantity in shape.quantities], dtype=float)
     known = np.flatnonzero(np.isfinite(nominal) & ~unseen)
     is_length = np.array([quantity.unit == 'm' for quantity in shape.quantities])
@@ -470,7 +486,7 @@ def _left_out_squares(r: Array, wrt_unknowns: Array, group_of_point: Indices, gr
     for k, group in enumerate(groups):
         wrt_own, own_left = U[group_of_point == group], left[group_of_point == group]
         share, V = np.linalg.eigh(wrt_own.T @ wrt_own)
-        shared = share < 1 - ALONE_SHARE
+        shared = share < 1 - LEFT_BY_OTHERS_SHARE
         b = (own_left @ wrt_own @ V)[shared]
         squares[k] = own_left @ own_left + b @ (b / (1 - share[shared]))  # Woodbury
         freedom[k] = len(wrt_own) - np.count_nonzero(~shared)

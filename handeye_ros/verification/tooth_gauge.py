@@ -28,7 +28,7 @@ SMALLEST_SCATTER = 0.1
 LEAST_ON_GAUGE = 0.2  # of the points must be on the gauge
 LEAST_FACE = 0.01  # of the points must be on tops and valleys, and on flanks
 ROUND_COUNT = 6
-MOST_GRAZING = 0.05  # cosine of a face to the ray, at least
+SMALLEST_COSINE = 0.05  # cosine of a face to the ray, at least
 
 
 def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
@@ -57,10 +57,10 @@ def teeth(stations: StationSet, X: Array, nominal: VerifyConfig) -> Shape:
             f'{mm(pitch)} and height {mm(height)}, and {least:.1%} on their flats or on their '
             'flanks. Give both lengths (verify.lengths=[PITCH, HEIGHT]), and scan the gauge alone')
     stations = shape.stations
-    rays = stations.problem.mounts[0] @ X[:3, 2]
+    rays = stations.problem.mounts_of_rows[0] @ X[:3, 2]
     by_range = np.abs((shape.wrt_point(p[on_gauge], q) * rays).sum(axis=1))
     good, scatter = _without_outliers(
-        shape.distance(p[on_gauge], q), np.maximum(by_range, MOST_GRAZING),
+        shape.distance(p[on_gauge], q), np.maximum(by_range, SMALLEST_COSINE),
         np.stack([stations.recording_of_point, face[on_gauge], tooth[on_gauge]], axis=1),
         SMALLEST_SCATTER * float(np.median(stations.observations.error_factor[:, 1, 0])))
     obs = stations.observations.select(good)

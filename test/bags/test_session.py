@@ -20,15 +20,15 @@ from handeye_ros.bags.session_files import (
     is_session,
     OutputFolders,
     read_session,
-    resumed,
     SessionFiles,
     sessions_in,
+    settings_and_session,
 )
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import TimedPose
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.node.live import LiveSession
-from handeye_ros.node.state import state_of, taken
+from handeye_ros.node.state import sample_count, state_of
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.results.report import verdict
 from handeye_ros.review import solved_recording
@@ -175,7 +175,7 @@ def test_a_restart_forgets_neither_the_frame_of_the_poses_nor_that_of_the_profil
     foreign = [replace(pose, parent_frame='map') for pose in SPHERE.poses]
     feed(other, replace(SPHERE, poses=tuple(foreign)))
     assert 'two frames, "base" and "map"' in state_of(other)['session']['trouble']
-    assert taken(state_of(other)) == 3
+    assert sample_count(state_of(other)) == 3
 
 
 def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_another_session_is_opened_with_what_it_excludes_or_not_at_all(tmp_path:
             live.open(found, config)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert (live.path, taken(state_of(live)), live.config.samples.exclude) == (path, 0, ())
+    assert (live.path, sample_count(state_of(live)), live.config.samples.exclude) == (path, 0, ())
     assert live.open(found, config) == f'continuing with 3 samples of {before}'
     assert [s['number'] for s in state_of(live)['samples'] if s['excluded']] == [2]
     assert read_session(before).config == live.config
@@ -212,13 +212,13 @@ def test_clearing_begins_another_session_and_keeps_the_one_before(tmp_path: Path
 
 def test_last_is_the_newest_of_the_name_or_of_all(tmp_path: Path) -> None:
     given = {'output_dir': str(tmp_path), 'session': 'last'}
-    assert resumed(given, OutputFolders())[1] is None
+    assert settings_and_session(given, OutputFolders())[1] is None
     live = feed(stored(tmp_path), stops=1)
     live.files.close()
-    config, found = resumed(given, OutputFolders())
+    config, found = settings_and_session(given, OutputFolders())
     assert found and found.path == Path(live.path)
     assert (config.target.type, config.target.radius) == ('sphere', SPHERE.config.target.radius)
-    assert resumed(given | {'name': 'other'}, OutputFolders())[1] is None
+    assert settings_and_session(given | {'name': 'other'}, OutputFolders())[1] is None
 
 
 # -- what goes wrong
@@ -231,21 +231,21 @@ def test_a_full_disk_is_a_refusal_and_goes_on_where_there_is_room_again(tmp_path
     try:
         feed(live, stops=3)
         state = state_of(live)
-        assert taken(state) == 2 and 'cannot write' in state['session']['trouble']
+        assert sample_count(state) == 2 and 'cannot write' in state['session']['trouble']
         assert 'File too large' in state['samples'][2]['text']
         changed(live, noise__sensor=4e-5)
         changed(live, sampling__min_points=21)  # extracts again
-        assert taken(state_of(live)) == 2, 'what is used is stored'
+        assert sample_count(state_of(live)) == 2, 'what is used is stored'
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert len(read_session(Path(live.path)).stops) == 2
     changed(live, sampling__min_points=20)
     kept = read_session(Path(live.path))
-    assert sorted(kept.stops) == [1, 2, 3] and taken(state_of(live)) == kept.sample_count
+    assert sorted(kept.stops) == [1, 2, 3] and sample_count(state_of(live)) == kept.sample_count
     assert not list(Path(live.path).glob('.*.tmp'))
     feed(live, stops=4)
     state = state_of(live)
-    assert (taken(state), state['session']['trouble']) == (3, '')
+    assert (sample_count(state), state['session']['trouble']) == (3, '')
     assert sorted(read_session(Path(live.path)).stops) == [1, 2, 3, 4]
 
 
@@ -265,7 +265,8 @@ def test_a_folder_that_vanishes_is_a_refusal_and_may_come_back(tmp_path: Path) -
     update(live)
     kept = read_session(folder)
     assert (sorted(kept.stops), kept.config.noise.sensor) == ([1, 2, 3], 4e-5)
-    assert (taken(state_of(live)), state_of(live)['session']['trouble']) == (2, '')  # 3 is as 1
+    state = state_of(live)
+    assert (sample_count(state), state['session']['trouble']) == (2, '')  # 3 is as 1
     shutil.rmtree(folder)
     with pytest.raises(DataError):
         computed(live)
@@ -281,7 +282,7 @@ def test_by_hand_nothing_is_taken_that_is_not_stored(tmp_path: Path) -> None:
     feed(live)
     with pytest.raises(InputError, match='cannot write'):
         live.take_sample()
-    assert taken(state_of(live)) == 0 and not state_of(live)['attempt']['accepted']
+    assert sample_count(state_of(live)) == 0 and not state_of(live)['attempt']['accepted']
     (tmp_path / 'sphere').unlink()
     assert live.take_sample().startswith('sample 1 taken: ')
     assert list(read_session(Path(live.path)).stops) == [1]
@@ -308,7 +309,7 @@ def test_a_session_without_its_last_metadata_is_whole(tmp_path: Path) -> None:
 def test_what_is_no_session_is_reported(tmp_path: Path) -> None:
     assert not is_session(tmp_path / 'nothing') and not is_session(tmp_path)
     with pytest.raises(InputError, match='is no session'):
-        resumed({'session': str(tmp_path)}, OutputFolders())
+        settings_and_session({'session': str(tmp_path)}, OutputFolders())
     live = feed(stored(tmp_path), stops=1)
     file = files_of(Path(live.path))[0]
     shutil.copy(file, file.with_name(file.name.replace('_0', '_1')))

@@ -215,7 +215,7 @@ def test_edges_that_are_less_certain_do_not_explain_more() -> None:
 
     waved, stray = read(6e-5, 2e-5), read(2e-4, 3e-4)
     assert stray.variance_factor < waved.variance_factor
-    assert stray.evidence_against(waved) < 0
+    assert stray.evidence_over(waved) < 0
 
 
 def tilted(raw: Raw, types: dict[str, str], degrees: float, each: bool = True) -> Raw:

@@ -11,7 +11,7 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, EdgePoint
 from handeye_ros.estimation.basis import (
-    bending,
+    distortion_fields,
 )
 from handeye_ros.estimation.noise import Noise
 from handeye_ros.estimation.problem import PoseModel, Problem
@@ -104,7 +104,7 @@ def test_the_stated_uncertainty_holds_for_every_robot(size: float) -> None:
 
 def test_a_distortion_is_no_motion_of_the_plane() -> None:
     points = np.random.default_rng(0).uniform([-0.02, 0.15], [0.02, 0.2], (300, 2))
-    (fields,) = bending(points, [2])
+    (fields,) = distortion_fields(points, [2])
     x, z = (points - points.mean(axis=0)).T
     for motion in (np.stack([x * 0 + 1, x * 0], 1), np.stack([x * 0, x * 0 + 1], 1),
                    np.stack([z, -x], 1)):

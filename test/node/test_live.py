@@ -26,7 +26,7 @@ from handeye_ros.errors import DataError, InputError
 from handeye_ros.node import answer as answers
 from handeye_ros.node import live as lives
 from handeye_ros.node.pool import Pool, PoolEndedError, result_or_ended
-from handeye_ros.node.state import samples_message, state_of, status_message, taken
+from handeye_ros.node.state import sample_count, samples_message, state_of, status_message
 from handeye_ros.sampling.features import result_of
 from handeye_ros.simulate import SCENARIOS, simulate
 from live_sessions import (
@@ -180,23 +180,23 @@ def test_it_begins_anew_with_the_frame_that_comes_unless_another_gave_a_sample(k
     feed(live, [replace(pose, parent_frame='map') for pose in SPHERE.poses[:400]]
          if kind == 'pose' else [replace(p, frame_id='other') for p in SPHERE.profiles[:400]])
     feed(live, SPHERE.poses[:400] if kind == 'sample' else ())
-    gave = taken(state_of(live))
+    gave = sample_count(state_of(live))
     assert bool(gave) == (kind == 'sample')
     feed(live, later(items, 1000))  # of which the first seconds decide
     feed(live, later(items, 2000))
     if gave:
-        assert taken(state_of(live)) == gave
+        assert sample_count(state_of(live)) == gave
         assert f'two frames, "other" and "{SPHERE.profiles[0].frame_id}"' in (
             state_of(live)['session']['trouble'])
     else:
-        assert taken(state_of(live)) > 10 and not state_of(live)['session']['trouble']
+        assert sample_count(state_of(live)) > 10 and not state_of(live)['session']['trouble']
         assert not any(sample['excluded'] for sample in state_of(live)['samples'])
 
 
 @pytest.mark.parametrize('kind', ['pose', 'profile'])
 def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str) -> None:
     live, items = fed(), [*SPHERE.poses, *SPHERE.profiles]
-    count, before = taken(state_of(live)), computed(live)
+    count, before = sample_count(state_of(live)), computed(live)
     end = max(item.stamp for item in items)
     feed(live, [replace(pose, parent_frame='map', stamp=end + pose.stamp % 10**9) for pose in
                 SPHERE.poses[:90]] if kind == 'pose' else
@@ -207,7 +207,7 @@ def test_another_frame_after_the_samples_is_told_and_they_are_computed(kind: str
     changed(live, noise__sensor=SPHERE.config.noise.sensor)
     answer, save = before.split('; save it')
     assert computed(live).startswith(f'{answer}; dropped a {kind} of frame')
-    assert save in computed(live) and taken(state_of(live)) == count
+    assert save in computed(live) and sample_count(state_of(live)) == count
     with pytest.raises(InputError, match='two frames'):
         live.ask(live.take_sample)
 
@@ -225,7 +225,7 @@ def test_cleared_samples_leave_no_joint_values_and_no_view_of_another_sensor() -
 def test_settings_that_change_need_no_new_samples() -> None:
     live, config = fed(), SPHERE.config
     computed(live)
-    count = taken(state_of(live))
+    count = sample_count(state_of(live))
     for key, value in (('noise__robot_translation', 1e-3), ('target__radius', 0.0)):
         changed(live, **{key: value})
         config = set_to(config, **{key: value})
@@ -235,9 +235,9 @@ def test_settings_that_change_need_no_new_samples() -> None:
         solved_with, name = found.provenance['config'], key.replace('__', '.')
         assert solved_with[name] == expected.provenance['config'][name]
     changed(live, sampling__min_points=5000)  # extracts again
-    assert taken(state_of(live)) == 0
+    assert sample_count(state_of(live)) == 0
     changed(live, sampling__min_points=20)
-    assert taken(state_of(live)) == count
+    assert sample_count(state_of(live)) == count
 
 
 def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> None:
@@ -245,10 +245,10 @@ def test_stops_of_one_pose_are_one_sample_where_other_settings_revive_them() -> 
     once, live = fed(), new(set_to(SPHERE.config, sampling__min_points=5000))
     feed(live, items)
     feed(live, later(items, 1000))
-    assert taken(state_of(live)) == 0
+    assert sample_count(state_of(live)) == 0
     changed(live, sampling__min_points=20)
-    assert taken(state_of(live)) == taken(state_of(once))
-    assert taken(state_of(live)) == len(live.copied().stops) / 2
+    assert sample_count(state_of(live)) == sample_count(state_of(once))
+    assert sample_count(state_of(live)) == len(live.copied().stops) / 2
 
 
 def test_a_retaken_stop_has_a_new_number_and_outdates_the_answer() -> None:
@@ -346,7 +346,7 @@ def test_of_stops_that_wait_the_newest_are_kept_and_the_others_counted(
         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lives, 'MOST_STOPS', 5)
     state, newest = state_of(fed()), SPHERE.poses[-1].stamp - 15 * 10**9
-    assert taken(state) == 5, 'the newest that waited'
+    assert sample_count(state) == 5, 'the newest that waited'
     assert min(s['stamp'] for s in state['samples']) > newest
     assert any(re.match('left [1-9][0-9]* stops out, the oldest of more than 5', note)
                for note in state['session']['notes'])
@@ -419,11 +419,11 @@ def test_a_stop_is_not_lost_where_the_processes_that_judge_it_end(
     monkeypatch.setattr(live.pool, 'run', ended)
     feed(live, items_of(PARTS[0]))
     state = state_of(live)
-    assert len(state['samples']) >= 7 and taken(state) == 0
+    assert len(state['samples']) >= 7 and sample_count(state) == 0
     assert 'ended before it had an answer' in state['samples'][0]['text']
     monkeypatch.undo()
     changed(live, sampling__min_points=21)
-    assert taken(state_of(live)) >= 7
+    assert sample_count(state_of(live)) >= 7
 
 
 def test_an_answer_whose_process_ended_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:

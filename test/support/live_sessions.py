@@ -9,7 +9,7 @@ from dataclasses import replace
 import tempfile
 
 from cells import recorded, set_to
-from handeye_ros.bags.session_files import OutputFolders, resumed
+from handeye_ros.bags.session_files import OutputFolders, settings_and_session
 from handeye_ros.config import Config
 from handeye_ros.data import TimedPose
 from handeye_ros.node.live import LiveSession
@@ -42,7 +42,8 @@ def new(config: Config = SPHERE.config, pool: Pool | None = None,
         config = replace(config, output_dir=PLACES[-1].name)
     folders, stored = OutputFolders(), None
     if config.session:
-        _, stored = resumed({'output_dir': config.output_dir, 'session': config.session}, folders)
+        _, stored = settings_and_session(
+            {'output_dir': config.output_dir, 'session': config.session}, folders)
     live = LiveSession(config, folders, pool or Inline(), changed)
     if stored:
         live.open(stored, config)

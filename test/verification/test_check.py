@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from command import handeye, ROOT
 from handeye_ros import pipeline, se3
 from handeye_ros.bags import bag_write
-from handeye_ros.data import Reject
+from handeye_ros.config import Config
+from handeye_ros.data import Array, Calibration, Reject
 from handeye_ros.errors import DataError, InputError
 from handeye_ros.results.calibration_file import read_calibration, write_calibration
 from handeye_ros.simulate import simulate
-from handeye_ros.simulate.scenario import RobotModel, SCENARIOS
+from handeye_ros.simulate.scenario import RobotModel, Scenario, SCENARIOS
 from handeye_ros.verification.check import check
 import numpy as np
 import pytest
@@ -20,15 +22,25 @@ from verifications import bench
 import yaml
 
 
+class Calibrated(NamedTuple):
+    """A simulated cell, its calibration, and the true X (4, 4) and T_base_target (4, 4)."""
+
+    scenario: Scenario
+    config: Config
+    calibration: Calibration
+    X: Array
+    T_base_target: Array
+
+
 @pytest.fixture(scope='module')
 def calibrated():
-    """Return for each kind of target what was calibrated: scenario, config, calibration, X, T."""
+    """Return what was calibrated, for each kind of target."""
     found = {}
     for kind in bench.TARGETS:
         rng = np.random.default_rng(7)
         scenario, config, X, T = bench.cell(kind, rng)
         solved = pipeline.solve(bench.samples(scenario, 18, X, T, rng), [], config, 'laser')
-        found[kind] = scenario, config, solved, X, T
+        found[kind] = Calibrated(scenario, config, solved, X, T)
     return found
 
 
@@ -91,18 +103,28 @@ def test_beside_the_robot_the_base_moves_with_the_sensor(calibrated):
         assert check(seen(8, *now), solved, config).sentence.startswith(words)
 
 
-def test_what_cannot_be_seen_or_told_apart_is_said(calibrated):
+def test_where_the_target_may_have_moved_unseen_is_said(calibrated):
     slid = checked(calibrated, 'plane', moved=(5e-3, 0, 0))
     assert slid.verdict == 'unchanged'
     assert 'would have shown from' in slid.sentence and 'cannot be seen' in slid.sentence
     assert slid.target_shows[0] < 1e-4 and np.isnan(slid.target_shows[1:]).all()
-    assert np.abs(slid.target_axes[0] @ calibrated['plane'][4][:3, 2]) > 0.99
-    assert max(said(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4  # by its edges
+    assert np.abs(slid.target_axes[0] @ calibrated['plane'].T_base_target[:3, 2]) > 0.99
+
+
+def test_the_edges_of_a_plate_show_a_move_in_each_direction(calibrated):
+    assert max(said(calibrated, 'plate', 'unchanged', 1).target_shows) < 5e-4
+
+
+def test_target_and_sensor_that_stops_of_one_orientation_cannot_tell_apart_are_both_named(
+        calibrated):
     level = checked(calibrated, 'plane', 6, (0, 0, 4e-4), tilt=np.deg2rad(2))  # one orientation
     assert set(level.verdict.split(' or ')) >= {'target', 'sensor'}
     assert 'these stops cannot decide' in level.sentence
     assert 'Repeat some of them with the sensor turned' in level.sentence
     assert sum(level.odds.values()) == pytest.approx(1.0)
+
+
+def test_a_robot_that_repeats_worse_than_it_is_set_is_named(calibrated):
     loose = checked(calibrated, 'sphere', robot=RobotModel(repeatability=(5e-4, 1e-3)))
     assert loose.verdict == 'robot' and 'noise.robot_*' in loose.sentence
 
