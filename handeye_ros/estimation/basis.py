@@ -93,16 +93,26 @@ def bent_line(points: Array) -> Array:
 
     They grow with x^2, by 1 from the middle to the end of the line, with x^2 by the range (light
     that leaves a point is bent more where it is farther), and less with x^3, as an S. The plane
-    is that of the field of view, which is as wide on both sides of x = 0, wherever a target is
-    seen; but where a driver publishes x on one side only, its middle is that of the points.
+    is that of the field of view.
+    """
+    middle, half = line_span(points)
+    u = (points[:, 0] - middle) / half
+    bent = u ** 2 - 1 / 3
+    return np.column_stack([bent, BEND_PER_RANGE * bent * _normalised(points[:, 1]),
+                            BEND_OF_S * (u ** 3 - 3 / 5 * u)])
+
+
+def line_span(points: Array) -> tuple[float, float]:
+    """
+    Return x of the middle of the laser line (m), and half its length, by the points (m, 2) seen.
+
+    The field of view is as wide on both sides of x = 0, wherever a target is seen; but where a
+    driver publishes x on one side only, its middle is that of the points.
     """
     low, high = points[:, 0].min(), points[:, 0].max()
     middle, half = (0.0, max(-low, high)) if low < 0 < high else ((low + high) / 2,
                                                                   (high - low) / 2)
-    u = (points[:, 0] - middle) / max(half, 1e-9)
-    bent = u ** 2 - 1 / 3
-    return np.column_stack([bent, BEND_PER_RANGE * bent * _normalised(points[:, 1]),
-                            BEND_OF_S * (u ** 3 - 3 / 5 * u)])
+    return float(middle), max(float(half), 1e-9)
 
 
 def grid_over(points: Array, across: Sequence[float] | Array) -> Array:

@@ -33,6 +33,7 @@ from handeye_ros.estimation.basis import (
     distortion_fields,
     field_motions,
     grid_over,
+    line_span,
     motions_by_poses,
     plane_motions,
 )
@@ -203,10 +204,12 @@ def line_bend(linear: Linear) -> Blocks:
 
 def _motion_of_bend(linear: Linear) -> Array:
     """Return the motion to the plane along the middle of the line, as of a data sheet."""
-    x = linear.problem.observations.points[:, 0]
+    middle, half = line_span(linear.problem.observations.points)
+    _, y, z = linear.estimate.X[:3, :3].T
+    slope = 3 / 5 * BEND_OF_S / half
     motion = np.zeros((6, 3))
-    motion[:3, 0] = -linear.estimate.X[:3, 1] / 3
-    motion[3:, 2] = -linear.estimate.X[:3, 2] * 3 / 5 * BEND_OF_S / max(np.abs(x).max(), 1e-9)
+    motion[:3, 0] = -y / 3
+    motion[:3, 2], motion[3:, 2] = slope * middle * y, -slope * z  # a turn about the middle
     return motion
 
 

@@ -10,11 +10,10 @@ from cells import Cell, cell, NO_DOUBTS, settings_of, solved, squared_error
 from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Calibration, EdgePoint
-from handeye_ros.estimation.basis import (
-    distortion_fields,
-)
+from handeye_ros.estimation.basis import bent_line, distortion_fields
+from handeye_ros.estimation.blocks import line_bend
 from handeye_ros.estimation.noise import Noise
-from handeye_ros.estimation.problem import PoseModel, Problem
+from handeye_ros.estimation.problem import linearise, PoseModel, Problem
 from handeye_ros.estimation.solve import map_solution, Solution
 from handeye_ros.simulate import FAULTS, Scenario, SCENARIOS, sensor, simulate, simulate_samples
 from handeye_ros.simulate.scenario import SensorModel
@@ -208,3 +207,22 @@ def test_the_truth_lies_inside_if_the_laser_line_is_an_s(monkeypatch: pytest.Mon
     recording = simulate(scenario, np.random.default_rng(1))
     answer = pipeline.calibrate(recording.profiles, recording.poses, settings_of(scenario))
     assert squared_error(answer, recording.truth) < chi2.ppf(0.999, 6)
+
+
+@pytest.mark.parametrize('origin', [0.0, 0.1])
+def test_the_plane_along_the_middle_of_a_bent_line_touches_it(origin: float) -> None:
+    made = cell('plate')
+    problem, known = made.problem, solved(made.problem).estimate
+    seen = problem.observations.points + [origin, 0.0]  # x of some drivers is on one side of 0
+    X = known.X @ se3.transform(np.eye(3), np.array([-origin, 0.0, 0.0]))
+    linear = linearise(
+        replace(problem, observations=replace(problem.observations, points=seen)),
+        replace(known, X=X))
+    block, = line_bend(linear)
+    assert block.best_fit is not None
+    middle = (seen[:, 0].min() + seen[:, 0].max()) / 2 if origin else 0.0
+    near = np.array([[middle, 0.17], [middle + 1e-5, 0.17]])
+    levers = se3.apply(X, np.insert(near, 1, 0.0, axis=1)) - X[:3, 3]
+    moved = X[:3, 1] @ se3.wrt_perturbation(levers) @ block.best_fit(linear)
+    np.testing.assert_allclose(moved[:, [0, 2]], bent_line(np.vstack([seen, near]))[-2:, [0, 2]],
+                               atol=1e-6)
