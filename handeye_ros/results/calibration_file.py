@@ -3,19 +3,19 @@
 """Writes and reads calibration.yaml; a refusal names the file and the key."""
 from __future__ import annotations
 
-from dataclasses import asdict, fields, MISSING, replace
+from dataclasses import asdict, fields, is_dataclass, MISSING, replace
 from datetime import datetime, UTC
 from functools import cache
 import hashlib
 import math
 from pathlib import Path
 import sys
-from typing import Any, get_args, get_type_hints, TypeVar
+from typing import Any, cast, get_args, get_type_hints, TypeVar
 
 from handeye_ros import __version__, se3
 from handeye_ros.config import Config, from_provenance, read_yaml
 from handeye_ros.data import Array, Calibration, ClockEstimate, Quality, SampleReport
-from handeye_ros.errors import InputError, path_of, require_type, unusable_file
+from handeye_ros.errors import path_of, require_type, unusable_file
 from handeye_ros.output import write_atomically, yaml_text
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,7 +32,6 @@ HEADER = """\
 # that of URDF; the covariance (6x6) is of x y z rx ry rz, in {parent}.
 """
 
-LARGEST_NUMBER = sys.float_info.max  # also of whole numbers
 SAME_ROTATION = 1e-5  # rad between rpy and quaternion: written with few digits
 
 
@@ -61,10 +60,11 @@ def text(calibration: Calibration) -> str:
     """Return the content of the file."""
     header = HEADER.format(parent=one_line(calibration.parent_frame),
                            child=one_line(calibration.child_frame))
-    return header + yaml_text(_content(calibration))
+    return header + yaml_text(content_of(calibration))
 
 
-def _content(calibration: Calibration) -> dict[str, Any]:
+def content_of(calibration: Calibration) -> dict[str, Any]:
+    """Return what the file holds, by key; arrays as such."""
     T, offset = calibration.T_flange_sensor, calibration.time_offset
     provenance = dict(calibration.provenance)
     config = provenance.pop('config', {})
@@ -111,42 +111,85 @@ def file_of(path: Path) -> Path:
 def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
     path = path_of('path', path)
-    file = FileSection(path, read_yaml(path))
-    require_format(path, file.get('format', str), FORMAT)
-    T = transform_from(path, 'transform', file.get('transform', dict))
-    _check_rpy(file, T)
+    content = value_of(path, 'the file', read_yaml(path), dict)
+
+    def get(key: str, kind: type[Kind]) -> Kind:
+        return value_of(path, key, content.get(key), kind)
+
+    require_format(path, get('format', str), FORMAT)
+    T = transform_from(path, 'transform', content.get('transform'))
+    if 'rpy' in content:
+        _require_same_rotation(path, numbers_of(path, 'rpy', content['rpy'], 3), T)
     return Calibration(
-        **{name: file.get(name, str) for name in ('name', 'method', 'parent_frame',
-                                                  'child_frame')},
-        T_flange_sensor=T, covariance=file.numbers('covariance', 36).reshape(6, 6),
-        target=file.get('target', dict), quality=file.section('quality').read(Quality),
-        samples=tuple(FileSection(path, item, f'samples[{i}].').read(SampleReport)
-                      for i, item in enumerate(file.get('samples', list))),
-        provenance=file.get('provenance', dict),
-        time_offset=file.section('time_offset').read(ClockEstimate) if 'time_offset' in file.values
-        else None)
+        *(get(name, str) for name in ('name', 'method', 'parent_frame', 'child_frame')), T,
+        numbers_of(path, 'covariance', content.get('covariance'), 36).reshape(6, 6),
+        get('target', dict), get('quality', Quality),
+        tuple(value_of(path, f'samples[{i}]', item, SampleReport)
+              for i, item in enumerate(get('samples', list))), get('provenance', dict),
+        get('time_offset', ClockEstimate) if 'time_offset' in content else None)
 
 
-def transform_from(path: Path, key: str, values: Any) -> Array:
+def value_of(path: Path, key: str, value: Any, kind: type[Kind]) -> Kind:
+    """
+    Return the value that a file has under a dotted key; raises InputError, which names both.
+
+    kind: a plain type, where numbers must be finite, or a dataclass of such, given as a mapping;
+    only its fields with a default may be missing.
+    """
+    if is_dataclass(kind):
+        given, types = value_of(path, key, value, dict), _types_of(kind)
+        names = [item.name for item in fields(kind)
+                 if item.default is MISSING or given.get(item.name) is not None]
+        return cast(Kind, kind(**{
+            name: value_of(path, f'{key}.{name}', given.get(name), types[name])
+            for name in names}))
+    problem = ''
+    if value is None:
+        problem = 'is missing'
+    elif type(value) is not kind and (type(value), kind) != (int, float):
+        problem = 'is no mapping' if kind is dict else f'is {value!r}, expected {kind.__name__}'
+    elif kind is float and not abs(value) <= sys.float_info.max:  # also of whole numbers
+        problem = f'is {value}'
+    if problem:
+        raise unusable_file(path, f'{key} {problem}')
+    return kind(value)  # type: ignore[call-arg]
+
+
+@cache
+def _types_of(kind: Any) -> dict[str, Any]:
+    """Return the type of each field of a dataclass; of "float | None" float."""
+    return {name: (*get_args(hint), hint)[0] for name, hint in get_type_hints(kind).items()}
+
+
+def numbers_of(path: Path, key: str, value: Any, count: int) -> Array:
+    """Return the finite numbers (count,) that a file lists under a key; raises InputError."""
+    values = value_of(path, key, value, list)
+    if len(values) != count:
+        raise unusable_file(path, f'{key} does not hold {count} numbers')
+    return np.array([value_of(path, f'{key}[{i}]', v, float) for i, v in enumerate(values)])
+
+
+def transform_from(path: Path, key: str, value: Any) -> Array:
     """Return the transform (4, 4) of plain values, which a file holds under a key."""
-    section = FileSection(path, values, f'{key}.')
-    found = {part: {axis: section.section(part).get(axis, float) for axis in axes}
-             for part, axes in (('translation', 'xyz'), ('rotation', 'xyzw'))}
+    parts, found = value_of(path, key, value, dict), dict[str, dict[str, float]]()
+    for part, axes in (('translation', 'xyz'), ('rotation', 'xyzw')):
+        values = value_of(path, f'{key}.{part}', parts.get(part), dict)
+        found[part] = {axis: value_of(path, f'{key}.{part}.{axis}', values.get(axis), float)
+                       for axis in axes}
     length = math.hypot(*found['rotation'].values())
     if abs(length - 1) > 1e-6:
-        raise section.error('rotation', f'is a quaternion of length {length:.6g}, expected 1')
+        raise unusable_file(path, f'{key}.rotation is a quaternion of length {length:.6g}, '
+                            'expected 1')
     return se3.from_values(found)
 
 
-def _check_rpy(file: FileSection, T: Array) -> None:
-    """Raise for angles that were edited without the quaternion, which is the one used."""
-    if 'rpy' not in file.values:
-        return
-    R = Rotation.from_euler('xyz', file.numbers('rpy', 3)).inv() * Rotation.from_matrix(T[:3, :3])
+def _require_same_rotation(path: Path, rpy: Array, T: Array) -> None:
+    """Raise for angles (3,) that were edited without the quaternion, which is the one used."""
+    R = Rotation.from_euler('xyz', rpy).inv() * Rotation.from_matrix(T[:3, :3])
     if R.magnitude() > SAME_ROTATION:
-        raise file.error('rpy', f'and transform.rotation differ by '
-                         f'{math.degrees(R.magnitude()):.4g} degrees. The quaternion counts: '
-                         'correct it, and correct rpy or delete it')
+        raise unusable_file(path, 'rpy and transform.rotation differ by '
+                            f'{math.degrees(R.magnitude()):.4g} degrees. The quaternion counts: '
+                            'correct it, and correct rpy or delete it')
 
 
 def require_format(path: Path, text: str, kind: str) -> None:
@@ -157,54 +200,3 @@ def require_format(path: Path, text: str, kind: str) -> None:
     if int(number) > NEWEST:
         raise unusable_file(path, f'its format {text} is newer than this version of handeye_ros '
                             f'({__version__}) can read; update the package')
-
-
-class FileSection:
-    """A mapping in a file; each value is checked on access, and a refusal names file and key."""
-
-    def __init__(self, path: Path, values: Any, prefix: str = '') -> None:
-        if not isinstance(values, dict):
-            raise unusable_file(path, f'{prefix.rstrip(".") or "the file"} is no mapping')
-        self.path, self.values, self._prefix = path, values, prefix
-
-    def get(self, key: str, kind: type) -> Any:
-        """Return a value of a type; numbers are finite."""
-        value = self.values.get(key)
-        if value is None:
-            raise self.error(key, 'is missing')
-        actual = type(value)
-        if actual is not kind and (actual, kind) != (int, float):
-            raise self.error(key, f'is {value!r}, expected {kind.__name__}')
-        if kind is float and not abs(value) <= LARGEST_NUMBER:
-            raise self.error(key, f'is {value}')
-        return kind(value)
-
-    def numbers(self, key: str, count: int) -> Array:
-        """Return a list of finite numbers as an array (count,)."""
-        values: list[Any] = self.get(key, list)
-        if len(values) != count or not all(
-                type(v) in (int, float) and abs(v) <= LARGEST_NUMBER for v in values):
-            raise self.error(key, f'does not hold {count} numbers')
-        return np.array(values, dtype=float)
-
-    def section(self, key: str) -> FileSection:
-        """Return a nested mapping."""
-        return FileSection(self.path, self.get(key, dict), f'{self._prefix}{key}.')
-
-    def read(self, kind: type[Kind]) -> Kind:
-        """Return a dataclass from its fields; those with a default may be missing."""
-        return kind(**{name: self.get(name, wanted) for name, (wanted, required) in _fields(
-            kind).items()  # type: ignore[arg-type]
-            if required or self.values.get(name) is not None})
-
-    def error(self, key: str, problem: str) -> InputError:
-        """Return the error for a key."""
-        return unusable_file(self.path, f'{self._prefix}{key} {problem}')
-
-
-@cache
-def _fields(kind: Any) -> dict[str, tuple[type, bool]]:
-    """Return the type of each field of a dataclass (of "float | None": float), if required."""
-    types = get_type_hints(kind)
-    return {item.name: (next(iter(get_args(types[item.name])), types[item.name]),
-                        item.default is MISSING) for item in fields(kind)}

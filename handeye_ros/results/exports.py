@@ -82,18 +82,12 @@ def matrix(calibration: Calibration) -> str:
 
 def as_json(calibration: Calibration) -> str:
     """Return the calibration as JSON, with the preamble under "comment"."""
-    T = calibration.T_flange_sensor
+    content = calibration_file.content_of(calibration)
+    names = ('name', 'parent_frame', 'child_frame', 'transform', 'rpy')
     values = {
-        'comment': preamble(calibration),
-        'name': calibration.name,
-        'parent_frame': calibration.parent_frame,
-        'child_frame': calibration.child_frame,
-        'transform': se3.transform_values(T),
-        'rpy': se3.rpy(T).tolist(),
-        'matrix': T.tolist(),
-        'covariance': calibration.covariance.tolist(),
-    }
-    return json.dumps(values, indent=2) + '\n'
+        'comment': preamble(calibration), **{name: content[name] for name in names},
+        'matrix': calibration.T_flange_sensor, 'covariance': calibration.covariance}
+    return json.dumps(values, indent=2, default=np.ndarray.tolist) + '\n'
 
 
 def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> str:

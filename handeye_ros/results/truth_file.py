@@ -9,7 +9,7 @@ from pathlib import Path
 from handeye_ros import se3
 from handeye_ros.config import read_yaml
 from handeye_ros.data import Array
-from handeye_ros.results.calibration_file import FileSection, transform_from
+from handeye_ros.results.calibration_file import transform_from, value_of
 import numpy as np
 
 NAME = 'truth.yaml'
@@ -26,8 +26,8 @@ def true_transform(bag: Path) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / NAME
     if not path.is_file():
         return None
-    values = FileSection(path, read_yaml(path)).get('T_flange_sensor', dict)
-    return transform_from(path, 'T_flange_sensor', values)
+    content = value_of(path, 'the file', read_yaml(path), dict)
+    return transform_from(path, 'T_flange_sensor', content.get('T_flange_sensor'))
 
 
 @dataclass(frozen=True)
