@@ -9,7 +9,7 @@ come first, then what sets their values, from files or by hand; a wrong value ra
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -28,6 +28,7 @@ from handeye_ros.errors import (
     UnknownKeyError,
     unusable_file,
 )
+from handeye_ros.units import in_si
 import yaml
 
 NOT_SET = math.nan  # default of a number that changes an answer by its full size: it has none
@@ -494,17 +495,23 @@ def from_provenance(values: Any) -> Config:
 
 
 def with_assignments(config: Config, assignments: Iterable[str]) -> Config:
-    """Return a configuration with `key=value` texts (values in YAML) applied."""
+    """Return a configuration with `key=value` texts (values in YAML) applied; see assignment."""
     values = {}
-    for text in assignments:
-        key, equals, value = text.partition('=')
-        if not equals:
-            raise InputError(f'"{text}" is not of the form key=value')
+    for key, text in map(assignment, assignments):
         try:
-            values[key.strip()] = yaml.safe_load(value)
+            values[key] = yaml.safe_load(text)
         except BAD_YAML as error:
-            raise InputError(f'the value in "{text}" is not valid YAML') from error
+            raise InputError(f'the value of "{key}={text}" is not valid YAML') from error
     return with_values(config, values, '--set')
+
+
+def assignment(text: str) -> tuple[str, str]:
+    """Return the key and the value of `key=value`, its numbers with a unit (20mm) in SI units."""
+    key, equals, value = text.partition('=')
+    if not equals:
+        raise InputError(f'"{text}" is not of the form key=value')
+    key = key.strip()
+    return key, in_si(value, next((p.unit for p in parameters() if p.key == key), ''))
 
 
 def flipped_range(config: Config) -> Config:
@@ -539,20 +546,23 @@ def load(path: Path | str, config: Config | None = None) -> Config:
 
     Also of a dump of the node (`ros2 param dump`) in any namespace. Raises InputError.
     """
-    file = path_of('path', path)
-    return with_values(config or Config(), _node_values(read_yaml(file), file), str(path))
+    return with_values(config or Config(), _node_values(path_of('path', path)), str(path))
 
 
-def _node_values(content: Any, path: Path) -> dict[str, Any]:
+def _node_values(path: Path) -> dict[str, Any]:
     """
     Return the dotted values of our node in a parameter file; raises InputError without any.
 
     They are those of the patterns for every node, and of our node's name in any namespace.
     """
-    sections = dict(_sections(content, ''))
-    last = {name: name.split('/')[-1] for name in sections}
-    general = [name for name in sections if last[name] in ('*', '**')]
-    own = [name for name in sections if last[name] == NODE_NAME]
+    sections: dict[str, dict[str, Any]] = {}  # by the full name of the node
+    for names, value in _values(read_yaml(path)):
+        if 'ros__parameters' in names[:-1]:
+            first = names.index('ros__parameters')
+            node = ''.join(f'/{name.strip("/")}' for name in names[:first])
+            sections.setdefault(node, {})['.'.join(names[first + 1:])] = value
+    general = [node for node in sections if node.split('/')[-1] in ('*', '**')]
+    own = [node for node in sections if node.split('/')[-1] == NODE_NAME]
     if not general and not own:
         raise InputError(f'{path} holds the parameters of {", ".join(sections) or "no node"}, and '
                          f'none of them is "{NODE_NAME}": give the calibration a section "/**:" '
@@ -560,26 +570,14 @@ def _node_values(content: Any, path: Path) -> dict[str, Any]:
     if len(own) > 1:
         raise InputError(f'{path} holds the parameters of {", ".join(own)}: keep those of one '
                          f'"{NODE_NAME}"')
-    values: dict[str, Any] = {}
-    for name in (*general, *own):
-        values |= sections[name]
-    return {key: value for key, value in values.items() if not key.startswith(EVERY_NODES)}
+    return {key: value for node in (*general, *own) for key, value in sections[node].items()
+            if not key.startswith(EVERY_NODES)}
 
 
-def _sections(content: Any, name: str) -> Iterable[tuple[str, dict[str, Any]]]:
-    """Yield the full name of every node in a parameter file, and its dotted values."""
-    for key, value in content.items() if isinstance(content, dict) else ():
-        if key == 'ros__parameters' and isinstance(value, dict):
-            yield name, _dotted(value, '')
-        elif isinstance(value, dict):
-            yield from _sections(value, f'{name}/{str(key).strip("/")}')
-
-
-def _dotted(section: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for name, value in section.items():
-        if isinstance(value, dict):
-            values |= _dotted(value, f'{prefix}{name}.')
-        else:
-            values[f'{prefix}{name}'] = value
-    return values
+def _values(content: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the names that lead to each value in nested mappings, and the value."""
+    if not isinstance(content, dict):
+        yield names, content
+        return
+    for name, value in content.items():
+        yield from _values(value, (*names, str(name)))

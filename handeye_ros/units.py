@@ -1,9 +1,13 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """Units of lengths, angles, times: plain numbers of a command are SI, `0.3mm`, `5 deg` say one."""
+from __future__ import annotations
+
 from collections.abc import Iterable
 import math
 import re
+
+from handeye_ros.errors import BadValueError
 
 METRES = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254}
 RADIANS = {'rad': 1.0, 'deg': math.pi / 180, 'degrees': math.pi / 180}
@@ -11,17 +15,11 @@ SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
 WITH_UNIT = re.compile(r'(?<![\w.])([-+]?\d*\.?\d+(?:e[-+]?\d+)?) *([a-z]+)')
 
 
-def assignment_in_si(text: str) -> str:
-    """Return key=value with the numbers of its value that have a unit, as 20mm, in SI units."""
-    from handeye_ros.config import parameters
-    key, equals, value = text.partition('=')
-    unit = next((p.unit for p in parameters() if p.key == key.strip()), '')
+def in_si(text: str, unit: str) -> str:
+    """Return a text with its numbers that have a unit, as 20mm, in m, rad or s; others as is."""
     factors = {'m': METRES, 'rad': RADIANS, 's': SECONDS}.get(unit, {})
-
-    def in_si(match: re.Match[str]) -> str:
-        factor = factors.get(match[2])
-        return match[0] if factor is None else repr(float(match[1]) * factor)
-    return f'{key}{equals}{WITH_UNIT.sub(in_si, value)}'
+    return WITH_UNIT.sub(lambda found: repr(float(found[1]) * factors[found[2]])
+                         if found[2] in factors else found[0], text)
 
 
 def parse_limits(texts: Iterable[str], option: str, usual: float) -> list[float]:
@@ -36,19 +34,16 @@ def parse_length(text: str, option: str, usual: float, least: float = -math.inf)
 
     usual: a number without a unit above it is refused: it was probably meant in millimetres.
     """
-    from handeye_ros.errors import BadValueError
-    word = text.strip()
-    unit = next((u for u in sorted(METRES, key=len, reverse=True) if word.endswith(u)), '')
+    plain = in_si(text, 'm')
     try:
-        number = float(word.removesuffix(unit))
+        metres = float(plain)
     except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+        metres = math.nan
+    if not math.isfinite(metres):
         raise BadValueError(option, text, 'a length: 0.3mm, or metres (0.0003)')
-    if not unit and abs(number) > usual:
+    if plain == text and abs(metres) > usual:
         raise BadValueError(option, text, f'{text}mm, or {text}m if you mean metres (plain '
-                            f'numbers are metres, so this is {1e3 * number:g} mm)')
-    metres = number * METRES[unit or 'm']
+                            f'numbers are metres, so this is {1e3 * metres:g} mm)')
     if metres < least:
         raise BadValueError(option, text, f'a length of at least {1e3 * least:g} mm')
     return metres

@@ -97,7 +97,6 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
     angles: the notation of a table of poses; kinematics: a kinematics.yaml, with its frames.
     """
     from handeye_ros.config import Config, load, with_assignments
-    from handeye_ros.units import assignment_in_si
     base = base or Config()
     given = [f'target.angles={angles}'] if angles else []
     if kinematics:
@@ -105,8 +104,8 @@ def configuration(file: Path | None, assignments: list[str], base: 'Config | Non
         arm = read_arm(kinematics)
         given += [f'kinematics={kinematics.absolute()}', f'robot_base_frame={arm.base}',
                   f'robot_effector_frame={arm.flange}']
-    given += map(assignment_in_si, assignments)  # what is set wins
-    return with_assignments(load(file, base) if file else base, given)
+    # what is set wins
+    return with_assignments(load(file, base) if file else base, [*given, *assignments])
 
 
 def open_calibration(file: Path, config: Path | None, assignments: list[str],

@@ -25,7 +25,7 @@ from handeye_ros.cli.common import (
     show,
     warn,
 )
-from handeye_ros.config import SAVE_FORMATS
+from handeye_ros.config import assignment, SAVE_FORMATS
 from handeye_ros.errors import InputError, NoRosError
 import typer
 
@@ -94,14 +94,12 @@ def calibrate(
     assignments: Assignments = [],
 ) -> None:
     """Start the node that takes samples (needs ROS)."""
-    from handeye_ros.units import assignment_in_si
     configuration(config, assignments)  # so that a mistake is reported at once
     if find_spec('rclpy') is None:
         raise NoRosError('calibrate', 'rclpy')
     arguments = ['--params-file', str(config)] if config else []
-    for text in [*map(assignment_in_si, assignments), *(['session=last'] if resume else [])]:
-        key, _, value = text.partition('=')
-        arguments += ['-p', f'{key.strip()}:={value}']
+    for text in (*assignments, *(['session=last'] if resume else [])):
+        arguments += ['-p', ':='.join(assignment(text))]
     command = [sys.executable, '-m', 'handeye_ros.node.main']
     os.execv(sys.executable, [*command, *(['--ros-args', *arguments] if arguments else [])])
 

@@ -35,7 +35,6 @@ from handeye_ros.results.calibration_file import file_of, read_calibration, use_
 from handeye_ros.sampling.stream import REORDER_TIME
 from handeye_ros.sampling.trajectory import trajectory_of
 from handeye_ros.scanning.scan import Scanner, ScanOptions
-from handeye_ros.units import assignment_in_si
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
@@ -124,7 +123,7 @@ def main() -> int:
     def run() -> None:
         options = ScanOptions.of_texts(given.range, given.incidence, given.voxel, given.std)
         calibration = read_calibration(file_of(given.calibration))
-        config = with_assignments(use_config(calibration), map(assignment_in_si, given.set))
+        config = with_assignments(use_config(calibration), given.set)
         spin(lambda: ScanNode(calibration, config, options))
 
     return exit_code(run)

@@ -120,8 +120,10 @@ def read_calibration(path: Path | str) -> Calibration:
     T = transform_from(path, 'transform', content.get('transform'))
     if 'rpy' in content:
         _require_same_rotation(path, numbers_of(path, 'rpy', content['rpy'], 3), T)
+    name, method, parent, child = (get(key, str) for key in (
+        'name', 'method', 'parent_frame', 'child_frame'))
     return Calibration(
-        *(get(name, str) for name in ('name', 'method', 'parent_frame', 'child_frame')), T,
+        name, method, parent, child, T,
         numbers_of(path, 'covariance', content.get('covariance'), 36).reshape(6, 6),
         get('target', dict), get('quality', Quality),
         tuple(value_of(path, f'samples[{i}]', item, SampleReport)

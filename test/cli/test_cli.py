@@ -23,7 +23,6 @@ from handeye_ros.config import Config, load, with_assignments
 from handeye_ros.data import ClockEstimate
 from handeye_ros.results import calibration_file
 from handeye_ros.results.truth_file import errors_against, true_transform
-from handeye_ros.units import assignment_in_si
 import numpy as np
 import pytest
 import yaml
@@ -163,7 +162,7 @@ def test_a_terminal_is_told_what_is_done_and_lacking_letters_loses_no_answer(tmp
     ('verify.reference=[500mm, 0, 2cm]', (0.5, 0.0, 0.02)),
     ('record.note=20mm', '20mm'), ('name=3mm', '3mm')])
 def test_set_takes_numbers_with_a_unit(given, meant):
-    config = with_assignments(Config(), [assignment_in_si(given)])
+    config = with_assignments(Config(), [given])
     key = given.partition('=')[0]
     found = dict(config.record)['note'] if key == 'record.note' else attrgetter(key)(config)
     assert found == (meant if isinstance(meant, str) else pytest.approx(meant, rel=1e-12))
