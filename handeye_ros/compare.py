@@ -106,6 +106,8 @@ class _GivenTransform(Problem):
 
 
 Given: TypeAlias = ComparedStations | PairedRows
+# of the target's own method: what it believes, its transform, why that is no answer
+Own: TypeAlias = tuple[Given, Array, DataError | None]
 
 
 @dataclass(frozen=True)
@@ -175,39 +177,27 @@ def _park(pairs: PosePairs) -> Array:
     return np.asarray(pairs.closed_form()[0])
 
 
-ESTIMATORS: dict[str, tuple[Estimator, ...]] = {
-    **{name: (Estimator(name, _by_method(name)),) for name in TARGETS},  # and with others:
+OTHERS: dict[str, tuple[Estimator, ...]] = {
     'plate': (
-        Estimator('plate', _by_method('plate')),
         Estimator('plane, the face lines alone', _by_method('plane')),
-        Estimator('Chen 2023, nine parameters',
-                  lambda given: chen2023.solve_nine(*_edges(given))),
-        Estimator('Chen 2023, on SE(3)',
-                  lambda given: chen2023.solve_rigid(*_edges(given))),
-    ),
+        Estimator('Chen 2023, nine parameters', lambda given: chen2023.solve_nine(*_edges(given))),
+        Estimator('Chen 2023, on SE(3)', lambda given: chen2023.solve_rigid(*_edges(given)))),
     'sphere': (
-        Estimator('sphere', _by_method('sphere')),
         Estimator('fixed point, linear',
                   lambda given: jing2020.fixed_point_linear(*_ball(given))[0]),
         Estimator('fixed point, least squares',
-                  lambda given: jing2020.fixed_point_least_squares(*_ball(given))),
-    ),
-    'line': (
-        Estimator('line', _by_method('line')),
-        Estimator('Zheng 2018', _zheng, refit=False),
-    ),
-    'points': (
-        Estimator('points', _from_files),
-        Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(
-            given.seen, given.robot).T_base_camera),
-    ),
+                  lambda given: jing2020.fixed_point_least_squares(*_ball(given)))),
+    'line': (Estimator('Zheng 2018', _zheng, refit=False),),
+    'points': (Estimator('Wu 2017, best of all quadruples', lambda given: wu2017.solve(
+        given.seen, given.robot).T_base_camera),),
     'hand_eye': (
-        Estimator('hand_eye', _from_files),
         Estimator('closed form (Park and Martin 1994)', _park),
         Estimator('CN105021139A', lambda given: cn105021139a.solve_motions(
-            *cn105021139a.motions(given.robot, given.seen))),
-    ),
+            *cn105021139a.motions(given.robot, given.seen)))),
 }
+ESTIMATORS = {
+    name: (Estimator(name, _by_method(name) if name in TARGETS else _from_files),
+           *OTHERS.get(name, ())) for name in {**TARGETS, **OTHERS}}
 """By target, its own method first."""
 
 
@@ -236,13 +226,10 @@ class Row:
     error_mapped_points: float | None = None
 
     @property
-    def transform_text(self) -> str:
-        """Return the transform in two lines of three numbers (mm, degrees), or why it failed."""
-        if self.T_flange_sensor is None:
-            return f'failed: {self.failure}'
-        return '\n'.join(' '.join(f'{value:9.{digits}f}' for value in values)
-                         for values, digits in ((1e3 * self.T_flange_sensor[:3, 3], 3),
-                                                (np.degrees(se3.rpy(self.T_flange_sensor)), 4)))
+    def figures(self) -> dict[str, float]:
+        """Return the figures that are known, by their names in ROW_FIGURES."""
+        return {name: getattr(self, name) for name in ROW_FIGURES
+                if getattr(self, name) is not None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,17 +264,15 @@ def compare(samples: Sequence[Sample], rejects: Sequence[Reject], config: Config
     """
     targets.target_for(config)
     config = replace(config, method='auto')
-    progress(config.target.type)
-    start = time.perf_counter()
-    answer = pipeline.answer_samples(samples, rejects, config, session=session)
-    solution = answer.require_solution()
-    seconds = time.perf_counter() - start
-    # the others know no motion
-    used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
-    given = ComparedStations(used, config, solution.problem, solution.estimate, solution.noise)
-    rejected = len(samples) + len(rejects) - len(used)
-    return _compared(given, solution.estimate.X, answer.refusal, seconds, rejected, T_true, folds,
-                     progress)
+
+    def own() -> Own:
+        answer = pipeline.answer_samples(samples, rejects, config, session=session)
+        solution = answer.require_solution()
+        # the others know no motion
+        used = tuple(replace(answer.samples[i], trajectory=None) for i in solution.used)
+        return (ComparedStations(used, config, solution.problem, solution.estimate,
+                                 solution.noise), solution.estimate.X, answer.refusal)
+    return _compared(config.target.type, own, len(samples) + len(rejects), T_true, folds, progress)
 
 
 def compare_files(given: TableProblem, T_true: Array | None = None, folds: int = FOLD_COUNT,
@@ -296,25 +281,35 @@ def compare_files(given: TableProblem, T_true: Array | None = None, folds: int =
     if not isinstance(given, PairedRows):
         raise InputError(f'for target.type {given.name} there is one estimator alone: use '
                          '"handeye solve"')
-    refusal = None
-    progress(given.name)
+
+    def own() -> Own:
+        answer, refusal = solve(given), None
+        try:
+            answer.require_trusted(given)
+        except DataError as error:
+            refusal = error
+        return given.subset(np.flatnonzero(answer.used)), answer.X, refusal
+    return _compared(given.name, own, len(given), T_true, folds, progress)
+
+
+def _compared(target: str, own: Callable[[], Own], count: int, T_true: Array | None, folds: int,
+              progress: Progress) -> Comparison:
+    """Return the rows of the target's own method, and of the others; count: of all samples."""
+    first, *others = ESTIMATORS[target]
+    progress(target)
     start = time.perf_counter()
-    answer = solve(given)
-    try:
-        answer.require_trusted(given)
-    except DataError as error:
-        refusal = error
+    given, X_own, refusal = own()
     seconds = time.perf_counter() - start
-    agreed = given.subset(np.flatnonzero(answer.used))
-    return _compared(agreed, answer.X, refusal, seconds, len(given) - len(agreed), T_true, folds,
-                     progress)
 
-
-def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float, rejected: int,
-              T_true: Array | None, folds: int, progress: Progress) -> Comparison:
-    """Return the row of the target's own method, whose answer is X, and those of the others."""
-    def row_of(estimator: Estimator, X: Array, seconds: float) -> Row:
-        every, errors = np.arange(len(given)), {}
+    def row(estimator: Estimator) -> Row:
+        start = time.perf_counter()
+        try:
+            if estimator is first and refusal:
+                raise refusal
+            X = X_own if estimator is first else estimator.fit(given)
+        except ESTIMATOR_FAILURES as error:
+            return Row(estimator.name, time.perf_counter() - start, failure=str(error))
+        every, errors, seconds = np.arange(len(given)), {}, time.perf_counter() - start
         if T_true is not None:
             errors = {f'error_{name}': value for name, value in asdict(
                 errors_against(X, T_true @ given.axes, given.field())).items()}
@@ -324,18 +319,11 @@ def _compared(given: Given, X: Array, refusal: DataError | None, seconds: float,
         return Row(estimator.name, seconds, X @ se3.inverse(given.axes), '',
                    rms(given.residuals(X, every, every)), left_out, **errors)
 
-    own, *others = ESTIMATORS[given.config.target.type]
-    rows = [Row(own.name, seconds, failure=str(refusal)) if refusal else row_of(own, X, seconds)]
+    rows = [replace(row(first), seconds=seconds)]
     for estimator in others:
         progress(estimator.name)
-        start = time.perf_counter()
-        try:
-            X = estimator.fit(given)
-        except ESTIMATOR_FAILURES as error:
-            rows.append(Row(estimator.name, time.perf_counter() - start, failure=str(error)))
-        else:
-            rows.append(row_of(estimator, X, time.perf_counter() - start))
-    return Comparison(tuple(rows), len(given), rejected, refusal, given.over)
+        rows.append(row(estimator))
+    return Comparison(tuple(rows), len(given), count - len(given), refusal, given.over)
 
 
 def _left_out(given: Given, estimator: Estimator, folds: int, progress: Progress) -> float | None:
@@ -359,12 +347,11 @@ def tables(comparison: Comparison) -> RenderableType:
     shown = {name: column for name, column in ROW_FIGURES.items()
              if with_errors or not name.startswith('error')}
     transforms = figures_table('estimator', 'x, y, z (mm)\nroll, pitch, yaw (degrees)',
-                               rows=((row.name, row.transform_text) for row in rows))
+                               rows=((row.name, _transform_text(row)) for row in rows))
     figures = figures_table(
         'estimator', *(head for head, _, _ in shown.values()), right=range(1, 1 + len(shown)),
-        rows=((row.name, *('-' if (value := getattr(row, figure)) is None else
-                           f'{value * unit:.{digits}f}'
-                           for figure, (_, unit, digits) in shown.items())) for row in rows))
+        rows=((row.name, *(f'{row.figures[name] * unit:.{digits}f}' if name in row.figures else '-'
+                           for name, (_, unit, digits) in shown.items())) for row in rows))
     lost = f', {comparison.rejected} rejected' if comparison.rejected else ''
     title = (f'{comparison.used} samples{lost}. The published estimators are given what '
              f'{rows[0].name} finds: which samples agree, and the labels, sides or start that '
@@ -376,15 +363,19 @@ def tables(comparison: Comparison) -> RenderableType:
     return Group(Text(title), transforms, figures, Text(legend))
 
 
+def _transform_text(row: Row) -> str:
+    """Return the transform in two lines of three numbers (mm, degrees), or why it failed."""
+    if row.T_flange_sensor is None:
+        return f'failed: {row.failure}'
+    x, y, z = 1e3 * row.T_flange_sensor[:3, 3]
+    roll, pitch, yaw = np.degrees(se3.rpy(row.T_flange_sensor))
+    return f'{x:9.3f} {y:9.3f} {z:9.3f}\n{roll:9.4f} {pitch:9.4f} {yaw:9.4f}'
+
+
 def plain_values(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison as plain values, in SI units, for YAML."""
-    def values(row: Row) -> dict[str, Any]:
-        if row.T_flange_sensor is None:
-            return {'name': row.name, 'failure': row.failure}
-        figures = {name: getattr(row, name) for name in ROW_FIGURES}
-        return {'name': row.name, 'transform': se3.transform_values(row.T_flange_sensor),
-                **{name: value for name, value in figures.items() if value is not None}}
-
+    rows = [{'name': row.name, 'failure': row.failure} if row.T_flange_sensor is None else
+            {'name': row.name, 'transform': se3.transform_values(row.T_flange_sensor),
+             **row.figures} for row in comparison.rows]
     return {'format': FORMAT, 'samples_used': comparison.used,
-            'samples_rejected': comparison.rejected,
-            'estimators': list(map(values, comparison.rows))}
+            'samples_rejected': comparison.rejected, 'estimators': rows}

@@ -23,7 +23,7 @@ from handeye_ros.units import METRES, RADIANS
 import numpy as np
 
 LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
-UNITS = {LENGTH: METRES, ANGLE: RADIANS}
+UNITS: dict[str, dict[Any, float]] = {LENGTH: METRES, ANGLE: RADIANS, NUMBER: {None: 1.0}}
 SPELLINGS = {'degree': 'deg', '°': 'deg', 'radian': 'rad', 'radians': 'rad', 'metre': 'm',
              'metres': 'm', 'meter': 'm', 'meters': 'm', 'millimetres': 'mm',
              'millimeters': 'mm', 'µm': 'um'}
@@ -42,21 +42,29 @@ class Table:
     """The columns of a file by name."""
 
     def __init__(self, path: Path) -> None:
-        """Read a CSV file; raises TableError."""
+        """Read a CSV file; commas or semicolons separate the values. Raises TableError."""
         self.path = path
         if path.is_dir():
             raise TableError(path, 'is a folder; give the file in it, or, if it is a '
                              'recording, set target.type to the target that it shows')
-        header, rows = _content(path)
-        names = [_HEADER.fullmatch(cell) for cell in header]
-        if None in names:
-            raise TableError(path, f'cannot read the column header "{header[names.index(None)]}"; '
-                             'expected a name with its unit, such as base_x [mm]')
-        units = {m[1]: SPELLINGS.get(m[2], m[2]) for m in names if m}
+        try:
+            lines = [line for line in path.read_text(encoding='utf-8-sig').splitlines()
+                     if line.strip() and not line.startswith('#')]
+            delimiter = ';' if ';' in ''.join(lines[:1]) else ','
+            header, *rows = [*csv.reader(lines, delimiter=delimiter)] or [[]]
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise TableError(path, f'cannot be read as CSV: {error}') from error
+        units = dict[str, str | None]()
+        for cell in header:
+            found = _HEADER.fullmatch(cell)
+            if not found:
+                raise TableError(path, f'cannot read the column header "{cell}"; expected a name '
+                                 'with its unit, such as base_x [mm]')
+            units[found[1]] = SPELLINGS.get(found[2], found[2])
         if len(units) != len(header):
             raise TableError(path, 'two columns have the same name')
         if not rows:
-            raise TableError(path, 'holds no rows')
+            raise TableError(path, 'holds no rows' if header else 'is empty')
         for number, row in enumerate(rows, 1):
             if len(row) != len(header):
                 raise TableError(path, f'row {number} has {len(row)} values, the header '
@@ -70,7 +78,7 @@ class Table:
 
     def kind(self, name: str) -> str:
         """Return the kind of quantity in a column, from its unit."""
-        unit, _ = self._columns.get(name, ('', ()))
+        unit, _ = self._columns[name]
         return next((kind for kind, units in UNITS.items() if unit in units), NUMBER)
 
     def renamed(self, names: Mapping[str, str]) -> Table:
@@ -118,24 +126,23 @@ class Table:
         header says none. Raises TableError, and UnknownNameError for the notation.
         """
         notation = self.notation(prefix, angles)
-        names = notation.columns(prefix)
+        names, axes = notation.columns(prefix), _axes(prefix)
         fitting = [name for name, other in orientations.NOTATIONS.items()
                    if self.has(other.columns(prefix))]
         if fitting and not self.has(names):
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
                              f'--angles {" or ".join(fitting)} reads, of the flange only')
-        self._require([*_axes(prefix), *names])
+        self._require([*axes, *names])
+        kind, unit, length = NUMBER, None, notation.length if angles else None
         if notation.angle:
-            numbers = self.values(names, ANGLE, notation.angle if angles else None)
-            numbers = numbers / UNITS[ANGLE][notation.angle]
-        else:
-            numbers = self.values(names, NUMBER)
-            off = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
-            if off.max() > QUATERNION_TOLERANCE:
-                raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
-                                 'unit quaternion')
-        positions = self.values(_axes(prefix), LENGTH, notation.length if angles else None)
-        return se3.transform(notation.rotation(numbers).as_matrix(), positions)
+            kind, unit = ANGLE, notation.angle if angles else None
+        numbers = self.values(names, kind, unit) / RADIANS.get(notation.angle, 1.0)
+        off = np.abs(np.linalg.norm(numbers, axis=1) - 1.0)
+        if kind == NUMBER and off.max() > QUATERNION_TOLERANCE:
+            raise TableError(self.path, f'row {int(np.argmax(off)) + 1}: {prefix}_q... is no '
+                             'unit quaternion')
+        return se3.transform(notation.rotation(numbers).as_matrix(),
+                             self.values(axes, LENGTH, length))
 
     def _require(self, names: Sequence[str]) -> None:
         """Raise TableError for a column that is missing; similar ones are none of the others."""
@@ -145,43 +152,28 @@ class Table:
                 raise TableError(self.path, f'has no column {name}{nearest(name, others)}')
 
     def _values(self, name: str, kind: str, default: str | None) -> Array:
-        stated, column = self._columns[name]
-        unit = stated or default
-        factors: Mapping[Any, float] = UNITS.get(kind, {None: 1.0})
+        """Return a column (n,) in its SI unit; raises TableError."""
+        stated, texts = self._columns[name]
+        unit, factors = stated or default, UNITS[kind]
         if unit not in factors:
             raise TableError(self.path, f'the column {name} ' + (
                 f'has the unit {unit}' if unit else 'names no unit')
                 + '; write ' + ' or '.join(f'{name} [{u}]' if u else name for u in factors))
-        values = factors[unit] * np.array([self._number(name, row, value)
-                                           for row, value in enumerate(column, 1)])
-        far = np.flatnonzero(np.abs(values) > LARGEST_VALUE)
-        if len(far):
-            raise TableError(self.path, f'row {far[0] + 1}: {name} is {column[far[0]]}, which is '
-                             'beyond all measure')
-        return np.asarray(values)
+        values = factors[unit] * np.array([_number(text) for text in texts])
+        for row in np.flatnonzero(~(np.abs(values) <= LARGEST_VALUE))[:1]:
+            raise TableError(self.path, f'row {row + 1}: {name} is ' + (
+                f'{texts[row]}, which is beyond all measure' if np.isfinite(values[row]) else
+                f'"{texts[row]}", expected a number'))
+        return values
 
-    def _number(self, name: str, row: int, value: str) -> float:
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise TableError(self.path, f'row {row}: {name} is "{value}", expected a number')
-        return number
+
+def _number(text: str) -> float:
+    """Return the number of a text, NaN for any other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _axes(prefix: str) -> list[str]:
     return [f'{prefix}_{axis}' for axis in 'xyz']
-
-
-def _content(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the header and the rows of a CSV file; commas or semicolons separate the values."""
-    try:
-        text = path.read_text(encoding='utf-8-sig')
-        lines = [line for line in text.splitlines() if line.strip() and not line.startswith('#')]
-        if not lines:
-            raise TableError(path, 'is empty')
-        header, *rows = csv.reader(lines, delimiter=';' if ';' in lines[0] else ',')
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise TableError(path, f'cannot be read as CSV: {error}') from error
-    return header, rows
