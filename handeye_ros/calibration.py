@@ -125,12 +125,11 @@ def _joint(solution: Solution) -> dict[str, Any]:
 def edges_used(problem: Problem) -> list[str]:
     """Return for each station the edges of the target that it shows, in words."""
     obs, target = problem.observations, problem.target
-    bounds = np.searchsorted(obs.station, np.arange(len(problem.poses) + 1))
-    if not target.essential:
-        return [''] * len(problem.poses)
-    return [', '.join(target.kinds[k] for k in dict.fromkeys(obs.kind[first:last].tolist())
-                      if target.kinds[k] in target.essential)
-            for first, last in zip(bounds[:-1], bounds[1:], strict=True)]
+    seen = [dict[str, None]() for _ in problem.poses]  # each once, in the order of the points
+    for station, kind in zip(obs.station.tolist(), obs.kind.tolist(), strict=True):
+        if target.kinds[kind] in target.essential:
+            seen[station][target.kinds[kind]] = None
+    return [', '.join(edges) for edges in seen]
 
 
 def residuals_and_left_out(used: Sequence[Sample], solution: Solution,

@@ -107,11 +107,10 @@ def _plain(value: Any, kind: type[Any]) -> Any:
     """Return a value in a type that it stands for, such as the text 3e-5 (no number in YAML)."""
     if kind is str and value is None:
         return ''
-    if kind is int and isinstance(value, Integral) and not isinstance(value, bool):
-        return int(value)
-    if kind is float and isinstance(value, Real | str) and not isinstance(value, bool):
+    known: tuple[type, ...] = {int: (Integral,), float: (Real, str)}.get(kind, ())
+    if isinstance(value, known) and not isinstance(value, bool):
         with suppress(ValueError, OverflowError):
-            return float(value)
+            return kind(value)
     return value
 
 
@@ -471,16 +470,16 @@ def with_values(config: Config, values: Mapping[str, Any], source: str = 'values
         values = {'noise.robot_smooth': ROBOT_CLASSES[robot], **values}
     for key, value in values.items():
         require_type('a key of the values', key, str)
+        section, _, name = key.rpartition('.')
         if key.startswith(RECORD_PREFIX):
             config = _with_record(config, key, value)
-            continue
-        if key not in known:
+        elif key not in known:
             raise UnknownKeyError(key, known, source)
-        section, _, name = key.rpartition('.')
-        changed = {name: value}
-        if section:
-            changed = {section: replace(getattr(config, section), **changed)}
-        config = replace(config, **changed)
+        elif section:
+            changed = replace(getattr(config, section), **{name: value})
+            config = replace(config, **{section: changed})
+        else:
+            config = replace(config, **{name: value})
     return config
 
 

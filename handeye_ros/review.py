@@ -18,7 +18,7 @@ from handeye_ros.bags.session_files import is_session, read_session
 from handeye_ros.calibration import measured_points, residuals_and_left_out, rms_by
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
-from handeye_ros.errors import UnusableMessageError
+from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.estimation.search import reassigned
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_poses
@@ -34,71 +34,36 @@ import numpy as np
 from rich.table import Table
 
 
-def session_of(path: Path, config: Config) -> Session:
-    """
-    Return the samples of a bag, or of the folder of a session.
-
-    The stops of a session are stored one by one, and some were taken again or taken back: they
-    are no recording in the order of time. Raises InputError for what cannot be read, DataError
-    where it holds no stops.
-    """
-    if is_session(path):
-        return read_session(path).session(config)
-    recording = read(path, config)
-    return pipeline.gather(recording.profiles, recording.poses, config)
-
-
 def solved_recording(calibration: Calibration, bag: Path | None, folder: Path = Path()
                      ) -> SolvedRecording:
     """
-    Return a recording solved again; bag: None for the one named in the calibration.
+    Return a recording or session solved again; bag: None for the one named in the calibration.
 
     folder: that holds the calibration's file. Without a recording, `missing` gives the reason.
-    Raises InputError for an unreadable bag.
+    Raises InputError for an unreadable bag, DataError for one without stops.
     """
     config = config_of(calibration)
     if tabulated.is_solved_from_files(config):
         return SolvedRecording(missing='stops are shown of recordings; this was solved from files')
-    missing = ''
     if bag is None:
-        bag, missing = recording_of(calibration, folder)
-    if bag is None:
-        return SolvedRecording(missing=missing)
-    session = session_of(bag, config)
-    return solved_session(session, pipeline.answer_session(session, config), config)
-
-
-def recording_of(calibration: Calibration, folder: Path) -> tuple[Path | None, str]:
-    """
-    Return the recording or session that a calibration names, or None and why it is missing.
-
-    folder: of the calibration's file; a relative path is looked for from here, from there and
-    from the folders above it.
-    """
-    advice = 'so its stops are not shown: name the recording with --bag'
-    for item in calibration.provenance.get('inputs', ()):
-        name = item.get('path') or item.get('session')
-        if not name:
-            continue
-        absolute = folder.absolute()
-        places = [place / name for place in (Path(), absolute, *absolute.parents)]
-        path = next((place for place in places if place.exists()), None)
-        if path is None:
-            return None, f'{name} is not there, {advice}'
-        if path.is_file() and input_values(path)['sha256'] != item.get('sha256'):
-            return None, f'{path} has changed since it was solved, {advice}'
-        return path, ''
-    return None, f'the calibration names no recording, {advice}'
-
-
-def solved_session(session: Session, answer: Answer, config: Config) -> SolvedRecording:
-    """Return the stops of a session with their part in its answer, and the answer."""
+        try:
+            bag = recording_of(calibration, folder)
+        except InputError as error:
+            return SolvedRecording(missing=f'{error}, so its stops are not shown: name the '
+                                   'recording with --bag')
+    # the stops of a session are stored one by one, not in the order of time
+    if is_session(bag):
+        session = read_session(bag).session(config)
+    else:
+        recording = read(bag, config)
+        session = pipeline.gather(recording.profiles, recording.poses, config)
+    answer = pipeline.answer_session(session, config)
     stops = [stop_snapshot(stop, config) for stop in session.stops]
-    calibration, solution = answer.calibration, answer.solution
-    if calibration is None or solution is None:
+    if answer.calibration is None:
         return SolvedRecording(tuple(stops), refusal=str(answer.refusal or ''))
     agreement_of = agreements(session, answer, config)
-    reasons = {report.stamp: report.reason for report in calibration.samples if not report.used}
+    reasons = {report.stamp: report.reason for report in answer.calibration.samples
+               if not report.used}
     for i, stop in enumerate(stops):
         agreement = agreement_of.get(stop.number)
         if agreement and agreement.used:
@@ -106,7 +71,27 @@ def solved_session(session: Session, answer: Answer, config: Config) -> SolvedRe
         else:
             reason = reasons.get(stop.stamp, stop.reason)
             stops[i] = replace(stop, reason=reason or 'the answer uses few of its profiles')
-    return SolvedRecording(tuple(stops), calibration)
+    return SolvedRecording(tuple(stops), answer.calibration)
+
+
+def recording_of(calibration: Calibration, folder: Path) -> Path:
+    """
+    Return the recording or session that a calibration names; raises InputError without it.
+
+    folder: of the calibration's file; a relative path is looked for from here, from there and
+    from the folders above it.
+    """
+    for item in calibration.provenance.get('inputs', ()):
+        if name := item.get('path') or item.get('session'):
+            absolute = folder.absolute()
+            places = (place / str(name) for place in (Path(), absolute, *absolute.parents))
+            path = next(filter(Path.exists, places), None)
+            if path is None:
+                raise InputError(f'{name} is not there')
+            if path.is_file() and input_values(path)['sha256'] != item.get('sha256'):
+                raise InputError(f'{path} has changed since it was solved')
+            return path
+    raise InputError('the calibration names no recording')
 
 
 def stop_snapshot(stop: Stop, config: Config) -> StopSnapshot:
@@ -139,17 +124,17 @@ def agreements(session: Session, answer: Answer, config: Config) -> dict[int, Ag
     samples, n = [*sample_of.values()], len(sample_of)
     owner = {part.stamp: k for k, sample in enumerate(samples) for part in sample.station_samples}
     stations = np.array([owner[part.stamp] for part in answer.samples])
-    used = [answer.samples[i] for i in solution.used]
     of_used = stations[solution.used]
     # a pass is used if the answer uses most of its profiles
     by_answer = 2 * np.bincount(of_used, minlength=n) >= np.maximum(
         np.bincount(stations, minlength=n), 1)
     fold = np.unique(of_used, return_inverse=True)[1].reshape(-1)
-    measured, *both = residuals_and_left_out(used, solution, fold)
+    measured, *both = residuals_and_left_out(
+        [answer.samples[i] for i in solution.used], solution, fold)
     residual, predicted = (rms_by(of_used[measured.station], r, n) for r in both)
     if not fold.any():
         predicted = residual.copy()
-    others = [k for k in range(n) if not by_answer[k]]
+    others = np.flatnonzero(~by_answer)
     residual[others] = predicted[others] = _of_others(
         [samples[k] for k in others], answer.samples[0].clock_values, solution, config)
     return {number: Agreement(float(residual[k]), float(predicted[k]), bool(by_answer[k]))
@@ -176,19 +161,13 @@ def _of_others(samples: Sequence[Sample], clock_values: Sequence[float], solutio
 
 def samples_table(session: Session, answer: Answer, config: Config) -> Table:
     """Return the table of the stops of a session, the worst left-out residual first."""
-    agreement_of = agreements(session, answer, config)
-
-    def order(stop: Stop) -> tuple[float, int]:
+    agreement_of, rows = agreements(session, answer, config), []
+    worst = {number: -agreement.left_out for number, agreement in agreement_of.items()}
+    for stop in sorted(session.stops, key=lambda stop: (worst.get(stop.number, 1.0), stop.number)):
         agreement = agreement_of.get(stop.number)
-        return -agreement.left_out if agreement else 1.0, stop.number
-
-    def row(stop: Stop) -> tuple[str, ...]:
-        agreement = agreement_of.get(stop.number)
-        residuals = (agreement.residual, agreement.left_out) if agreement else ()
+        residuals = [''] * 2 if agreement is None else [
+            f'{r * 1e3:.3f} mm' for r in (agreement.residual, agreement.left_out)]
         state = ('no sample' if stop.sample is None else 'excluded' if session.excludes(stop) else
                  'not believed' if agreement and not agreement.used else '')
-        return (str(stop.number), *(f'{r * 1e3:.3f} mm' for r in residuals or ()),
-                *[''] * (2 - len(residuals)), state, sample_summary(stop.result))
-
-    return figures_table('number', 'residual', 'left out', '', '', right=range(3),
-                         rows=map(row, sorted(session.stops, key=order)))
+        rows.append((str(stop.number), *residuals, state, sample_summary(stop.result)))
+    return figures_table('number', 'residual', 'left out', '', '', right=range(3), rows=rows)

@@ -23,7 +23,6 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from handeye_ros.arm import Arm
     from handeye_ros.bags.bag import Recording
-    from handeye_ros.bags.session_files import StoredSession
     from handeye_ros.config import Config
     from handeye_ros.data import Calibration
     from handeye_ros.sampling.session import Session
@@ -61,6 +60,7 @@ class OpenedInput:
     The input of a verb, and the settings it is read with.
 
     session: the samples of a recording or a session
+    recording: where it was read
     table: the content of a table of measured values instead
     inputs: for the provenance of an answer
     """
@@ -68,25 +68,36 @@ class OpenedInput:
     settings: 'Config'
     inputs: 'Sequence[Any]'
     session: 'Session | None' = None
+    recording: 'Recording | None' = None
     table: 'TableProblem | None' = None
 
 
 def open_input(path: Path, config: Path | None, assignments: list[str], angles: str = '',
-               kinematics: Path | None = None) -> OpenedInput:
-    """Return what a bag, a session's folder or a table holds; print warnings about it."""
-    stored = stored_session(path)
+               kinematics: Path | None = None, arm: 'Arm | None' = None) -> OpenedInput:
+    """
+    Return what a bag, a session's folder or a table holds; print warnings about it.
+
+    arm: whose joint values are read, also those of a session.
+    """
+    from handeye_ros.bags.session_files import is_session, read_session
+    stored = read_session(path) if is_session(path) else None
     settings = configuration(config, assignments, stored.config if stored else None, angles,
                              kinematics)
     from handeye_ros import tabulated
-    if is_table(path) or tabulated.is_solved_from_files(settings):
+    if arm:
+        settings = replace(settings, kinematics='')
+    elif is_table(path) or tabulated.is_solved_from_files(settings):
         with progress_bar('reading the files'):
             table = tabulated.read(path, settings)
         warn(*table.warnings)
         return OpenedInput(settings, table.inputs, table=table)
+    recording = read_bag(path, settings, arm) if arm or not stored else None
     if stored:
-        return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings))
-    recording = read_bag(path, settings)
-    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings))
+        return OpenedInput(settings, [{'path': str(path.absolute())}], stored.session(settings),
+                           recording)
+    assert recording
+    return OpenedInput(settings, list(recording.inputs), collect_samples(recording, settings),
+                       recording)
 
 
 def configuration(file: Path | None, assignments: list[str], base: 'Config | None' = None,
@@ -118,12 +129,6 @@ def open_calibration(file: Path, config: Path | None, assignments: list[str],
     return calibration, configuration(None, assignments, settings, kinematics=kinematics)
 
 
-def stored_session(path: Path) -> 'StoredSession | None':
-    """Return the session in a folder, None if there is none."""
-    from handeye_ros.bags.session_files import is_session, read_session
-    return read_session(path) if is_session(path) else None
-
-
 def is_table(path: Path) -> bool:
     """Return whether a path is a file of measured values."""
     return path.suffix == '.csv' and path.is_file()
@@ -149,7 +154,7 @@ def warn_of_frame(recording: 'Recording', calibration: 'Calibration') -> None:
     """Warn where the profiles are of another frame than the sensor of a calibration."""
     from handeye_ros.frames import wrong_sensor
     frame = next((profile.frame_id for profile in recording.profiles), '')
-    warn(*filter(None, [wrong_sensor(frame, calibration.child_frame)]))
+    warn(wrong_sensor(frame, calibration.child_frame))
 
 
 @contextmanager
@@ -167,8 +172,8 @@ def stream_recording(bag: Path, settings: 'Config', task: str, calibration: 'Cal
 
 
 def warn(*warnings: str) -> None:
-    """Print warnings."""
-    for warning in warnings:
+    """Print warnings, but empty ones."""
+    for warning in filter(None, warnings):
         typer.echo(f'warning: {warning}', err=True)
 
 

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TYPE_CHECKING
@@ -11,7 +10,6 @@ from handeye_ros.cli.common import (
     app,
     Assignments,
     Bag,
-    collect_samples,
     ConfigFile,
     configuration,
     File,
@@ -19,19 +17,16 @@ from handeye_ros.cli.common import (
     INTERRUPTED_EXIT_CODE,
     is_table,
     one_of,
+    open_input,
     progress_bar,
-    read_bag,
     show,
-    stored_session,
     warn,
 )
 from handeye_ros.errors import NoRosError, UnknownNameError
 import typer
 
 if TYPE_CHECKING:
-    from handeye_ros.arm import Arm
     from handeye_ros.batch import Row
-    from handeye_ros.robot.sources import Source
 
 BATCH_VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
 
@@ -63,32 +58,23 @@ def kinematics(
     from handeye_ros.results.calibration_file import input_values
     from handeye_ros.robot.arm_answer import table
     from handeye_ros.robot.points import solve_table
-    from handeye_ros.robot.sources import solve_sources
+    from handeye_ros.robot.sources import solve_sources, source_of
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):
             answer = solve_table(tables[0], arm, settings, [*map(input_values, (*tables, urdf))])
     else:
-        read = [_source(path, arm, config, assignments) for path in sources]
+        read = []
+        for path in sources:
+            given = open_input(path, config, assignments, arm=arm)
+            assert given.session and given.recording
+            read.append(source_of(given.session, given.recording, arm, given.settings,
+                                  given.inputs))
         with progress_bar('solving'):
             answer = solve_sources(read, arm, [input_values(urdf)])
     warn(*answer.warnings)
     show(table(answer))
     typer.echo(answer.save(text, out, settings.save.formats))
-
-
-def _source(path: Path, arm: 'Arm', config: Path | None, assignments: list[str]) -> 'Source':
-    """Return the samples of a bag or a session; the settings of a session are the default."""
-    from handeye_ros.robot.sources import source_of
-    stored = stored_session(path)
-    settings = replace(configuration(config, assignments, stored.config if stored else None),
-                       kinematics='')
-    recording = read_bag(path, settings, arm)
-    if stored:
-        return source_of(stored.session(settings), recording, arm, settings,
-                         [{'path': str(path)}])
-    session = collect_samples(recording, settings)
-    return source_of(session, recording, arm, settings, recording.inputs)
 
 
 def run_verb(words: list[str]) -> int:

@@ -51,9 +51,8 @@ class SolvedRecording:
 def html(calibration: Calibration, recording: SolvedRecording) -> str:
     """Return the text of the report."""
     config = config_of(calibration)
-    used = [stop for stop in recording.stops if stop.used and stop.features]
-    points = in_sensor(in_plane(f for stop in used for f in stop.features), config)
-    good, sentence = verdict(calibration, recording, points)
+    seen = in_plane(f for stop in recording.stops if stop.used for f in stop.features)
+    good, sentence = verdict(calibration, recording, in_sensor(seen, config))
     drawn = scene(calibration, recording.stops, config)
     return rendered(
         'report.html', c=calibration, good=good, sentence=sentence,
@@ -62,22 +61,11 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
         facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
         details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
-        stops=[(stop, _residuals(stop)) for stop in recording.stops],
-        profiles=[profile_picture(in_plane(f for stop in used for f in stop.features), ()),
+        stops=recording.stops,
+        profiles=[profile_picture(seen, ()),
                   *(profile_picture(stop.points, stop.features) for stop in recording.stops)],
-        refused=[report for report in calibration.samples if not report.used],
         settings=configuration.flatten(config).items(),
-        inputs=[', '.join(f'{key} {value}' for key, value in item.items())
-                for item in calibration.provenance.get('inputs', ())],
         joint=exports.for_ros(calibration, 'joint.urdf.jinja'))
-
-
-def _residuals(stop: StopSnapshot) -> str:
-    """Return the RMS residuals of a used stop in words."""
-    if stop.agreement is None:
-        return 'used'
-    return (f'{stop.agreement.residual * 1e3:.3f} mm, left out '
-            f'{stop.agreement.left_out * 1e3:.3f} mm')
 
 
 def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
