@@ -105,7 +105,7 @@ def rendered(template: str, **values: Any) -> str:
     from jinja2 import Environment, PackageLoader, select_autoescape, StrictUndefined
     from markupsafe import Markup
     texts = Environment(loader=PackageLoader('handeye_ros.results', 'assets'),
-                        autoescape=select_autoescape(('html', 'urdf.jinja')),
+                        autoescape=select_autoescape(('html', 'xacro.jinja')),
                         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
                         keep_trailing_newline=True)
     texts.policies['json.dumps_kwargs'] = {'ensure_ascii': False}

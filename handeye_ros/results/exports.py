@@ -69,17 +69,6 @@ def commented(calibration: Calibration, mark: str = '# ', units: str = SI_TEXT) 
     return ''.join(f'{mark}{line}\n' for line in preamble(calibration, units))
 
 
-def numbers(values: Array) -> str:
-    """Return numbers separated by blanks, with all digits."""
-    return ' '.join(repr(float(value)) for value in values)
-
-
-def matrix(calibration: Calibration) -> str:
-    """Return T row by row, as numpy.loadtxt reads it."""
-    rows = [numbers(row) + '\n' for row in calibration.T_flange_sensor]
-    return commented(calibration) + '# The matrix T (4x4), row by row.\n' + ''.join(rows)
-
-
 def as_json(calibration: Calibration) -> str:
     """Return the calibration as JSON, with the preamble under "comment"."""
     content = calibration_file.content_of(calibration)
@@ -110,15 +99,15 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
     return commented(calibration, mark, f'{notation.title}.') + '\n'.join(rows) + '\n'
 
 
-def for_ros(calibration: Calibration, template: str) -> str:
-    """Return a text for ROS by its template in results/assets."""
+def by_template(calibration: Calibration, template: str) -> str:
+    """Return a text by its template in results/assets."""
     T = calibration.T_flange_sensor
     # ROS takes letters, digits and underscores in the name of a node
     node = 'publish_' + re.sub(r'\W', '_', calibration.child_frame, flags=re.ASCII)
-    pose = map(float, (*T[:3, 3], *se3.quaternion(T)))
+    pose = zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'),
+               (*T[:3, 3].tolist(), *se3.quaternion(T).tolist()), strict=True)
     return rendered(template, c=calibration, comment=preamble(calibration), node=node,
-                    xyz=numbers(T[:3, 3]), rpy=numbers(se3.rpy(T)),
-                    pose=dict(zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'), pose, strict=True)))
+                    matrix=T.tolist(), pose=dict(pose), rpy=se3.rpy(T).tolist())
 
 
 def easy_handeye2(calibration: Calibration) -> str:
@@ -160,11 +149,10 @@ class Format:
 
 FORMATS = {
     YAML: Format(calibration_file.NAME, calibration_file.text),
-    'urdf': Format('sensor.urdf.xacro', partial(for_ros, template='sensor.urdf.jinja')),
-    'launch': Format('static_transform.launch.py',
-                     partial(for_ros, template='static_transform.launch.jinja')),
+    **{name: Format(file, partial(by_template, template=f'{file}.jinja')) for name, file in (
+        ('urdf', 'sensor.urdf.xacro'), ('launch', 'static_transform.launch.py'),
+        ('matrix', 'matrix.txt'))},
     'easy_handeye2': Format('{name}.calib', easy_handeye2),
-    'matrix': Format('matrix.txt', matrix),
     'json': Format('calibration.json', as_json),
     **{vendor: Format(file, partial(tool_frame, vendor=vendor, mark=mark, line=line))
        for vendor, (file, mark, line) in PENDANTS.items()},

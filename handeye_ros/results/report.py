@@ -59,13 +59,14 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
         remarks=list(_remarks(calibration, recording)),
         transform=list(table.transform_rows(calibration)),
         facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
-        details=list(table.details(calibration.target)), matrix=exports.matrix(calibration),
+        details=list(table.details(calibration.target)),
+        matrix=exports.FORMATS['matrix'].text(calibration),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
         stops=recording.stops,
         profiles=[profile_picture(seen, ()),
                   *(profile_picture(stop.points, stop.features) for stop in recording.stops)],
         settings=configuration.flatten(config).items(),
-        joint=exports.for_ros(calibration, 'joint.urdf.jinja'))
+        joint=exports.by_template(calibration, 'joint.xacro.jinja'))
 
 
 def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
