@@ -28,23 +28,21 @@ __all__ = [
 ]
 
 _HOMES = {
-    'config': {'Config': 'Config', 'load_config': 'load', 'with_values': 'with_values'},
-    'data': {name: name for name in ('Calibration', 'Profile', 'Reject', 'Sample', 'TimedPose')},
-    'errors': {name: name for name in ('DataError', 'HandeyeError', 'InputError')},
-    'pipeline': {name: name for name in ('calibrate', 'gather', 'solve')},
-    'results.calibration_file': {
-        name: name for name in ('read_calibration', 'write_calibration')},
-    'bags.bag': {'read_bag': 'read'},
-}
+    **dict.fromkeys(('Config', 'load_config', 'with_values'), 'config'),
+    **dict.fromkeys(('Calibration', 'Profile', 'Reject', 'Sample', 'TimedPose'), 'data'),
+    **dict.fromkeys(('DataError', 'HandeyeError', 'InputError'), 'errors'),
+    **dict.fromkeys(('calibrate', 'gather', 'solve'), 'pipeline'),
+    **dict.fromkeys(('read_calibration', 'write_calibration'), 'results.calibration_file'),
+    'read_bag': 'bags.bag'}
+_NAMES = {'load_config': 'load', 'read_bag': 'read'}  # in their homes
 
 
 def __getattr__(name: str) -> Any:
     if name == '__version__':  # it stands in package.xml, and comes here by the installation
         return _version()
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(f'{__name__}.{home}'), names[name])
-    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'{__name__}.{_HOMES[name]}'), _NAMES.get(name, name))
 
 
 @cache

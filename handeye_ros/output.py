@@ -18,7 +18,6 @@ from handeye_ros.errors import BadValueError, UnwritableError
 import numpy as np
 import yaml
 
-LONGEST_NAME = 100  # characters of a folder
 EARLIEST_STAMP = 10 ** 18  # ns (2001): stamps before it are of no clock of the world
 
 
@@ -27,8 +26,6 @@ def folder_name(config: Config) -> str:
     name = config.name or config.target.type
     if name in ('', '.', '..') or '/' in name:
         raise BadValueError('name', name, 'the name of a folder, without "/"')
-    if len(name) > LONGEST_NAME:
-        raise BadValueError('name', f'{name[:20]}...', f'at most {LONGEST_NAME} characters')
     return name
 
 

@@ -23,7 +23,7 @@ import re
 import shutil
 
 from handeye_ros import __version__, orientations, se3
-from handeye_ros.data import Array, Calibration
+from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
