@@ -188,7 +188,6 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
     address, asked where there is something to compute. A worker that ends costs only its own
     job. Raises InputError, also for a folder that is there but holds no result.
     """
-    pending = []
     for folder in (out / job.label for job in jobs):
         if folder.exists() and not (folder / JOB_FILE).is_file():
             raise InputError(f'{folder} is there and holds no result of batch, so it is not '
@@ -196,11 +195,9 @@ def results_of(jobs: Sequence[Job], out: Path, verb: Verb, scheduler: str = 'loc
         if above := [one for one in folder.parents if (one / JOB_FILE).is_file()]:
             raise InputError(f'{folder} would be inside the result {above[0]}, and be lost with '
                              'it: name another folder with --out')
-    for job in jobs:
-        if row := unchanged(job, out):
-            yield row
-        else:
-            pending.append(job)
+    known = [unchanged(job, out) for job in jobs]
+    yield from filter(None, known)
+    pending = [job for job, row in zip(jobs, known, strict=True) if row is None]
     if not pending:
         return
     with client_of(scheduler) as workers:

@@ -187,13 +187,8 @@ def progress_bar(task: str) -> Iterator[Callable[[str | float], None]]:
     from rich.progress import Progress
     with Progress(console=Console(stderr=True), transient=True) as bar:
         shown = bar.add_task(task, total=None)
-
-        def update(now: str | float) -> None:
-            if isinstance(now, str):
-                bar.update(shown, description=now)
-            else:
-                bar.update(shown, total=1.0, completed=now)
-        yield update
+        yield lambda now: (bar.update(shown, description=now) if isinstance(now, str) else
+                           bar.update(shown, total=1.0, completed=now))
 
 
 def show(renderable: Any) -> None:

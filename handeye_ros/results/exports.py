@@ -23,6 +23,7 @@ import re
 import shutil
 
 from handeye_ros import __version__, orientations, se3
+from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
@@ -181,7 +182,7 @@ class Saved:
 def format_of(name: str) -> Format:
     """Return the format of a name; raises UnknownNameError."""
     if name not in FORMATS:
-        raise UnknownNameError('format', name, list(FORMATS))
+        raise UnknownNameError('format', name, SAVE_FORMATS)
     return FORMATS[name]
 
 

@@ -7,7 +7,7 @@ The scene is polylines and points, which a small script turns; every target is l
 """
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,36 +73,34 @@ class StopSnapshot:
 def scene(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
           ) -> dict[str, Any]:
     """Return the parts with name, colour and points, and the name of their frame."""
-    parts = [{'name': name, 'color': color, 'width': width, kind: rounded(points)}
-             for kind, name, color, width, points in _parts(calibration, stops, config)
-             if len(points)]
-    return {'parts': parts, 'frame': target_frame(config)}
-
-
-def _parts(calibration: Calibration, stops: Sequence[StopSnapshot], config: Config
-           ) -> Iterator[tuple[str, str, str, float, Array]]:
-    """Yield what is drawn: 'line' or 'points', name, colour, width and points (n, 3)."""
     X, used = calibration.T_flange_sensor, [stop for stop in stops if stop.used]
+    parts = list[dict[str, Any]]()
+
+    def draw(kind: str, name: str, color: str, width: float, points: Array) -> None:
+        if len(points):
+            parts.append({'name': name, 'color': color, 'width': width, kind: rounded(points)})
+
     for T in [stop.T_mount for stop in used] or [np.eye(4)]:
         for axis in T[:3, :3].T:
-            yield ('line', 'flange at each stop', FLANGE_COLOUR, 1.2,
-                   np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
-        yield ('line', 'sensor at each stop', SENSOR_COLOUR, 1.2,
-               np.array([T[:3, 3], (T @ X)[:3, 3]]))
+            draw('line', 'flange at each stop', FLANGE_COLOUR, 1.2,
+                 np.array([T[:3, 3], T[:3, 3] + AXIS_LENGTH * axis]))
+        draw('line', 'sensor at each stop', SENSOR_COLOUR, 1.2,
+             np.array([T[:3, 3], (T @ X)[:3, 3]]))
     for stop in stops:
         plane = stop.points[np.isfinite(stop.points).all(axis=1)]
         plane = plane[::max(1, len(plane) // MOST_POINTS)]
         name, color = (('laser line', LASER_COLOUR) if stop.used else
                        ('laser line, not used', UNUSED_COLOUR))
-        yield ('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))
+        draw('points', name, color, 2.0, se3.apply(stop.T_mount @ X, in_sensor(plane, config)))
     seen = np.concatenate([np.empty((0, 3)), *(
         se3.apply(stop.T_mount @ X, in_sensor(in_plane(stop.features), config)) for stop in used)])
     target = outline_of(calibration.target, config.target.size, seen)
     for outline in target.outline:
-        yield 'line', 'target', TARGET_COLOUR, 1.2, outline
+        draw('line', 'target', TARGET_COLOUR, 1.2, outline)
     for edge in target.edges:
-        yield 'line', 'edges of the target', EDGE_COLOUR, 2.5, edge
-    yield 'points', 'what the answer comes from', SEEN_COLOUR, 4.0, seen
+        draw('line', 'edges of the target', EDGE_COLOUR, 2.5, edge)
+    draw('points', 'what the answer comes from', SEEN_COLOUR, 4.0, seen)
+    return {'parts': parts, 'frame': target_frame(config)}
 
 
 def in_sensor(plane: Array, config: Config) -> Array:

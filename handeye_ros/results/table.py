@@ -3,7 +3,7 @@
 """Tables of a calibration: millimetres and degrees, each with its unit and 1 sigma; words."""
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping
 import math
 import re
@@ -126,14 +126,13 @@ def facts(calibration: Calibration) -> Iterator[tuple[str, str]]:
                       'the others)'
     yield 'weakest', weakest(quality)
     yield 'samples', f'{quality.samples_used} used, {quality.samples_rejected} rejected'
-    causes: dict[str, Counter[str]] = {}  # reasons that differ in their figures alone, together
+    causes = defaultdict[str, list[str]](list)  # reasons that differ in their figures alone
     for sample in calibration.samples:
         if not sample.used:
             reason = sample.reason or 'no reason given'
-            causes.setdefault(reason.split(':')[0], Counter())[reason] += 1
+            causes[reason.split(':')[0]].append(reason)
     for cause, reasons in causes.items():
-        count, reason = reasons.total(), reasons.most_common(1)[0][0]
-        yield '', f'{count} rejected: {reason if len(reasons) == 1 else cause}'
+        yield '', f'{len(reasons)} rejected: {cause if len(set(reasons)) > 1 else reasons[0]}'
     if offset := calibration.time_offset:
         yield 'time offset', (f'{offset.value * 1e3:.3f} ms, 1 sigma {offset.std * 1e3:.3f} '
                               '(to be added to the stamps of the profiles)')
