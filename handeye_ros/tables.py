@@ -1,26 +1,32 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of measured values in CSV files.
+Tables of measured values in CSV files, and orientations as robot controllers show them.
 
 The header names each column and, where it has one, its unit: `base_x [mm]`. What is returned is
-in SI units.
+in SI units. Each controller has its own angles, units and order of numbers; a name such as
+kuka-abc stands for all of these. Sources: the programming manuals of the vendors, see
+docs/contract.md.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 import csv
+from dataclasses import dataclass
+from functools import partial
 import math
 from pathlib import Path
 import re
 from typing import Any
+import warnings
 
-from handeye_ros import orientations, se3
+from handeye_ros import se3
 from handeye_ros.data import Array, QUATERNION_TOLERANCE
-from handeye_ros.errors import InputError, nearest
+from handeye_ros.errors import InputError, nearest, UnknownNameError
 from handeye_ros.units import METRES, RADIANS
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 LENGTH, ANGLE, NUMBER = 'length', 'angle', 'number'
 UNITS: dict[str, dict[Any, float]] = {LENGTH: METRES, ANGLE: RADIANS, NUMBER: {None: 1.0}}
@@ -110,12 +116,12 @@ class Table:
         """Return points, (n, 3) in metres, of the columns PREFIX_x, PREFIX_y, PREFIX_z."""
         return self.values(_axes(prefix), LENGTH)
 
-    def notation(self, prefix: str, angles: str = '') -> orientations.Notation:
+    def notation(self, prefix: str, angles: str = '') -> Notation:
         """Return how orientations are written: as stated, or by the names of the columns."""
         if angles:
-            return orientations.notation_of(angles)
-        urdf = self.has(orientations.RPY.columns(prefix))
-        return orientations.RPY if urdf else orientations.QUATERNION
+            return notation_of(angles)
+        urdf = self.has(RPY.columns(prefix))
+        return RPY if urdf else QUATERNION
 
     def poses(self, prefix: str, angles: str = '') -> Array:
         """
@@ -127,7 +133,7 @@ class Table:
         """
         notation = self.notation(prefix, angles)
         names, axes = notation.columns(prefix), _axes(prefix)
-        fitting = [name for name, other in orientations.NOTATIONS.items()
+        fitting = [name for name, other in NOTATIONS.items()
                    if self.has(other.columns(prefix))]
         if fitting and not self.has(names):
             raise TableError(self.path, f'has no columns {", ".join(names)}; it has those that '
@@ -177,3 +183,81 @@ def _number(text: str) -> float:
 
 def _axes(prefix: str) -> list[str]:
     return [f'{prefix}_{axis}' for axis in 'xyz']
+
+
+@dataclass(frozen=True)
+class Notation:
+    """
+    How a controller writes a pose.
+
+    title: in words
+    labels: names of the k numbers of an orientation
+    angle: their unit, deg or rad, or '' for a quaternion
+    length: unit of positions
+    numbers: converts a Rotation to numbers (n, k)
+    rotation: converts such numbers to a Rotation
+    """
+
+    title: str
+    labels: tuple[str, ...]
+    angle: str
+    length: str
+    numbers: Callable[[Rotation], Array]
+    rotation: Callable[[Array], Rotation]
+
+    def columns(self, prefix: str) -> list[str]:
+        """Return the names of the columns of an orientation in a table."""
+        return [f'{prefix}_{label}' for label in self.labels]
+
+
+def _euler_numbers(axes: str, rotation: Rotation) -> Array:
+    with warnings.catch_warnings():  # of gimbal lock, where the angles are not unique
+        warnings.simplefilter('ignore', UserWarning)
+        return np.asarray(rotation.as_euler(axes, degrees=True))
+
+
+def _euler(title: str, labels: tuple[str, ...], axes: str) -> Notation:
+    """Return a notation by angles in degrees; axes: small as of scipy for fixed ones."""
+    return Notation(title, labels, 'deg', 'mm', partial(_euler_numbers, axes),
+                    partial(Rotation.from_euler, axes, degrees=True))
+
+
+def _wxyz(rotation: Rotation) -> Array:
+    """Return quaternions (n, 4) as w x y z with w >= 0."""
+    q = rotation.as_quat()[..., [3, 0, 1, 2]]
+    return np.asarray(np.where(q[..., :1] < 0, -q, q))
+
+
+def _from_wxyz(numbers: Array) -> Rotation:
+    return Rotation.from_quat(numbers[..., [1, 2, 3, 0]])
+
+
+NOTATIONS = {
+    'kuka-abc': _euler('KUKA A B C: about z, then the turned y, then the turned x',
+                       ('a', 'b', 'c'), 'ZYX'),
+    'fanuc-wpr': _euler('FANUC W P R: about the fixed axes x, y, z', ('w', 'p', 'r'), 'xyz'),
+    'abb-quaternion': Notation('ABB q1 q2 q3 q4: a quaternion, w x y z',
+                               ('q1', 'q2', 'q3', 'q4'), '', 'mm', _wxyz, _from_wxyz),
+    'ur-rotation-vector': Notation('Universal Robots RX RY RZ: a rotation vector',
+                                   ('rx', 'ry', 'rz'), 'rad', 'm', Rotation.as_rotvec,
+                                   Rotation.from_rotvec),
+    'staubli-rxryrz': _euler('Staubli Rx Ry Rz: about x, then the turned y, then the turned z',
+                             ('rx', 'ry', 'rz'), 'XYZ'),
+    'yaskawa-rxryrz': _euler('Yaskawa Rx Ry Rz: about the fixed axes x, y, z',
+                             ('rx', 'ry', 'rz'), 'xyz'),
+}
+
+
+# of tables that name no controller
+QUATERNION = Notation('x y z w', ('qx', 'qy', 'qz', 'qw'), '', 'm', Rotation.as_quat,
+                      Rotation.from_quat)
+RPY = Notation('roll, pitch, yaw of URDF', ('roll', 'pitch', 'yaw'), 'rad', 'm',
+               partial(Rotation.as_euler, seq='xyz'), partial(Rotation.from_euler, 'xyz'))
+
+
+def notation_of(name: str) -> Notation:
+    """Return the notation of a name, or of a vendor alone; raises UnknownNameError."""
+    full = [known for known in NOTATIONS if name in (known, known.split('-')[0])]
+    if not full:
+        raise UnknownNameError('notation of angles', name, list(NOTATIONS))
+    return NOTATIONS[full[0]]

@@ -6,9 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from handeye_ros import orientations
-from handeye_ros.orientations import NOTATIONS
-from handeye_ros.tables import LENGTH, Table, TableError
+from handeye_ros.tables import LENGTH, notation_of, NOTATIONS, Table, TableError
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -85,7 +83,7 @@ def test_quaternions_have_unit_length(tmp_path: Path) -> None:
 
 
 def matrix(name: str, *numbers: float) -> np.ndarray:
-    return orientations.notation_of(name).rotation(np.array([numbers]))[0].as_matrix()
+    return notation_of(name).rotation(np.array([numbers]))[0].as_matrix()
 
 
 def about(axis: str, degrees: float) -> np.ndarray:
@@ -97,14 +95,14 @@ def test_abb_reference_manual_orient() -> None:
     np.testing.assert_allclose(matrix('abb', 0.5 ** 0.5, 0, 0.5 ** 0.5, 0),
                                np.column_stack([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), atol=1e-12)
     turned = Rotation.from_euler('y', [[30]], degrees=True)
-    numbers = orientations.notation_of('abb').numbers(turned)
+    numbers = notation_of('abb').numbers(turned)
     np.testing.assert_allclose(numbers[0], [0.965926, 0, 0.258819, 0], atol=5e-7)
 
 
 def test_universal_robots_script_manual() -> None:
     """rpy2rotvec([3.14, 1.57, 0]) and rotvec2rpy([3.14, 1.57, 0])."""
     R = Rotation.from_euler('xyz', [[3.14, 1.57, 0]])
-    np.testing.assert_allclose(orientations.notation_of('ur').numbers(R)[0],
+    np.testing.assert_allclose(notation_of('ur').numbers(R)[0],
                                [2.22153, 0.00177, -2.21976], atol=6e-6)
     rpy = Rotation.from_matrix(matrix('ur', 3.14, 1.57, 0)).as_euler('xyz')
     np.testing.assert_allclose(rpy, [-2.80856, -0.16202, 0.9], atol=6e-6)

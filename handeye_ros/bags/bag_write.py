@@ -25,14 +25,14 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, NS, Profile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_atomically, write_errors_for, yaml_text
-from handeye_ros.results import truth_file
+from handeye_ros.results.calibration_file import TRUTH_NAME
 from mcap.reader import make_reader
 from mcap.summary import Summary
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
 METADATA = 'metadata.yaml'
-OWN_FILES = (METADATA, truth_file.NAME)  # a folder with one of these may be replaced
+OWN_FILES = (METADATA, TRUTH_NAME)  # a folder with one of these may be replaced
 CHUNK_BYTES = 1 << 20  # bytes of a chunk: a reader decompresses one to read a message
 PATH_TYPE, POSE_ARRAY_TYPE = 'nav_msgs/msg/Path', 'geometry_msgs/msg/PoseArray'
 
@@ -51,7 +51,7 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     """
     texts = dict(tables or {})
     if truth is not None:
-        texts[truth_file.NAME] = yaml_text(truth)
+        texts[TRUTH_NAME] = yaml_text(truth)
     config = config or Config()
     profile_topic, pose_topic, joint_topic = map(full_name, (
         config.profile_topic, config.pose_topic, config.joint_topic))

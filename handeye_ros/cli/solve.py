@@ -49,7 +49,7 @@ def solve(
     """Find the transform from a recording or a file."""
     from handeye_ros.output import folder_name
     from handeye_ros.results import exports, table
-    from handeye_ros.results.truth_file import errors_against, true_transform
+    from handeye_ros.results.calibration_file import errors_against, true_transform
     given = open_input(path, config, assignments, angles, kinematics)
     settings = given.settings
     folder = out or Path(settings.output_dir or 'out') / folder_name(settings)
@@ -191,7 +191,7 @@ def compare(
     """Put the same samples through all estimators."""
     from handeye_ros import compare as comparing
     from handeye_ros.output import write_atomically, yaml_text
-    from handeye_ros.results.truth_file import true_transform
+    from handeye_ros.results.calibration_file import true_transform
     given, T_true = open_input(path, config, assignments, angles), true_transform(path)
     with progress_bar('comparing') as update:
         if given.table:

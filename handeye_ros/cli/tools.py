@@ -192,7 +192,7 @@ def _write_simulated(name: str, seed: int, path: Path, force: bool) -> str:
     from handeye_ros import se3
     from handeye_ros.bags import bag_write
     from handeye_ros.output import yaml_text
-    from handeye_ros.results.truth_file import NAME
+    from handeye_ros.results.calibration_file import TRUTH_NAME
     from handeye_ros.simulate import FAULTS, FILE_SCENES, measuring, robot, SCENARIOS, simulate
     import numpy as np
     rng, tables = np.random.default_rng(seed), dict[str, str]()
@@ -206,7 +206,7 @@ def _write_simulated(name: str, seed: int, path: Path, force: bool) -> str:
         truth |= {'T_flange_sensor': se3.transform_values(X), 'artefacts': {
             'ball_radius': measuring.GAUGE_BALL.radius, 'bar': measuring.BALL_BAR_LENGTH,
             'gauge': asdict(measuring.Gauge())}}
-        bag_write.write_folder(path, {NAME: yaml_text(truth)}, partial(
+        bag_write.write_folder(path, {TRUTH_NAME: yaml_text(truth)}, partial(
             _write_cell, recordings, truth, seed), force)
         return f'{", ".join(recordings)}, {PREFORM_FILE}'
     if scenario := SCENARIOS.get(name) or FAULTS.get(name):
@@ -227,7 +227,7 @@ def _write_simulated(name: str, seed: int, path: Path, force: bool) -> str:
         truth |= {'T_flange_sensor': se3.transform_values(made.T_flange_sensor),
                   'noise': made.noise, 'settings': made.settings}
     if not made.profiles:
-        bag_write.write_folder(path, {**tables, NAME: yaml_text(truth)}, force=force)
+        bag_write.write_folder(path, {**tables, TRUTH_NAME: yaml_text(truth)}, force=force)
         return ', '.join(tables)
     bag_write.write(path, made.profiles, made.poses, truth=truth, tables=tables, force=force,
                     joints=joints)

@@ -22,13 +22,14 @@ from pathlib import Path
 import re
 import shutil
 
-from handeye_ros import __version__, orientations, se3
+from handeye_ros import __version__, se3
 from handeye_ros.config import SAVE_FORMATS
 from handeye_ros.data import Calibration
 from handeye_ros.errors import UnknownNameError
 from handeye_ros.output import rendered, write_atomically, write_errors_for, yaml_text
 from handeye_ros.results import calibration_file
 from handeye_ros.results.calibration_file import config_of, one_line
+from handeye_ros.tables import notation_of
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -86,7 +87,7 @@ def tool_frame(calibration: Calibration, vendor: str, mark: str, line: str) -> s
 
     mark: the start of a comment; line: with {xyz}, {angles}, and {x}, {a} and so on.
     """
-    notation, T = orientations.notation_of(vendor), calibration.T_flange_sensor
+    notation, T = notation_of(vendor), calibration.T_flange_sensor
     angles = np.ravel(notation.numbers(Rotation.from_matrix(T[:3, :3])))
     names = ('x', 'y', 'z', *notation.labels)
     units = [notation.length] * 3 + [notation.angle] * len(angles)

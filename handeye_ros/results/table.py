@@ -22,7 +22,7 @@ from handeye_ros.data import (
     Reject,
     Sample,
 )
-from handeye_ros.results.truth_file import Errors
+from handeye_ros.results.calibration_file import Errors
 import numpy as np
 from rich import box
 from rich.console import Group, RenderableType

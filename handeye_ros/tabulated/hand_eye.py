@@ -25,10 +25,9 @@ from handeye_ros.data import Array
 from handeye_ros.errors import TooFewError
 from handeye_ros.estimation.least_squares import adjust, Adjusted, inverse_roots, Rows, System
 from handeye_ros.frames import mount_frame, mount_poses
-from handeye_ros.orientations import NOTATIONS
 from handeye_ros.published.cn105021139a import solve_motions
 from handeye_ros.results.calibration_file import input_values
-from handeye_ros.tables import Table
+from handeye_ros.tables import NOTATIONS, Table
 from handeye_ros.tabulated.values import Indices, Misreading, PairedRows, TableAnswer
 import numpy as np
 

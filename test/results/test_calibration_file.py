@@ -11,7 +11,7 @@ from calibrations import CALIBRATION, equal
 from handeye_ros import se3
 from handeye_ros.data import Calibration, ClockEstimate, Quality, SampleReport
 from handeye_ros.errors import InputError, UnwritableError
-from handeye_ros.results import calibration_file, table, truth_file
+from handeye_ros.results import calibration_file, table
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -141,14 +141,14 @@ def test_sigma_of_roll_pitch_yaw_is_that_of_drawn_rotations():
 
 def test_errors_of_known_differences():
     T = CALIBRATION.T_flange_sensor
-    assert truth_file.errors_against(T, T) == truth_file.Errors(0.0, 0.0, 0.0)
+    assert calibration_file.errors_against(T, T) == calibration_file.Errors(0.0, 0.0, 0.0)
     shifted = se3.perturb(T, np.array([3e-3, 0, 4e-3, 0, 0, 0]))
-    errors = truth_file.errors_against(shifted, T)
+    errors = calibration_file.errors_against(shifted, T)
     assert errors.translation == pytest.approx(5e-3)
     assert errors.rotation == pytest.approx(0.0, abs=1e-12)
     assert errors.mapped_points == pytest.approx(5e-3)
     turned = T @ se3.transform(se3.exp_rotation(np.array([0.0, 0.01, 0.0])), np.zeros(3))
-    errors = truth_file.errors_against(turned, T)
+    errors = calibration_file.errors_against(turned, T)
     assert errors.rotation == pytest.approx(0.01)
     # turned about y, a point moves by its distance times the angle
     assert errors.mapped_points == pytest.approx(0.01 * math.sqrt(0.175 ** 2 + (

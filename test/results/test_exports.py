@@ -16,10 +16,11 @@ from xml.etree import ElementTree
 
 from calibrations import CALIBRATION
 from command import handeye
-from handeye_ros import config, orientations, se3
+from handeye_ros import config, se3
 from handeye_ros.data import Array
 from handeye_ros.errors import UnknownNameError, UnwritableError
 from handeye_ros.results import calibration_file, exports
+from handeye_ros.tables import notation_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -99,7 +100,7 @@ def read_robot(text: str, vendor: str) -> tuple[Array, None, None]:
     """Return what the last line says, its numbers in their order."""
     line = re.sub('[A-Za-z_]+[_0-9]*', ' ', text.splitlines()[-1])
     numbers = np.array([float(v) for v in re.findall(r'-?[0-9]+[.][0-9]+', line)])
-    T, notation = np.eye(4), orientations.notation_of(vendor)
+    T, notation = np.eye(4), notation_of(vendor)
     T[:3, :3] = notation.rotation(numbers[None, 3:]).as_matrix()[0]
     T[:3, 3] = numbers[:3] * (1e-3 if notation.length == 'mm' else 1.0)
     return T, None, None
