@@ -117,7 +117,7 @@ def file_of(path: Path) -> Path:
 def read_calibration(path: Path | str) -> Calibration:
     """Return the calibration in a file; raises InputError."""
     path = path_of('path', path)
-    content = value_of(path, 'the file', read_yaml(path), dict)
+    content = value_of(path, 'its content', read_yaml(path), dict)
 
     def get(key: str, kind: type[Kind]) -> Kind:
         return value_of(path, key, content.get(key), kind)
@@ -219,7 +219,7 @@ def true_transform(bag: Path) -> Array | None:
     path = (bag if bag.is_dir() else bag.parent) / TRUTH_NAME
     if not path.is_file():
         return None
-    content = value_of(path, 'the file', read_yaml(path), dict)
+    content = value_of(path, 'its content', read_yaml(path), dict)
     return transform_from(path, 'T_flange_sensor', content.get('T_flange_sensor'))
 
 
