@@ -2,13 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The verbs around it: errors of the arm, many recordings, playing and making recordings."""
 from collections import Counter
-from dataclasses import asdict
-from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, TYPE_CHECKING
+from typing import Annotated, TYPE_CHECKING
 
-from handeye_ros import __version__
 from handeye_ros.cli.common import (
     app,
     Assignments,
@@ -29,14 +26,8 @@ from handeye_ros.errors import NoRosError, UnknownNameError
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from handeye_ros.batch import Row
-    from handeye_ros.data import Array
-    from handeye_ros.simulate import Simulated, SimulatedFiles
-    from handeye_ros.simulate.measuring import Messages
 
-PREFORM_FILE = 'preform.ply'
 BATCH_VERBS = ('solve', 'verify', 'check', 'compare')  # that batch runs
 
 
@@ -182,69 +173,8 @@ def simulate(
     if scenario not in _scenarios():
         raise UnknownNameError('scenario', scenario, _scenarios(),
                                'handeye simulate --list')
+
+    from handeye_ros.cli import simulated
     with progress_bar('simulating'):
-        content = _write_simulated(scenario, seed, directory, force)
+        content = simulated.write(scenario, seed, directory, force)
     typer.echo(f'wrote {directory.absolute()}: {content}')
-
-
-def _write_simulated(name: str, seed: int, path: Path, force: bool) -> str:
-    """Write the folder of a scenario or a scene of files, with its truth; return what it holds."""
-    from handeye_ros import se3
-    from handeye_ros.bags import bag_write
-    from handeye_ros.output import yaml_text
-    from handeye_ros.results.calibration_file import TRUTH_NAME
-    from handeye_ros.simulate import FAULTS, FILE_SCENES, measuring, robot, SCENARIOS, simulate
-    import numpy as np
-    rng, tables = np.random.default_rng(seed), dict[str, str]()
-    joints: list[tuple[int, Array]] = []
-    made: Simulated | SimulatedFiles
-    truth: dict[str, Any] = {
-        'made_by': f'handeye_ros {__version__}: handeye simulate {name} --seed {seed}',
-        'scenario': name, 'seed': seed}
-    if name == measuring.MEASURING_CELL:
-        recordings, X = measuring.measuring_cell(rng)
-        truth |= {'T_flange_sensor': se3.transform_values(X), 'artefacts': {
-            'ball_radius': measuring.GAUGE_BALL.radius, 'bar': measuring.BALL_BAR_LENGTH,
-            'gauge': asdict(measuring.Gauge())}}
-        bag_write.write_folder(path, {TRUTH_NAME: yaml_text(truth)}, partial(
-            _write_cell, recordings, truth, seed), force)
-        return f'{", ".join(recordings)}, {PREFORM_FILE}'
-    if scenario := SCENARIOS.get(name) or FAULTS.get(name):
-        made = simulate(scenario, rng)
-        known, joints = made.truth, made.joints()
-        tables = {'robot.urdf': robot.urdf()} if joints else {}
-        offset = {} if known.time_offset is None else {'time_offset': known.time_offset}
-        truth |= {
-            'T_flange_sensor': se3.transform_values(known.T_flange_sensor),
-            'T_base_target': se3.transform_values(known.T_base_target), **offset,
-            'noise': {'sensor': scenario.sensor.noise,
-                      'robot_translation': scenario.robot.repeatability[0],
-                      'robot_rotation': scenario.robot.repeatability[1]},
-            'parameters': asdict(scenario)}
-    else:
-        made = FILE_SCENES[name](rng)
-        tables = dict(made.tables)
-        truth |= {'T_flange_sensor': se3.transform_values(made.T_flange_sensor),
-                  'noise': made.noise, 'settings': made.settings}
-    if not made.profiles:
-        bag_write.write_folder(path, {**tables, TRUTH_NAME: yaml_text(truth)}, force=force)
-        return ', '.join(tables)
-    bag_write.write(path, made.profiles, made.poses, truth=truth, tables=tables, force=force,
-                    joints=joints)
-    return ', '.join([f'{len(made.profiles)} profiles', f'{len(made.poses)} poses', *tables])
-
-
-def _write_cell(recordings: 'Mapping[str, Messages]', truth: 'Mapping[str, Any]', seed: int,
-                folder: Path) -> None:
-    """Write recordings into a new folder, and the cloud of a preform with a seam."""
-    from handeye_ros.bags import bag_write
-    from handeye_ros.scanning.cloud import write_cloud
-    from handeye_ros.simulate import measuring
-    import numpy as np
-    from numpy.lib.recfunctions import unstructured_to_structured
-    folder.mkdir()
-    for name, recording in recordings.items():
-        bag_write.write(folder / name, recording.profiles, recording.poses, truth=truth)
-    points = measuring.preform_cloud(measuring.Preform(), np.random.default_rng(seed)).points
-    rows = unstructured_to_structured(points, np.dtype([(axis, '<f4') for axis in 'xyz']))
-    write_cloud(folder / PREFORM_FILE, [rows], 'frame base, metres')
