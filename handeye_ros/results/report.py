@@ -54,18 +54,14 @@ def html(calibration: Calibration, recording: SolvedRecording) -> str:
     good, sentence = verdict(calibration, recording, in_sensor(seen, config))
     drawn = scene(calibration, recording.stops, config)
     return rendered(
-        'report.html', c=calibration, good=good, sentence=sentence,
+        'report.html', c=calibration, good=good, sentence=sentence, table=table,
         remarks=list(_remarks(calibration, recording)),
-        transform=list(table.transform_rows(calibration)),
-        facts=list(table.facts(calibration)), weakest=table.weakest(calibration.quality),
-        details=list(table.details(calibration.target)),
         matrix=exports.FORMATS['matrix'].text(calibration),
+        joint=exports.by_template(calibration, 'joint.xacro.jinja'),
         scene=drawn, legend={part['name']: part['color'] for part in drawn['parts']}.items(),
-        stops=recording.stops,
+        stops=recording.stops, settings=configuration.flatten(config).items(),
         profiles=[profile_picture(seen, ()),
-                  *(profile_picture(stop.points, stop.features) for stop in recording.stops)],
-        settings=configuration.flatten(config).items(),
-        joint=exports.by_template(calibration, 'joint.xacro.jinja'))
+                  *(profile_picture(stop.points, stop.features) for stop in recording.stops)])
 
 
 def verdict(calibration: Calibration, recording: SolvedRecording, visible: Array
