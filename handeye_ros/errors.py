@@ -139,6 +139,12 @@ class TooFewError(DataError):
         super().__init__(f'{method} needs at least {minimum} {what}, got {count}')
 
 
+def require_count(method: str, minimum: int, what: str, count: int) -> None:
+    """Raise TooFewError for less than a minimum."""
+    if count < minimum:
+        raise TooFewError(method, minimum, what, count)
+
+
 class SingularError(DataError):
     """Data for which a published algorithm is singular, or lacks an input."""
 

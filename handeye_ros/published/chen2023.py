@@ -26,7 +26,7 @@ from typing import cast
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
+from handeye_ros.errors import require_count
 import numpy as np
 from scipy.optimize import Bounds, least_squares, minimize, NonlinearConstraint
 from scipy.spatial.transform import Rotation
@@ -129,8 +129,7 @@ def _rows(T_base_flange: Array, points: Array, edges: Array) -> tuple[Array, Arr
     """Return the rows of both edges."""
     masks = [np.asarray(edges) == edge for edge in 'pq']
     for edge, mask in zip('pq', masks, strict=True):
-        if mask.sum() < MINIMUM:
-            raise TooFewError('Chen 2023', MINIMUM, f'points on edge {edge}', int(mask.sum()))
+        require_count('Chen 2023', MINIMUM, f'points on edge {edge}', int(mask.sum()))
     p, q = (edge_rows(T_base_flange[mask], points[mask]) for mask in masks)
     return p, q
 

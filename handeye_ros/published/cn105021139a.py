@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import SingularError, TooFewError
+from handeye_ros.errors import require_count, SingularError
 import numpy as np
 
 NAME = 'CN105021139A'
@@ -117,8 +117,7 @@ def solve_motions(A: Array, B: Array) -> Array:
 
     Raises TooFewError, SingularError.
     """
-    if len(A) < 2:
-        raise TooFewError(NAME, 2, 'motions', len(A))
+    require_count(NAME, 2, 'motions', len(A))
     a, b = se3.log_rotation(A[:, :3, :3]), se3.log_rotation(B[:, :3, :3])
     if np.linalg.svd(a, compute_uv=False)[1] < SMALLEST_SINGULAR:
         raise SingularError(NAME, 'the motions turn about one axis only; turn about another too')
@@ -134,7 +133,6 @@ def solve(T_base_flange: Array, views: tuple[View, ...], camera: Camera) -> Arra
 
     T_base_flange: (n, 4, 4), one per view. Raises TooFewError, SingularError.
     """
-    if len(views) < 3:
-        raise TooFewError(NAME, 3, 'views', len(views))
+    require_count(NAME, 3, 'views', len(views))
     T_camera_target = np.array([target_pose(view, camera) for view in views])
     return solve_motions(*motions(T_base_flange, T_camera_target))

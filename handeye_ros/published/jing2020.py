@@ -39,7 +39,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
+from handeye_ros.errors import require_count
 import numpy as np
 
 FEWEST_CENTRES = 4
@@ -135,15 +135,13 @@ def face_normals(face_c: Array, face_d: Array) -> tuple[Array, Array]:
 
 def fit_plane(points: Array) -> Array:
     """Return a unit normal (3,) of the plane of points (n, 3). Raises TooFewError."""
-    if len(points) < 3:
-        raise TooFewError('Jing 2020', 3, 'points on each face', len(points))
+    require_count('Jing 2020', 3, 'points on each face', len(points))
     return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2])
 
 
 def fit_line(points: Array) -> Array:
     """Return the unit direction (3,) of points (n, 3), first to last. Raises TooFewError."""
-    if len(points) < 2:
-        raise TooFewError('Jing 2020', 2, 'reflector points on the line', len(points))
+    require_count('Jing 2020', 2, 'reflector points on the line', len(points))
     along = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
     return np.asarray(along * np.sign(along @ (points[-1] - points[0])))
 
@@ -154,8 +152,7 @@ def fit_arc(points: Array) -> tuple[Array, Array]:
 
     The axis is that of the turn from each point to the next. Raises TooFewError.
     """
-    if len(points) < 3:
-        raise TooFewError('Jing 2020', 3, 'reflector points on the arc', len(points))
+    require_count('Jing 2020', 3, 'reflector points on the arc', len(points))
     mean = points.mean(axis=0)
     basis = np.linalg.svd(points - mean)[2]
     flat = (points - mean) @ basis[:2].T
@@ -188,8 +185,7 @@ def fit_swept_ball(points: Array, q30: float,
 
     points: (n, 3) x, z, q3 on the ball. Raises TooFewError.
     """
-    if len(points) < 6:
-        raise TooFewError('Jing 2020', 6, 'profile points on the ball', len(points))
+    require_count('Jing 2020', 6, 'profile points on the ball', len(points))
     aside = np.linalg.svd(direction[None])[2][1:]
 
     def at(unknown: Array) -> Array:
@@ -225,8 +221,7 @@ def fixed_point_linear(T_base_flange: Array, centres: Array) -> tuple[Array, Arr
     T_base_flange: (n, 4, 4); centres: (n, 3) from `ball_centres`. The solution of least norm, with
     the nearest rotation. Raises TooFewError.
     """
-    if len(centres) < FEWEST_CENTRES:
-        raise TooFewError('the fixed point', FEWEST_CENTRES, 'profiles', len(centres))
+    require_count('the fixed point', FEWEST_CENTRES, 'profiles', len(centres))
     R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH_UNIT
     A = np.concatenate([R * c for c in (*centres.T[:, :, None, None] / LENGTH_UNIT, 1.0)], axis=2)
     mean_A, mean_a = A.mean(axis=0), a.mean(axis=0)

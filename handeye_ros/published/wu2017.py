@@ -25,7 +25,7 @@ from itertools import combinations
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import SingularError, TooFewError
+from handeye_ros.errors import require_count, SingularError
 import numpy as np
 
 FLAT_SHARE = 1e-6
@@ -60,8 +60,7 @@ def solve(in_camera: Array, in_base: Array) -> Result:
     in_camera, in_base: (n, 3), the same points in both frames (metres), n = 10 in the paper.
     Raises TooFewError, SingularError.
     """
-    if len(in_base) < 4:
-        raise TooFewError('Wu 2017', 4, 'points', len(in_base))
+    require_count('Wu 2017', 4, 'points', len(in_base))
     quadruples = np.array(list(combinations(range(len(in_base)), 4)))
     T_w, T_c = (np.insert(p[quadruples], 3, 1.0, axis=2).swapaxes(1, 2)
                 for p in (in_base, in_camera))

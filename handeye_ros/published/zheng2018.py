@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 from handeye_ros import se3
 from handeye_ros.data import Array
-from handeye_ros.errors import TooFewError
+from handeye_ros.errors import require_count
 import numpy as np
 from scipy.optimize import golden
 
@@ -94,8 +94,7 @@ def solve(T_base_flange: Array, points: Array, T_flange_sensor: Array) -> Array:
     T_base_flange: (n, 4, 4); points: (n, 2), y and z in the sensor plane x = 0 (metres);
     T_flange_sensor: (4, 4), the nominal mounting to start from. Raises TooFewError.
     """
-    if len(points) < MINIMUM:
-        raise TooFewError('Zheng 2018', MINIMUM, 'points on the edge', len(points))
+    require_count('Zheng 2018', MINIMUM, 'points on the edge', len(points))
     R, a = T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] / LENGTH_UNIT
     y, z = (points[:, k, None, None] / LENGTH_UNIT for k in (0, 1))
     problem = _Problem(np.concatenate([R * y, R * z, R], axis=2), a - a.mean(axis=0))
