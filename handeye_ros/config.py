@@ -1,7 +1,7 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The configuration: every key with its default, range and description, in one place.
+The configuration: every key with its default, description and range, in one place.
 
 A dotted key (`noise.sensor`) is a ROS parameter of the node, a key of the YAML files in config/
 and a `--set` key of the command line. Metres, radians and seconds throughout. The sections of keys
@@ -9,12 +9,10 @@ come first, then what sets their values, from files or by hand; a wrong value ra
 """
 from __future__ import annotations
 
-import ast
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from itertools import pairwise
 import math
 from numbers import Integral, Real
 from operator import attrgetter
@@ -52,15 +50,12 @@ NODE_NAME = 'handeye'  # the name of the node, and of its section in parameter f
 EVERY_NODES = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
-def key(default: Any, minimum: float | None = None, maximum: float | None = None, unit: str = '',
-        **limits: Any) -> Any:
-    """
-    Declare a key, with the range of a number; limits: choices, length and integers.
-
-    The text below it is its description wherever a user sees one.
-    """
+def key(default: Any, description: str, minimum: float | None = None,
+        maximum: float | None = None, unit: str = '', **limits: Any) -> Any:
+    """Declare a key, with the range of a number; limits: choices, length and integers."""
     return field(default=default, metadata={
-        'minimum': minimum, 'maximum': maximum, 'unit': unit, **limits})
+        'description': description + (f' In {unit}.' if unit else ''), 'minimum': minimum,
+        'maximum': maximum, 'unit': unit, **limits})
 
 
 @dataclass(frozen=True)
@@ -69,17 +64,13 @@ class Parameter:
 
     key: str
     default: Any
+    description: str
     minimum: float | None = None
     maximum: float | None = None
     unit: str = ''  # of a number: m, rad or s
     choices: tuple[Any, ...] = ()
     length: tuple[int, ...] = ()  # of a list; empty: any
     integers: bool = False  # a list of them
-
-    @property
-    def description(self) -> str:
-        """Return what it means, and its unit."""
-        return _descriptions()[self.key] + (f' In {self.unit}.' if self.unit else '')
 
     def checked(self, value: Any) -> Any:
         """Return a value in the type of the default; raises BadValueError for a wrong one."""
@@ -156,28 +147,25 @@ def _own(section: Any) -> dict[str, Parameter]:
 class ProfileConfig(Section, prefix='profile.'):
     """How to read the messages of the profiler's driver."""
 
-    unit: str = key('m', choices=('m', 'mm'))
-    """Unit of the coordinates in the profile messages."""
-    axes: tuple[str, ...] = key(('x', 'z'), choices=SIGNED_AXES, length=(2,))
-    """Two signed axes of the message: along the laser line, and range."""
-    range_sign: int = key(1, -1, 1, choices=(1, -1))
-    """1 if the range grows away from the sensor, -1 if towards it."""
-    rows: str = key('auto', choices=('auto', 'points', 'profiles'))
-    """
-    What the rows of a message are: points of one profile, or profiles; auto: profiles where each
-    runs along the whole line.
-    """
-    period: float = key(0.0, 0.0, 60.0, 's')
-    """
-    Time between the profiles of one message; 0: unknown, and only those messages are used during
-    which the robot stood still.
-    """
-    exposure: float = key(0.0, 0.0, 0.1, 's')
-    """Time that a profile averages over, in motion."""
-    stamp: str = key('first', choices=('first', 'middle', 'last'))
-    """Which profile of a message its stamp belongs to."""
-    invalid: tuple[float, ...] = key((), -1e9, 1e9, length=(0, 1, 2, 3, 4))
-    """Ranges that mean no return, in the unit of the message, such as 0 or -327.68."""
+    unit: str = key('m', 'Unit of the coordinates in the profile messages.', choices=('m', 'mm'))
+    axes: tuple[str, ...] = key(
+        ('x', 'z'), 'Two signed axes of the message: along the laser line, and range.',
+        choices=SIGNED_AXES, length=(2,))
+    range_sign: int = key(
+        1, '1 if the range grows away from the sensor, -1 if towards it.', -1, 1, choices=(1, -1))
+    rows: str = key(
+        'auto', 'What the rows of a message are: points of one profile, or profiles; auto: '
+        'profiles where each runs along the whole line.',
+        choices=('auto', 'points', 'profiles'))
+    period: float = key(
+        0.0, 'Time between the profiles of one message; 0: unknown, and only those messages '
+        'are used during which the robot stood still.', 0.0, 60.0, 's')
+    exposure: float = key(0.0, 'Time that a profile averages over, in motion.', 0.0, 0.1, 's')
+    stamp: str = key('first', 'Which profile of a message its stamp belongs to.',
+                     choices=('first', 'middle', 'last'))
+    invalid: tuple[float, ...] = key(
+        (), 'Ranges that mean no return, in the unit of the message, such as 0 or -327.68.',
+        -1e9, 1e9, length=(0, 1, 2, 3, 4))
 
     def __post_init__(self) -> None:
         """Raise BadValueError also for two axes along one line."""
@@ -190,65 +178,53 @@ class ProfileConfig(Section, prefix='profile.'):
 class TargetConfig(Section, prefix='target.'):
     """The target that the laser line crosses."""
 
-    type: str = key('plate')  # noqa: A003
-    """plate, line, plane, sphere or wedge; from files: points, hand_eye or tracker."""
-    radius: float = key(0.0, 0.0, 10.0, 'm')
-    """Radius of the sphere; 0: unknown, estimated."""
-    size: tuple[float, ...] = key((), 0.0, 10.0, 'm', length=(0, 2))
-    """
-    Lengths of the plate along its edges p and q; empty: unknown, only the two edges that meet in
-    the corner are used.
-    """
-    radius_std: float = key(5e-5, 0.0, 0.1, 'm')
-    """1 sigma of the radius of the sphere."""
-    size_std: float = key(1e-4, 0.0, 0.1, 'm')
-    """1 sigma of each length of the plate."""
-    edge_angle_std: float = key(3e-4, 0.0, 0.1, 'rad')
-    """1 sigma of the angle between the edges of the plate."""
-    setback_std: float = key(3e-5, 0.0, 0.01, 'm')
-    """1 sigma of how far a face seems to end inside its sharp edge."""
-    edge_angle_free: bool = key(False)
-    """Estimate the angle between the edges of the plate; otherwise a right angle."""
-    angles: str = key('')
-    """
-    How a table of poses writes orientations: kuka-abc, fanuc-wpr, abb-quaternion,
-    ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion x y z w, or roll pitch
-    yaw, as its columns say.
-    """
-    use_face: bool = key(False)
-    """Use the flat face beside the straight edge (line) too."""
+    type: str = key(  # noqa: A003
+        'plate', 'plate, line, plane, sphere or wedge; from files: points, hand_eye or tracker.')
+    radius: float = key(0.0, 'Radius of the sphere; 0: unknown, estimated.', 0.0, 10.0, 'm')
+    size: tuple[float, ...] = key(
+        (), 'Lengths of the plate along its edges p and q; empty: unknown, only the two '
+        'edges that meet in the corner are used.', 0.0, 10.0, 'm', length=(0, 2))
+    radius_std: float = key(5e-5, '1 sigma of the radius of the sphere.', 0.0, 0.1, 'm')
+    size_std: float = key(1e-4, '1 sigma of each length of the plate.', 0.0, 0.1, 'm')
+    edge_angle_std: float = key(
+        3e-4, '1 sigma of the angle between the edges of the plate.', 0.0, 0.1, 'rad')
+    setback_std: float = key(
+        3e-5, '1 sigma of how far a face seems to end inside its sharp edge.', 0.0, 0.01, 'm')
+    edge_angle_free: bool = key(
+        False, 'Estimate the angle between the edges of the plate; otherwise a right angle.')
+    angles: str = key(
+        '', 'How a table of poses writes orientations: kuka-abc, fanuc-wpr, abb-quaternion, '
+        'ur-rotation-vector, staubli-rxryrz, yaskawa-rxryrz; empty: quaternion x y z w, or roll '
+        'pitch yaw, as its columns say.')
+    use_face: bool = key(False, 'Use the flat face beside the straight edge (line) too.')
 
 
 @dataclass(frozen=True)
 class SamplingConfig(Section, prefix='sampling.'):
     """When the robot counts as standing still, and which part of a stop is used."""
 
-    mode: str = key('still', choices=('still', 'manual', 'moving'))
-    """
-    When a sample is taken: automatically at every stop (still), when asked by ~/take_sample or
-    ~/take (manual), or of single profiles while the robot moves (moving).
-    """
-    still_time: float = key(0.5, 0.05, 60.0, 's')
-    """The robot stands still when its pose did not change for this long."""
-    still_translation: float = key(5e-4, 0.0, 0.1, 'm')
-    """Largest change of position of a robot that stands still."""
-    still_rotation: float = key(2e-3, 0.0, 0.1, 'rad')
-    """Largest change of orientation of a robot that stands still."""
-    settle_time: float = key(0.1, 0.0, 10.0, 's')
-    """Profiles so soon after a stop begins or before it ends are unused."""
-    max_pose_gap: float = key(0.5, 1e-3, 60.0, 's')
-    """Poses further apart than this around a profile are too sparse."""
-    min_points: int = key(20, 5, 100000)
-    """Fewest points of a face or an arc in one profile."""
-    min_crossing_angle: float = key(0.44, 0.0, 1.5, 'rad')
-    """A laser line that crosses an edge at a smaller angle is not used."""
-    new_translation: float = key(8e-3, 0.0, 1.0, 'm')
-    """
-    A stop nearer than this to an earlier one, and turned by less than new_rotation, is not used;
-    0: every stop is used.
-    """
-    new_rotation: float = key(0.05, 0.0, 3.15, 'rad')
-    """The turn that goes with new_translation; 0: every stop is used."""
+    mode: str = key(
+        'still', 'When a sample is taken: automatically at every stop (still), when asked by '
+        '~/take_sample or ~/take (manual), or of single profiles while the robot moves (moving).',
+        choices=('still', 'manual', 'moving'))
+    still_time: float = key(
+        0.5, 'The robot stands still when its pose did not change for this long.', 0.05, 60.0, 's')
+    still_translation: float = key(
+        5e-4, 'Largest change of position of a robot that stands still.', 0.0, 0.1, 'm')
+    still_rotation: float = key(
+        2e-3, 'Largest change of orientation of a robot that stands still.', 0.0, 0.1, 'rad')
+    settle_time: float = key(
+        0.1, 'Profiles so soon after a stop begins or before it ends are unused.', 0.0, 10.0, 's')
+    max_pose_gap: float = key(
+        0.5, 'Poses further apart than this around a profile are too sparse.', 1e-3, 60.0, 's')
+    min_points: int = key(20, 'Fewest points of a face or an arc in one profile.', 5, 100000)
+    min_crossing_angle: float = key(
+        0.44, 'A laser line that crosses an edge at a smaller angle is not used.', 0.0, 1.5, 'rad')
+    new_translation: float = key(
+        8e-3, 'A stop nearer than this to an earlier one, and turned by less than '
+        'new_rotation, is not used; 0: every stop is used.', 0.0, 1.0, 'm')
+    new_rotation: float = key(
+        0.05, 'The turn that goes with new_translation; 0: every stop is used.', 0.0, 3.15, 'rad')
 
     @property
     def by_itself(self) -> bool:
@@ -265,74 +241,59 @@ class SamplingConfig(Section, prefix='sampling.'):
 class SamplesConfig(Section, prefix='samples.'):
     """The samples used for the answer."""
 
-    exclude: tuple[int, ...] = key((), 1, 10**6, integers=True)
-    """Numbers of the samples left out; taking a number away brings it back."""
+    exclude: tuple[int, ...] = key(
+        (), 'Numbers of the samples left out; taking a number away brings it back.', 1, 10**6,
+        integers=True)
 
 
 @dataclass(frozen=True)
 class TrackerConfig(Section, prefix='tracker.'):
     """Properties of the laser tracker and of the arm that it measures (target.type tracker)."""
 
-    file: str = key('tracker.csv')
-    """Name of the file of reflector points beside the bag."""
-    noise: float = key(2e-5, 1e-9, 0.01, 'm')
-    """Noise of a reflector centre, each axis."""
-    h0: float = key(NOT_SET, -10.0, 10.0, 'm')
-    """Height of the reflector above the top of P3."""
-    h1: float = key(NOT_SET, -10.0, 10.0, 'm')
-    """Height of the top of P3 above frame 2."""
-    first_reading: float = key(NOT_SET, -100.0, 100.0, 'm')
-    """Reading of P3 at the first pose."""
-    direction: tuple[float, ...] = key((0.0, 1.0, 0.0), -1.0, 1.0, length=(3,))
-    """Direction of the sweep in the sensor frame, roughly."""
+    file: str = key('tracker.csv', 'Name of the file of reflector points beside the bag.')
+    noise: float = key(2e-5, 'Noise of a reflector centre, each axis.', 1e-9, 0.01, 'm')
+    h0: float = key(NOT_SET, 'Height of the reflector above the top of P3.', -10.0, 10.0, 'm')
+    h1: float = key(NOT_SET, 'Height of the top of P3 above frame 2.', -10.0, 10.0, 'm')
+    first_reading: float = key(NOT_SET, 'Reading of P3 at the first pose.', -100.0, 100.0, 'm')
+    direction: tuple[float, ...] = key(
+        (0.0, 1.0, 0.0), 'Direction of the sweep in the sensor frame, roughly.', -1.0, 1.0,
+        length=(3,))
 
 
 @dataclass(frozen=True)
 class NoiseConfig(Section, prefix='noise.'):
     """Prior noise, 1 sigma; the data correct it."""
 
-    sensor: float = key(3e-5, 1e-9, 0.01, 'm')
-    """Range noise of one profile point."""
-    distortion: float = key(2e-5, 0.0, 0.01, 'm')
-    """Smooth error of the sensor's field."""
-    line_bend: float = key(1e-4, 0.0, 0.01, 'm')
-    """Bend of the laser line, at its ends."""
-    flatness: float = key(2e-5, 0.0, 0.01, 'm')
-    """Smooth deviation of the faces from flat."""
-    robot_translation: float = key(3e-5, 0.0, 0.01, 'm')
-    """Repeatability of the flange position, each axis."""
-    robot_rotation: float = key(7e-5, 0.0, 0.01, 'rad')
-    """Repeatability of the flange orientation, each axis."""
-    stamps: float = key(1e-4, 0.0, 0.1, 's')
-    """Jitter of the stamps of profiles, in motion."""
-    robot_smooth: float = key(1.5e-4, 0.0, 0.01, 'm')
-    """Smooth error of the robot over its workspace, each axis."""
-    robot_class: str = key('', choices=('', *ROBOT_CLASSES))
-    """
-    Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or unknown;
-    sets robot_smooth where that is not given too.
-    """
-    robot_scale: float = key(7e-4, 0.0, 0.1)
-    """Relative error of the lengths of the robot."""
+    sensor: float = key(3e-5, 'Range noise of one profile point.', 1e-9, 0.01, 'm')
+    distortion: float = key(2e-5, "Smooth error of the sensor's field.", 0.0, 0.01, 'm')
+    line_bend: float = key(1e-4, 'Bend of the laser line, at its ends.', 0.0, 0.01, 'm')
+    flatness: float = key(2e-5, 'Smooth deviation of the faces from flat.', 0.0, 0.01, 'm')
+    robot_translation: float = key(
+        3e-5, 'Repeatability of the flange position, each axis.', 0.0, 0.01, 'm')
+    robot_rotation: float = key(
+        7e-5, 'Repeatability of the flange orientation, each axis.', 0.0, 0.01, 'rad')
+    stamps: float = key(1e-4, 'Jitter of the stamps of profiles, in motion.', 0.0, 0.1, 's')
+    robot_smooth: float = key(
+        1.5e-4, 'Smooth error of the robot over its workspace, each axis.', 0.0, 0.01, 'm')
+    robot_class: str = key(
+        '', 'Accuracy of the robot by its data sheet: calibrated (0.1 mm), standard (0.3 mm) or '
+        'unknown; sets robot_smooth where that is not given too.', choices=('', *ROBOT_CLASSES))
+    robot_scale: float = key(7e-4, 'Relative error of the lengths of the robot.', 0.0, 0.1)
 
 
 @dataclass(frozen=True)
 class LimitsConfig(Section, prefix='limits.'):
     """Largest uncertainty and inconsistency of a trusted answer."""
 
-    translation: float = key(5e-3, 0.0, 1.0, 'm')
-    """Largest 1 sigma of the translation in its worst direction."""
-    rotation: float = key(2e-2, 0.0, 1.0, 'rad')
-    """Largest 1 sigma of the rotation, worst axis."""
-    points: float = key(2e-3, 0.0, 1.0, 'm')
-    """
-    Largest 1 sigma of the points that the samples show, in the frame of the result, on average and
-    in the worst direction.
-    """
-    scatter: float = key(8.0, 1.0, 1e6)
-    """Largest RMS residual, as a multiple of what the configured noise makes."""
-    residual: float = key(1e-3, 0.0, 1.0, 'm')
-    """Largest RMS residual."""
+    translation: float = key(
+        5e-3, 'Largest 1 sigma of the translation in its worst direction.', 0.0, 1.0, 'm')
+    rotation: float = key(2e-2, 'Largest 1 sigma of the rotation, worst axis.', 0.0, 1.0, 'rad')
+    points: float = key(
+        2e-3, 'Largest 1 sigma of the points that the samples show, in the frame of the result, '
+        'on average and in the worst direction.', 0.0, 1.0, 'm')
+    scatter: float = key(
+        8.0, 'Largest RMS residual, as a multiple of what the configured noise makes.', 1.0, 1e6)
+    residual: float = key(1e-3, 'Largest RMS residual.', 0.0, 1.0, 'm')
 
 
 @dataclass(frozen=True)
@@ -340,128 +301,101 @@ class SaveConfig(Section, prefix='save.'):
     """The files written for an answer."""
 
     formats: tuple[str, ...] = key(
-        ('yaml',), choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
-    """The forms in which an answer is saved; calibration.yaml always is."""
+        ('yaml',), 'The forms in which an answer is saved; calibration.yaml always is.',
+        choices=SAVE_FORMATS, length=tuple(range(1, len(SAVE_FORMATS) + 1)))
 
 
 @dataclass(frozen=True)
 class GuidanceConfig(Section, prefix='guidance.'):
     """The accuracy wanted, and the limits of proposed poses against the first sample."""
 
-    accuracy: float = key(3e-4, 1e-6, 0.1, 'm')
-    """1 sigma of mapped points in the field of view that is enough."""
-    reach: float = key(0.3, 0.0, 5.0, 'm')
-    """Largest distance of a proposed flange position to the first sample."""
-    tilt: float = key(0.44, 0.05, 1.2, 'rad')
-    """Largest tilt of a proposed view from that of the first sample."""
-    turn: float = key(1.75, 0.0, 3.15, 'rad')
-    """Largest turn of a proposed view about itself, from the first."""
+    accuracy: float = key(
+        3e-4, '1 sigma of mapped points in the field of view that is enough.', 1e-6, 0.1, 'm')
+    reach: float = key(
+        0.3, 'Largest distance of a proposed flange position to the first sample.', 0.0, 5.0, 'm')
+    tilt: float = key(
+        0.44, 'Largest tilt of a proposed view from that of the first sample.', 0.05, 1.2, 'rad')
+    turn: float = key(
+        1.75, 'Largest turn of a proposed view about itself, from the first.', 0.0, 3.15, 'rad')
 
 
 @dataclass(frozen=True)
 class VerifyConfig(Section, prefix='verify.'):
     """The artefact of a verification."""
 
-    routine: str = key('')
-    """
-    What ~/verify_start measures: line, plane, point, sphere, ball_bar, step or square; empty:
-    nothing.
-    """
-    calibration: str = key('')
-    """File of the calibration that is verified; empty: the answer of the node."""
-    lengths: tuple[float, ...] = key((), 1e-6, 10.0, 'm')
-    """
-    Nominal length of the ball bar, heights of the faces over the first, or pitch and height of the
-    teeth.
-    """
-    radius: float = key(0.0, 0.0, 10.0, 'm')
-    """Nominal radius of the balls; 0: unknown."""
-    reference: tuple[float, ...] = key((), -50.0, 50.0, 'm', length=(0, 3))
-    """The point as a tip of the robot touched it (base); empty: not touched."""
-    aim: float = key(0.0, 0.0, 0.1, 'm')
-    """How exactly the laser is put to the point, 1 sigma."""
-    flank: float = key(0.0, 0.0, 1.0, 'm')
-    """Horizontal way of a tooth's flank; 0: a quarter of the pitch."""
-    certificate: float = key(0.0, 0.0, 0.1, 'm')
-    """
-    Expanded uncertainty (k = 2) of lengths, radius and reference by the artefact's certificate.
-    """
-    near: tuple[float, ...] = key((), -50.0, 50.0, 'm', length=(0, 4))
-    """
-    Only what comes into this ball of the base takes part: x, y, z and radius; empty: everything.
-    """
-    tolerance: float = key(3e-4, 1e-9, 0.02, 'm')
-    """Largest error of a length that passes."""
-    angle_tolerance: float = key(1.7453e-3, 1e-9, 0.05, 'rad')
-    """Largest angle error that passes."""
+    routine: str = key(
+        '', 'What ~/verify_start measures: line, plane, point, sphere, ball_bar, step or '
+        'square; empty: nothing.')
+    calibration: str = key(
+        '', 'File of the calibration that is verified; empty: the answer of the node.')
+    lengths: tuple[float, ...] = key(
+        (), 'Nominal length of the ball bar, heights of the faces over the first, or pitch and '
+        'height of the teeth.', 1e-6, 10.0, 'm')
+    radius: float = key(0.0, 'Nominal radius of the balls; 0: unknown.', 0.0, 10.0, 'm')
+    reference: tuple[float, ...] = key(
+        (), 'The point as a tip of the robot touched it (base); empty: not touched.',
+        -50.0, 50.0, 'm', length=(0, 3))
+    aim: float = key(0.0, 'How exactly the laser is put to the point, 1 sigma.', 0.0, 0.1, 'm')
+    flank: float = key(
+        0.0, "Horizontal way of a tooth's flank; 0: a quarter of the pitch.", 0.0, 1.0, 'm')
+    certificate: float = key(
+        0.0, "Expanded uncertainty (k = 2) of lengths, radius and reference by the artefact's "
+        'certificate.', 0.0, 0.1, 'm')
+    near: tuple[float, ...] = key(
+        (), 'Only what comes into this ball of the base takes part: x, y, z and radius; '
+        'empty: everything.', -50.0, 50.0, 'm', length=(0, 4))
+    tolerance: float = key(3e-4, 'Largest error of a length that passes.', 1e-9, 0.02, 'm')
+    angle_tolerance: float = key(1.7453e-3, 'Largest angle error that passes.', 1e-9, 0.05, 'rad')
 
 
 @dataclass(frozen=True)
 class PageConfig(Section, prefix='page.'):
     """The page for a browser at the cell."""
 
-    port: int = key(0, 0, 65535)
-    """Port of the page for a browser; 0: no page."""
-    address: str = key('127.0.0.1')
-    """
-    Address of the page: 127.0.0.1 for this machine alone, 0.0.0.0 for all that can reach it; these
-    need the token that is printed at the start.
-    """
+    port: int = key(0, 'Port of the page for a browser; 0: no page.', 0, 65535)
+    address: str = key(
+        '127.0.0.1', 'Address of the page: 127.0.0.1 for this machine alone, 0.0.0.0 for all that '
+        'can reach it; these need the token that is printed at the start.')
 
 
 @dataclass(frozen=True)
 class Config(Section):
     """All settings."""
 
-    name: str = key('')
-    """Name of the calibration and of its folder; empty: the target type."""
-    output_dir: str = key('')
-    """
-    Folder of the folders of results and sessions, each called by the name; empty:
-    $ROS_HOME/handeye_ros (~/.ros/handeye_ros where ROS_HOME is not set) and the namespace of the
-    node, out of the command line.
-    """
-    calibration_type: str = key('eye_in_hand', choices=('eye_in_hand', 'eye_on_base'))
-    """Where the sensor is: on the flange (eye_in_hand) or fixed beside the robot (eye_on_base)."""
-    robot_base_frame: str = key('')
-    """Frame id of the robot base; empty: that of the poses (of the transform tree: base)."""
-    robot_effector_frame: str = key('flange')
-    """Frame id of the flange."""
-    sensor_frame: str = key('camera')
-    """Frame id of a sensor whose files name none."""
-    pose_source: str = key('topic', choices=('topic', 'tf'))
-    """Where flange poses come from: PoseStamped messages (topic) or the transform tree (tf)."""
-    pose_topic: str = key('flange_pose')
-    """Topic of the flange poses."""
-    profile_topic: str = key('profile')
-    """Topic of the laser profiles."""
-    joint_topic: str = key('joint_states')
-    """Topic of the joint values (sensor_msgs/JointState)."""
-    kinematics: str = key('')
-    """
-    A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm at the
-    joint values of joint_topic; empty: those of the controller.
-    """
-    time_offset: float = key(0.0, -10.0, 10.0, 's')
-    """Added to the stamps of the profiles."""
-    time_offset_std: float = key(0.05, 1e-6, 1.0, 's')
-    """How well time_offset is known (1 sigma), in sampling.mode moving."""
-    rotation_lag_std: float = key(1e-3, 0.0, 0.1, 's')
-    """
-    By how much later than its position the robot may report its rotation (1 sigma), with
-    sampling.mode moving; 0: not at all.
-    """
-    clock_drift_std: float = key(1e-4, 0.0, 0.01)
-    """
-    By how much the clocks of profiles and poses may differ in rate (1 sigma, seconds per second),
-    with sampling.mode moving; 0: not at all.
-    """
+    name: str = key('', 'Name of the calibration and of its folder; empty: the target type.')
+    output_dir: str = key(
+        '', 'Folder of the folders of results and sessions, each called by the name; empty: '
+        '$ROS_HOME/handeye_ros (~/.ros/handeye_ros where ROS_HOME is not set) and the namespace '
+        'of the node, out of the command line.')
+    calibration_type: str = key(
+        'eye_in_hand', 'Where the sensor is: on the flange (eye_in_hand) or fixed beside the '
+        'robot (eye_on_base).', choices=('eye_in_hand', 'eye_on_base'))
+    robot_base_frame: str = key(
+        '', 'Frame id of the robot base; empty: that of the poses (of the transform tree: base).')
+    robot_effector_frame: str = key('flange', 'Frame id of the flange.')
+    sensor_frame: str = key('camera', 'Frame id of a sensor whose files name none.')
+    pose_source: str = key(
+        'topic', 'Where flange poses come from: PoseStamped messages (topic) or the transform '
+        'tree (tf).', choices=('topic', 'tf'))
+    pose_topic: str = key('flange_pose', 'Topic of the flange poses.')
+    profile_topic: str = key('profile', 'Topic of the laser profiles.')
+    joint_topic: str = key('joint_states', 'Topic of the joint values (sensor_msgs/JointState).')
+    kinematics: str = key(
+        '', 'A kinematics.yaml of handeye kinematics: flange poses are those of its corrected arm '
+        'at the joint values of joint_topic; empty: those of the controller.')
+    time_offset: float = key(0.0, 'Added to the stamps of the profiles.', -10.0, 10.0, 's')
+    time_offset_std: float = key(
+        0.05, 'How well time_offset is known (1 sigma), in sampling.mode moving.', 1e-6, 1.0, 's')
+    rotation_lag_std: float = key(
+        1e-3, 'By how much later than its position the robot may report its rotation (1 '
+        'sigma), with sampling.mode moving; 0: not at all.', 0.0, 0.1, 's')
+    clock_drift_std: float = key(
+        1e-4, 'By how much the clocks of profiles and poses may differ in rate (1 sigma, seconds '
+        'per second), with sampling.mode moving; 0: not at all.', 0.0, 0.01)
     profile: ProfileConfig = ProfileConfig()
     target: TargetConfig = TargetConfig()
-    method: str = key('auto')
-    """The estimator; auto: the one of the target."""
-    session: str = key('')
-    """The session to continue: its folder, or last; empty: a new one."""
+    method: str = key('auto', 'The estimator; auto: the one of the target.')
+    session: str = key('', 'The session to continue: its folder, or last; empty: a new one.')
     sampling: SamplingConfig = SamplingConfig()
     samples: SamplesConfig = SamplesConfig()
     tracker: TrackerConfig = TrackerConfig()
@@ -495,21 +429,6 @@ class Config(Section):
             return self.joint_topic, 'joint_topic'
         return (self.pose_topic, 'pose_topic') if self.pose_source == 'topic' else (
             '/tf', 'robot_base_frame and robot_effector_frame')
-
-
-@cache
-def _descriptions() -> dict[str, str]:
-    """Return the texts below the keys in this file, by dotted key."""
-    found = {}
-    for section in ast.parse(Path(__file__).read_text(encoding='utf-8')).body:
-        if isinstance(section, ast.ClassDef):
-            for declared, text in pairwise(section.body):
-                match declared, text:
-                    case (ast.AnnAssign(target=ast.Name(id=name)),
-                          ast.Expr(value=ast.Constant(value=str(words)))):
-                        prefix = globals()[section.name].prefix
-                        found[f'{prefix}{name}'] = ' '.join(words.split())
-    return found
 
 
 @cache
