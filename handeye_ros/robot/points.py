@@ -13,18 +13,11 @@ from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array
-from handeye_ros.estimation.least_squares import adjust, Rows, System
+from handeye_ros.estimation.least_squares import adjust
 from handeye_ros.published import jing2020
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import (
-    ArmFit,
-    ArmPoints,
-    ArmState,
-    ArmStops,
-    first_fit,
-    MINIMUM,
-)
-from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve
+from handeye_ros.robot.estimate import ArmFit, ArmPoints, MINIMUM, with_estimated_weights
+from handeye_ros.robot.selection import ArmOutcome, joint_notes, require_enough, solve
 from handeye_ros.tables import ANGLE, LENGTH, Table
 from handeye_ros.targets.target import xyz
 import numpy as np
@@ -52,10 +45,6 @@ class PointRows:
     number: NDArray[np.intp]
     in_hand: bool = True
 
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.q)
-
 
 def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str]]:
     """
@@ -80,34 +69,27 @@ def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str
             [*unused, *joint_notes(arm, q)])
 
 
-def arm_problem_of(rows: PointRows, arm: Arm, limit: float) -> ArmProblem:
-    """Return the hand-eye transform alone, with the arm as stated; raises DataError."""
-    require_enough(len(rows))
-
-    return ArmProblem(
-        _alone(rows, arm), limit, rows.q,
-        lambda joints: _alone(replace(rows, q=rows.q @ joints.T), arm).residual_rms)
+def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
+    """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
+    require_enough(len(rows.q))
+    return solve(_alone(rows, arm), rows.q, limit, lambda joints: _alone(
+        replace(rows, q=rows.q @ joints.T), arm).residual_rms)
 
 
 def _alone(rows: PointRows, arm: Arm) -> ArmFit:
-    """Return the hand-eye transform alone, whatever its residuals."""
+    """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
     parts = [rows.target == k for k in range(len(rows.names))]
-    stops = ArmStops.of(rows.q, tuple(
-        ArmPoints(rows.points[part], rows.in_hand) for part in parts))
     T = arm.forward(rows.q)
     T = T if rows.in_hand else se3.inverse(T)
     most = max(parts, key=np.count_nonzero)
     X, _ = jing2020.fixed_point_linear(T[most], rows.points[most])
     places = se3.apply(T @ X, rows.points[:, None])[:, 0]
-    start = ArmState(X, tuple(np.median(places[part], axis=0) for part in parts), arm, np.zeros(0))
-
-    def linearised(state: ArmState) -> Rows:
-        r, J = stops.linearised(state)
-        return Rows(r / INACCURATE_RMS, lambda: J / INACCURATE_RMS)
-
-    adjusted = adjust(System(linearised, stops.moved, stops.station), start, MINIMUM)
-    used = np.isin(np.arange(len(stops)), adjusted.used)
-    return first_fit(stops, adjusted.state, used, INACCURATE_RMS)
+    start = ArmFit.of_arm(
+        arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,
+        [np.median(places[part], axis=0) for part in parts], INACCURATE_RMS)
+    adjusted = adjust(start.system, start, MINIMUM)
+    used = np.isin(np.arange(len(rows.q)), adjusted.used)
+    return with_estimated_weights(replace(adjusted.state, used=used).solved())
 
 
 def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]
@@ -118,19 +100,18 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     inputs: path and sha256 of the files. Raises HandeyeError.
     """
     rows, notes = read_table(path, arm, config.in_hand)
-    outcome = solve(arm_problem_of(rows, arm, config.limits.residual))
+    outcome = solve_rows(rows, arm, config.limits.residual)
     fit, covariance = outcome.chosen.fit, outcome.covariance[:6, :6]
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
                     'points of the field of view')
     target = {f'point_{name}': xyz(place)
-              for name, place in zip(rows.names, fit.state.targets, strict=True)}
-    off = fit.stops.distances(fit.state)
+              for name, place in zip(rows.names, fit.targets, strict=True)}
     calibration = assemble_calibration(
-        config, 'kinematics', config.sensor_frame, fit.state.X, covariance,
+        config, 'kinematics', config.sensor_frame, fit.X, covariance,
         fit.residual_rms, outcome.chosen.left_out_rms,
         {**target, 'robot_position_error': outcome.smooth},
-        [report_of_row(rows.number[k], rows.names[rows.target[k]], fit.used[k], off[k])
+        [report_of_row(rows.number[k], rows.names[rows.target[k]], fit.used[k], fit.distances[k])
          for k in np.argsort(rows.number)], {'inputs': list(inputs)})
     return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
                      (*notes, *outcome.notes))

@@ -13,13 +13,19 @@ from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.problem import Estimate, linearise, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmProfiles, ArmState, ArmStops, first_fit, lengths
-from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
+from handeye_ros.robot.estimate import ArmFit, ArmProfiles, lengths, with_estimated_weights
+from handeye_ros.robot.selection import (
+    ArmOutcome,
+    joint_notes,
+    require_enough,
+    solve,
+    UNSOLVED,
+)
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
@@ -87,34 +93,35 @@ def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Arr
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
 
 
-def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
-    """Return the samples that agree, with the arm as stated; raises DataError."""
-    measured, states, q = [], [], []
+def outcome_of(sources: Sequence[Source], arm: Arm) -> ArmOutcome:
+    """Return the corrected arm; raises DataError."""
+    return solve(alone(sources, arm), np.concatenate([source.q for source in sources]),
+                 sources[0].problem.config.limits.residual,
+                 lambda joints: max(_median_residual(source, arm, joints) for source in sources))
+
+
+def alone(sources: Sequence[Source], arm: Arm) -> ArmFit:
+    """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
+    measured, found = list[ArmProfiles](), list[Estimate]()
     for source in sources:
         config = source.problem.config
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
                                  np.random.default_rng(SEED), subsets=True)
         exact = replace(config, noise=replace(noise, robot_smooth=0.0))
-        measured.append(ArmProfiles(replace(agreed.problem, config=exact)))
-        states.append(agreed.estimate)
-        q.append(source.q[agreed.used])
-        apart = se3.difference(agreed.estimate.X, states[0].X)
+        measured.append(ArmProfiles(source.q[agreed.used], replace(agreed.problem, config=exact)))
+        found.append(agreed.estimate)
+        apart = se3.difference(found[-1].X, found[0].X)
         if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_APART:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
-    stops = ArmStops.of(np.concatenate(q), tuple(measured))
-    state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
-    fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
-    limit = sources[0].problem.config.limits.residual
-    return ArmProblem(fit, limit, np.concatenate([source.q for source in sources]),
-                      lambda joints: max(_median_residual(source, arm, joints)
-                                         for source in sources))
+    return with_estimated_weights(ArmFit.of_arm(
+        arm, measured, found[0].X, [each.state for each in found]).solved())
 
 
 def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
-    """Return the median residual (m) of the stops; see residual_with of ArmProblem."""
+    """Return the median residual (m) of the stops; see selection.solve."""
     poses = mount_poses(arm.forward(source.q @ joints.T), source.problem.config)
     agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
     residuals = linearise(agreed.full_problem, agreed.estimate).residuals
@@ -130,7 +137,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     inputs: further files.
     """
     try:
-        outcome = solve(arm_problem_of(sources, arm))
+        outcome = outcome_of(sources, arm)
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
@@ -140,7 +147,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     if len(calibrations) == 1:
         calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:
-        calibration = _combined(calibrations, outcome.chosen.fit.state.X @ se3.inverse(
+        calibration = _combined(calibrations, outcome.chosen.fit.X @ se3.inverse(
             T_sensor_plane(sources[0].problem.config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
     warnings = dict.fromkeys(words for source in sources for words in source.warnings)

@@ -16,7 +16,8 @@ from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration
 from handeye_ros.robot import points, sources
-from handeye_ros.robot.selection import joint_notes, solve
+from handeye_ros.robot.points import solve_rows
+from handeye_ros.robot.selection import joint_notes
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -96,10 +97,6 @@ def test_twists_are_the_derivatives_of_the_pose(urdf):
                                    atol=2e-6)
 
 
-def solve_rows(rows, arm):
-    return solve(points.arm_problem_of(rows, arm, 1e-3))
-
-
 @pytest.fixture(scope='module')
 def from_table(tmp_path_factory):
     """Return a cell, the rows held out, the folder of the answer, and what was shown."""
@@ -137,9 +134,9 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     second = cell.ball + [0.02, 0.01, 0.0]
     points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
     rows = replace(cell.data, points=points, names=('a', 'b'), target=np.repeat([0, 1], [30, 10]))
-    fit = solve_rows(rows, cell.arm.freed(())).chosen.fit
+    fit = solve_rows(rows, cell.arm.freed(()), 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
-    first, other = fit.state.targets
+    first, other = fit.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
 
 
@@ -165,7 +162,7 @@ def test_values_beyond_a_limit_that_cannot_be_degrees_are_not_called_degrees():
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
-    arm = solve_rows(cell.data, cell.arm.freed(())).arm
+    arm = solve_rows(cell.data, cell.arm.freed(()), 1e-3).arm
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.free]).all()
 
 
@@ -182,7 +179,7 @@ COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
 def test_joint_values_that_contradict_the_points_are_named(from_table, words, joints, in_hand):
     cell, rows = from_table[0], from_table[0].data
     with pytest.raises(HandeyeError, match=words):
-        solve_rows(replace(rows, q=rows.q @ joints.T, in_hand=in_hand), cell.arm.freed(()))
+        solve_rows(replace(rows, q=rows.q @ joints.T, in_hand=in_hand), cell.arm.freed(()), 1e-3)
 
 
 @pytest.mark.parametrize(('urdf', 'flange', 'words'), [
