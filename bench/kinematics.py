@@ -175,7 +175,8 @@ def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
     scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
     seen, others = (replace(ArmFit.of_arm(
-        cell.arm, [ArmPoints(each.q, each.points, each.in_hand)], cell.X, [cell.ball], NOISE),
+        cell.arm, [ArmPoints(each.q, each.points, each.in_hand)], cell.X, [cell.ball],
+        np.full(3, NOISE)),
         variances=np.full(3, scale ** 2)) for each in (rows, held))
     best = seen.solved()
     J = replace(others, X=best.X, arm=best.arm, targets=best.targets).linear[1]
@@ -188,7 +189,7 @@ def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: PointRows) -> tupl
     before, after = (rms(predicted(m.fit, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
     away = se3.difference(outcome.chosen.fit.X, cell.X)
-    nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
+    nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
     arm = outcome.arm
     off = np.abs(arm.errors - cell.arm.errors)[arm.free]
     inside = off < 2 * np.maximum(np.sqrt(np.diag(arm.covariance)), 1e-12)
@@ -248,7 +249,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     X = (se3.perturb(np.eye(4), along) @ se3.perturb(np.eye(4), cell.arm.links[5])
          @ cell.T_mount_sensor)
     away = se3.difference(outcome.chosen.fit.X, X)
-    nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
+    nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
     return before, after, nees
 
 

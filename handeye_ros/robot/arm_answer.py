@@ -53,7 +53,6 @@ class ArmAnswer:
     def joints(self) -> list[dict[str, Any]]:
         """Return of each joint what the URDF states, and value, std and known by kind of error."""
         arm, entries = self.outcome.arm, []
-        assert arm.covariance is not None
         columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'known': self.outcome.known}
         joint_of, column_of = np.nonzero(arm.free)
@@ -87,8 +86,6 @@ class ArmAnswer:
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
-    assert arm.covariance is not None
-    assert arm.configurations is not None
     return {
         'format': f'{FORMAT}{NEWEST}', 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, TypeAlias
+from typing import TypeAlias
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, ERROR_KINDS
@@ -52,12 +52,14 @@ class Residuals:
     """
     Residuals (m,) of one target in metres, and their derivatives.
 
+    station: (m,) the stop of each
     wrt_own: (m, 6 + k) by X and the target
     wrt_pose: (m, 6) by a shift of the flange and a turn about it, in the base
     whiten: what whitens values (m, ...)
     """
 
     values: Array
+    station: NDArray[np.intp]
     wrt_own: Array
     wrt_pose: Array
     whiten: Callable[[Array], Array] = identity
@@ -65,28 +67,19 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class ArmProfiles:
-    """
-    Profiles of a target at reported joint values q (n, joints): a problem with poses of the arm.
-
-    axes: residuals in one vector, each with a noise of its own.
-    """
+    """Profiles of a target at reported joint values q (n, joints): a problem, posed by the arm."""
 
     q: Array
     problem: Problem
-    axes: ClassVar[int] = 1
-
-    @property
-    def station(self) -> NDArray[np.intp]:
-        """Return the stop (m,) of each residual."""
-        return self.problem.observations.station
 
     def residuals(self, arm: Arm, X: Array, target: Array) -> Residuals:
         """Return the residuals with the sensor in its mount X (4, 4) and a state of the target."""
         poses = mount_poses(arm.forward(self.q), self.problem.config)
         problem = replace(self.problem, poses=poses)
         linear = linearise(problem, Estimate(X, target))
-        return Residuals(linear.residuals, linear.jacobian[:, problem.free_columns],
-                         linear.wrt_pose, whitening(linear, BLOCKS_AS_NOISE))
+        return Residuals(linear.residuals, problem.observations.station,
+                         linear.jacobian[:, problem.free_columns], linear.wrt_pose,
+                         whitening(linear, BLOCKS_AS_NOISE))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the state of the target after a step (k,)."""
@@ -105,12 +98,6 @@ class ArmPoints:
     q: Array
     points: Array
     in_hand: bool
-    axes: ClassVar[int] = 3
-
-    @property
-    def station(self) -> NDArray[np.intp]:
-        """Return the stop (m,) of each residual."""
-        return np.repeat(np.arange(len(self.q)), self.axes)
 
     def residuals(self, arm: Arm, X: Array, target: Array) -> Residuals:
         """Return the residuals with the sensor in its mount X (4, 4) and the target (3,)."""
@@ -124,7 +111,8 @@ class ArmPoints:
         wrt_shift, from_flange = (to_fixed, in_fixed - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
         wrt_pose = np.concatenate([wrt_shift, -wrt_shift @ se3.skew(from_flange)], axis=2)
-        return Residuals(values.ravel(), wrt_own.reshape(3 * n, -1), wrt_pose.reshape(3 * n, 6))
+        return Residuals(values.ravel(), np.repeat(np.arange(n), 3), wrt_own.reshape(3 * n, -1),
+                         wrt_pose.reshape(3 * n, 6))
 
     def moved(self, target: Array, step: Array) -> Array:
         """Return the position of the target after a step (3,)."""
@@ -132,12 +120,6 @@ class ArmPoints:
 
 
 Measurement: TypeAlias = ArmProfiles | ArmPoints
-
-
-def lengths(residuals: Array, station: NDArray[np.intp], axes: int = 1) -> Array:
-    """Return the length (n,) of the residual of each stop, RMS of several; axes: of a vector."""
-    vectors = np.bincount(station) / axes
-    return np.asarray(np.sqrt(np.bincount(station, residuals ** 2) / vectors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +130,7 @@ class ArmFit:
     Its unknowns: sensor in its mount X (4, 4), values of the arm, smooth, state of each target.
 
     smooth: (3 r,) coefficients of smooth functions, the remaining error of the robot
-    noise: (axes,) sigma of each axis of the residuals
+    noise: (axes,) sigma of each axis of the vectors that the residuals are
     used: (n,) which stops count
     variances: (g,) of each kind of error of the robot, relative to its prior
     root: (n, r) the smooth functions
@@ -166,11 +148,11 @@ class ArmFit:
 
     @classmethod
     def of_arm(cls, arm: Arm, measured: Sequence[Measurement], X: Array,
-               targets: Iterable[Array], noise: float = 1.0) -> ArmFit:
+               targets: Iterable[Array], noise: Array) -> ArmFit:
         """Return a start with all stops, without errors of the robot."""
         n, none = sum(len(data.q) for data in measured), np.zeros(0)
-        return cls(tuple(measured), X, arm, none, tuple(targets), np.full(
-            measured[0].axes, noise), np.ones(n, dtype=bool), none, np.zeros((n, 0)))
+        return cls(tuple(measured), X, arm, none, tuple(targets), noise, np.ones(n, dtype=bool),
+                   none, np.zeros((n, 0)))
 
     @cached_property
     def q(self) -> Array:
@@ -180,9 +162,9 @@ class ArmFit:
     @cached_property
     def station(self) -> NDArray[np.intp]:
         """Return the stop (m,) of each residual."""
-        ends = np.cumsum([len(data.q) for data in self.measured])
-        return np.concatenate([end - len(data.q) + data.station
-                               for end, data in zip(ends, self.measured, strict=True)])
+        first = np.cumsum([0, *(len(data.q) for data in self.measured)])[:-1]
+        return np.concatenate([start + found.station
+                               for start, found in zip(first, self.residuals, strict=True)])
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -217,7 +199,8 @@ class ArmFit:
     def distances(self) -> Array:
         """Return the length (n,) of the residual of each stop, RMS of several (m)."""
         values = np.concatenate([found.values for found in self.residuals])
-        return lengths(values, self.station, len(self.noise))
+        vectors = np.bincount(self.station) / len(self.noise)
+        return np.asarray(np.sqrt(np.bincount(self.station, values ** 2) / vectors))
 
     @property
     def residual_rms(self) -> float:

@@ -86,7 +86,7 @@ def _alone(rows: PointRows, arm: Arm) -> ArmFit:
     places = se3.apply(T @ X, rows.points[:, None])[:, 0]
     start = ArmFit.of_arm(
         arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,
-        [np.median(places[part], axis=0) for part in parts], INACCURATE_RMS)
+        [np.median(places[part], axis=0) for part in parts], np.full(3, INACCURATE_RMS))
     adjusted = adjust(start.system, start, MINIMUM)
     used = np.isin(np.arange(len(rows.q)), adjusted.used)
     return with_estimated_weights(replace(adjusted.state, used=used).solved())
@@ -101,7 +101,7 @@ def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str,
     """
     rows, notes = read_table(path, arm, config.in_hand)
     outcome = solve_rows(rows, arm, config.limits.residual)
-    fit, covariance = outcome.chosen.fit, outcome.covariance[:6, :6]
+    fit, covariance = outcome.chosen.fit, outcome.covariance
     config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
     require_certain(covariance, config, 'move all joints, and bring the target to different '
                     'points of the field of view')

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 import math
 
 from handeye_ros.arm import (
@@ -82,7 +83,8 @@ class ArmOutcome:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
-    covariance: (6 + k, 6 + k) of X and the errors of the arm
+    arm: with its k errors, their covariance, and where they were found
+    covariance: (6, 6) of X
     known: (k,) posterior over prior sigma of each error
     smooth: RMS of the smooth remaining error of the robot, per axis (m)
     notes: sentences
@@ -90,16 +92,11 @@ class ArmOutcome:
 
     models: tuple[Model, ...]
     chosen: Model
+    arm: Arm
     covariance: Array
     known: Array
     smooth: float
     notes: tuple[str, ...]
-
-    @property
-    def arm(self) -> Arm:
-        """Return the arm with its errors, their covariance, and where they were found."""
-        fit = self.chosen.fit
-        return replace(fit.arm, covariance=self.covariance[6:, 6:], configurations=fit.q)
 
 
 def require_enough(usable: int) -> None:
@@ -130,13 +127,13 @@ def solve(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], 
     agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
     models = [_validated(with_estimated_weights(with_arm(agreed, stated.freed(kinds))), fold)
               for kinds in ((), (OFFSET,), GEOMETRY)]
-    chosen = models[0]
-    for model in models[1:]:
-        chosen = model if _better(model, chosen) else chosen
+    chosen = reduce(_better, models)
     _require_same_robot(chosen.fit.arm)
     covariance, smooth = reported_covariance(richest, chosen.fit)
-    return ArmOutcome(tuple(models), chosen, covariance * models[-1].variance_ratio,
-                      _known(chosen.fit), smooth, tuple(_notes(models, chosen)))
+    covariance *= models[-1].variance_ratio
+    arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
+    return ArmOutcome(tuple(models), chosen, arm, covariance[:6, :6], _known(chosen.fit), smooth,
+                      tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
@@ -164,11 +161,11 @@ def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
     return Model(fit, errors, variance_ratio)
 
 
-def _better(model: Model, simpler: Model) -> bool:
-    """Return whether a model predicts left-out stops better by more than one standard error."""
+def _better(simpler: Model, model: Model) -> Model:
+    """Return the model if it predicts left-out stops better by more than one standard error."""
     used = model.fit.used
     gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
-    return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
+    return model if gain.mean() > gain.std() / len(gain) ** 0.5 else simpler
 
 
 def _known(fit: ArmFit) -> Array:

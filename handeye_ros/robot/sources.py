@@ -13,12 +13,12 @@ from handeye_ros.checks.clocks import require_same_clock
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.problem import Estimate, linearise, Problem
+from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmFit, ArmProfiles, lengths, with_estimated_weights
+from handeye_ros.robot.estimate import ArmFit, ArmProfiles, with_estimated_weights
 from handeye_ros.robot.selection import (
     ArmOutcome,
     joint_notes,
@@ -117,15 +117,17 @@ def alone(sources: Sequence[Source], arm: Arm) -> ArmFit:
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
     return with_estimated_weights(ArmFit.of_arm(
-        arm, measured, found[0].X, [each.state for each in found]).solved())
+        arm, measured, found[0].X, [each.state for each in found], np.ones(1)).solved())
 
 
 def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
     """Return the median residual (m) of the stops; see selection.solve."""
-    poses = mount_poses(arm.forward(source.q @ joints.T), source.problem.config)
+    q = source.q @ joints.T
+    poses = mount_poses(arm.forward(q), source.problem.config)
     agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
-    residuals = linearise(agreed.full_problem, agreed.estimate).residuals
-    return float(np.median(lengths(residuals, agreed.full_problem.observations.station)))
+    every = ArmProfiles(q, agreed.full_problem)
+    fit = ArmFit.of_arm(arm, [every], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
+    return float(np.median(fit.distances))
 
 
 def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str, str]] = ()
@@ -143,7 +145,7 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
             require_same_clock(source.session, source.problem.config)
         raise
     calibrations = [_calibrated(source, outcome.arm) for source in sources]
-    first, covariance = calibrations[0], outcome.covariance[:6, :6]
+    first, covariance = calibrations[0], outcome.covariance
     if len(calibrations) == 1:
         calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:

@@ -24,6 +24,7 @@ from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.targets import target_for
 import numpy as np
 import pytest
+import yaml
 
 pinocchio = pytest.importorskip('pinocchio', reason='needs pinocchio')
 
@@ -200,6 +201,15 @@ def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
     (tmp_path / 'kinematics.yaml').write_text(text.replace('\n  direction:', '\n  directions:', 1))
     with pytest.raises(HandeyeError, match='no kinematics.yaml'):
         read_arm(tmp_path)
+
+
+def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
+    content = yaml.safe_load((from_table[2] / 'out/kinematics.yaml').read_text())
+    joints = [{key: joint[key] for key in joint.keys() - set(GEOMETRY)}
+              for joint in content['joints']]
+    (tmp_path / 'kinematics.yaml').write_text(yaml.dump(
+        content | {'joints': joints, 'covariance': []}))
+    assert read_arm(tmp_path).kinds == ()
 
 
 def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
