@@ -94,7 +94,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.kind == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.kinds), 'residual_rms': m.fit.residual_rms,
+        'models': [{'parameters': list(m.fit.arm.kinds), 'residual_rms': m.fit.residual_rms,
                     'left_out_rms': m.left_out_rms, 'chosen': m is outcome.chosen}
                    for m in outcome.models],
         'robot_smooth_error': outcome.smooth,
@@ -120,7 +120,7 @@ def table(answer: ArmAnswer) -> RenderableType:
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints,
-        Text(f'model: {", ".join(chosen.kinds) or UNCHANGED_ARM}; points that were left out: '
-             f'{stated.left_out_rms * 1e3:.2f} mm RMS before, '
+        Text(f'model: {", ".join(answer.outcome.arm.kinds) or UNCHANGED_ARM}; points that were '
+             f'left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
              f'{answer.outcome.smooth * 1e3:.2f} mm (RMS, each axis)'))

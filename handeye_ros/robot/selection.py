@@ -68,11 +68,6 @@ class Model:
     variance_ratio: float
 
     @property
-    def kinds(self) -> tuple[str, ...]:
-        """Return the kinds of errors."""
-        return self.fit.arm.kinds
-
-    @property
     def left_out_rms(self) -> float:
         """Return the RMS of the cross-validation errors of the used stops (m)."""
         return rms(self.left_out[self.fit.used])
@@ -190,9 +185,9 @@ def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
     if dropped := int((~last.fit.used).sum()):
         yield f'{dropped} of {len(last.fit.used)} points contradict the others and are left out'
     if chosen is not last:
-        yield (f'the model with {" and ".join(last.kinds)} predicts left-out points no better '
-               f'than {" and ".join(chosen.kinds) or UNCHANGED_ARM}: the simpler one is '
-               'the answer')
+        rich, simple = (' and '.join(model.fit.arm.kinds) for model in (last, chosen))
+        yield (f'the model with {rich} predicts left-out points no better than '
+               f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
 
 
 def joint_notes(arm: Arm, q: Array) -> list[str]:

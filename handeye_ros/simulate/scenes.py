@@ -7,8 +7,9 @@ SCENES has the three functions of each target. The features have exactly the noi
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 import math
 
 from handeye_ros import se3
@@ -87,9 +88,16 @@ def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...])
     return np.asarray(Rotation.from_euler('xyz', np.concatenate(groups)).as_matrix())
 
 
-def seeing(R: Array, spots: Array, seen: Array) -> Array:
-    """Return T_target_sensor of sensors turned by R that see spots at points (n, 3) of theirs."""
-    return se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
+def seeing(scenario: Scenario, rng: np.random.Generator, nominal: Array, spots: Array,
+           seen: Array, groups: Sequence[Sequence[str]]) -> Placements:
+    """
+    Return stops of tilted sensors that see spots (n, 3) of the target at points (n, 3) of theirs.
+
+    nominal: (3, 3) or (n, 3, 3) their turn without the tilt; groups: the labels of each group.
+    """
+    R = nominal @ tilts(scenario, rng, tuple(map(len, groups)))
+    T = se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
+    return Placements(T, tuple(chain(*groups)), seen[:, [0, 2]])
 
 
 def _places(scenario: Scenario, rng: np.random.Generator, n: int, width: float, depth: float,
@@ -168,12 +176,6 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
             for label, (turn, start) in starts.items()}
 
 
-def edge_lengths(target: PlateTarget) -> dict[str, float]:
-    """Return the length of each edge."""
-    length, width = target.size
-    return {'p': length, 'q': width, 'p2': length, 'q2': width}
-
-
 def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
     target: PlateTarget = scenario.target
@@ -184,17 +186,16 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     fraction, points = np.split(np.concatenate([
         _places(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
     if MOTIONS[scenario.motion].shared:
-        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ SENSOR_FACING
-        nominal = np.repeat(diagonal[None], len(labels), axis=0)
+        nominal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix()
     else:  # the opposite edge is crossed outwards, so that the robot need not turn around
         frames = edge_frames(PlateTarget())
-        nominal = np.array([frames[label[0]][:3, :3] @ SENSOR_FACING for label in labels])
+        nominal = np.array([frames[label[0]][:3, :3] for label in labels])
     edges = np.array([edge_frames(target)[label] for label in labels])
-    lengths = np.array([edge_lengths(target)[label] for label in labels])
+    lengths = np.array([target.size['q' in label] for label in labels])
     along = END_MARGIN + fraction[:, 0] * (lengths - 2 * END_MARGIN)
     spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
-    T = seeing(nominal @ tilts(scenario, rng, counts), spots, lift(points))
-    return Placements(T, tuple(labels), points)
+    groups = labels[:counts[0]], labels[counts[0]:]
+    return seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
 
 
 def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
@@ -242,8 +243,7 @@ def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     third = (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
-    T = seeing(SENSOR_FACING @ tilts(scenario, rng, (n,)), spots, lift(points))
-    return Placements(T, ('plane',) * n, points)
+    return seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
 
 
 def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
@@ -278,8 +278,7 @@ def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     along, points = np.split(_places(
         scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
-    T = seeing(facing(target) @ tilts(scenario, rng, (n,)), spots, lift(points))
-    return Placements(T, ('wedge',) * n, points)
+    return seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
 
 
 def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
@@ -325,8 +324,8 @@ def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     high = np.array([margin, 0.6 * radius, near + 0.45 * (far - near)])
     centre = strata(rng, n, low, high)  # of the ball in the sensor frame; z: top of the arc
     centre[:, 2] += np.sqrt(radius**2 - centre[:, 1]**2)
-    R = np.diag([1.0, -1.0, -1.0]) @ tilts(scenario, rng, (n,))
-    return Placements(seeing(R, np.zeros(3), centre), ('sphere',) * n, centre[:, [0, 2]])
+    down = np.diag([1.0, -1.0, -1.0])
+    return seeing(scenario, rng, down, np.zeros(3), centre, [['sphere'] * n])
 
 
 def sphere_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
