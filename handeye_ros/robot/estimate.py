@@ -107,10 +107,10 @@ class ArmPoints:
         to_mount = np.broadcast_to(X[:3, :3].T, (n, 3, 3))
         to_fixed = to_mount @ np.swapaxes(T[:, :3, :3], 1, 2)
         values = to_fixed @ (in_fixed - target)[:, :, None]
-        wrt_own = np.concatenate([to_mount, -to_mount @ se3.skew(lever), -to_fixed], axis=2)
+        wrt_own = np.concatenate([to_mount @ se3.wrt_perturbation(lever), -to_fixed], axis=2)
         wrt_shift, from_flange = (to_fixed, in_fixed - T[:, :3, 3]) if self.in_hand else (
             -to_mount, target @ T[:, :3, :3])
-        wrt_pose = np.concatenate([wrt_shift, -wrt_shift @ se3.skew(from_flange)], axis=2)
+        wrt_pose = wrt_shift @ se3.wrt_perturbation(from_flange)
         return Residuals(values.ravel(), np.repeat(np.arange(n), 3), wrt_own.reshape(3 * n, -1),
                          wrt_pose.reshape(3 * n, 6))
 

@@ -15,7 +15,14 @@ from typing import NamedTuple
 from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
-from handeye_ros.scanning.seam_course import Course, position_text, Sheets, unit
+from handeye_ros.scanning.seam_course import (
+    Course,
+    NARROWEST_GAP,
+    position_text,
+    SAME_PLANE,
+    Sheets,
+    unit,
+)
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
@@ -29,13 +36,11 @@ SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
 LEAST_SECTION_WIDTH = 6e-3  # m: the same
 END_MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
 LARGEST_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
-SHEET_SIGMAS = 4.0  # sigmas of points on the sheet
 WIDEST_LINE = 12.0  # spacings: largest width of the rough course
 LARGEST_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
 ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
-MEETING_GAP = 4.0  # spacings: else they meet in a section if they are nearer
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +136,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     filled = np.ptp(every.extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
     sides = _Sides(*(values[filled] for values in every))
     gap = np.median(_dot(np.diff(sides.end, axis=1), unit(np.diff(-sides.outwards, axis=1))))
-    of_v = MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
+    of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
     meeting = {'lap': np.inf, 'fillet': np.inf, 'v': of_v, 'butt': 0.0}[rough.kind]
     # also with the ends of one side 1 sigma further out
     further = sides.outwards * sides.resolution[..., None]
@@ -174,7 +179,7 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     if fitted is None:
         return None
     sheet, noise = fitted
-    on_sheet = np.abs(height - np.polyval(sheet, inward)) < SHEET_SIGMAS * noise
+    on_sheet = np.abs(height - np.polyval(sheet, inward)) < SAME_PLANE * noise
     inner = on_sheet & (inward > margin)
     # half the mean distance of points beyond the last one
     end = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
