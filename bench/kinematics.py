@@ -26,9 +26,8 @@ from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
 from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
-from handeye_ros.robot.points import PointRows, solve_rows
 from handeye_ros.robot.selection import ArmOutcome, solve
-from handeye_ros.robot.sources import alone, Source
+from handeye_ros.robot.sources import fit_of_sources, PointRows, solve_rows, Source
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -237,7 +236,7 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     for each in names:
         cell, source = shown(each, rng, len(names), cell)
         sources.append(source)
-    start = alone(sources, arm_of(robot.urdf()))
+    start = fit_of_sources(sources, arm_of(robot.urdf()))
     used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
     fit = with_estimated_weights(replace(start, used=used))
     outcome = solve(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)

@@ -15,9 +15,9 @@ from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.robot import points, sources
-from handeye_ros.robot.points import solve_rows
+from handeye_ros.robot import sources
 from handeye_ros.robot.selection import joint_notes
+from handeye_ros.robot.sources import solve_rows
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
@@ -152,7 +152,7 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
     table = tmp_path / 'points.csv'
     table.write_text(change((from_table[2] / 'points.csv').read_text()))
     with pytest.raises(HandeyeError, match=words):
-        points.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
+        sources.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
 
 
 def test_values_beyond_a_limit_that_cannot_be_degrees_are_not_called_degrees():
