@@ -73,22 +73,21 @@ class ScanCount:
 
 
 class Scanner:
-    """Maps profiles to points in the base, live and offline; count: the numbers so far."""
+    """
+    Maps profiles to points in the base, live and offline.
+
+    frame: that of the points; count: the numbers so far
+    """
 
     def __init__(self, calibration: Calibration, config: Config,
                  options: ScanOptions | None = None) -> None:
         """Start without profiles."""
-        self.calibration, self.config = calibration, config
+        self.calibration, self.config, self.frame = calibration, config, target_frame(config)
         self.options = options or ScanOptions()
         self.count = ScanCount()
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
         self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
-
-    @property
-    def frame(self) -> str:
-        """Return the frame of the points."""
-        return target_frame(self.config)
 
     def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles in pieces; raises DataError where there are none."""

@@ -130,11 +130,18 @@ def _in_view(scenario: Scenario, points: Array, along: Array) -> Array:
     return _room(along @ view[:, :2].T, view[:, 2] - points @ view[:, :2].T)
 
 
-def _along(T_target_sensor: Array, axis: int) -> Array:
-    """Return (n, 2) unit vectors in the sensor plane along a face with its normal on an axis."""
+def _along(T_target_sensor: Array, axis: int, into: Array) -> tuple[Array, Array]:
+    """
+    Return unit vectors (n, 2) in the sensor plane along a face, and (n, 3) the same in the target.
+
+    axis: of the target, the normal of the face; into: (3,) or (n, 3) the side that they point to
+    """
     normal = T_target_sensor[:, axis, [0, 2]]
     along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
-    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    in_target = (T_target_sensor[:, :3, :3] @ lift(along)[:, :, None])[:, :, 0]
+    sense = np.sign((in_target * into).sum(axis=1))[:, None]
+    return sense * along, sense * in_target
 
 
 def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array,
@@ -201,12 +208,9 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
 def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
-    T, along = stops.T_target_sensor, _along(stops.T_target_sensor, 2)
-    in_target = (T[:, :3, :3] @ lift(along)[:, :, None])[:, :, 0]
-    frames = edge_frames(scenario.target)
-    into_face = np.array([frames[label][:3, 1] for label in stops.labels])
-    sense = np.sign((in_target * into_face).sum(axis=1))[:, None]
-    inwards, rise = sense * along, sense * in_target[:, :2]
+    T, frames = stops.T_target_sensor, edge_frames(scenario.target)
+    inwards, in_target = _along(T, 2, np.array([frames[label][:3, 1] for label in stops.labels]))
+    rise = in_target[:, :2]
     start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
     in_face = _room(np.hstack([rise, -rise]),
                     np.hstack([np.array(scenario.target.size) - start, start]))
@@ -249,8 +253,8 @@ def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
 def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
-    along = _along(stops.T_target_sensor, 2)
-    along *= np.sign(along[:, :1])
+    T = stops.T_target_sensor
+    along, _ = _along(T, 2, T[:, :3, 0])
     before, beyond = (_in_view(scenario, stops.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
     start = stops.points - before[:, None] * along
@@ -288,10 +292,9 @@ def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     T = stops.T_target_sensor
     noise = rng.normal(size=(len(T), 2, 2))
     faces = []
-    # the axes of a face's normal and of the way into it, and the sense of that way
-    for k, (normal, into, sense) in enumerate(((2, 1, 1.0), (1, 2, 1 if target.concave else -1))):
-        along = _along(T, normal)
-        along *= (np.sign((T[:, into, [0, 2]] * along).sum(axis=1)) * sense)[:, None]
+    upwards = np.array([0.0, 0.0, 1.0 if target.concave else -1.0])
+    for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
+        along, _ = _along(T, normal, into)
         length = _in_view(scenario, stops.points, along)
         faces.append(_lines(scenario, stops.points, along, length, noise[:, k].T,
                             np.sign(along[:, 0]))[0])
