@@ -126,14 +126,13 @@ class Arm:
 
         source: names them in the InputError that is raised where those of a joint are missing.
         """
-        names = [joint.name for joint in self.joints]
-        for name in names:
-            if name not in readings:
+        for joint in self.joints:
+            if joint.name not in readings:
                 raise InputError(
-                    f'{source}: there are no values of the joint {name}'
-                    f'{nearest(name, list(readings))}; the joints with values are '
+                    f'{source}: there are no values of the joint {joint.name}'
+                    f'{nearest(joint.name, list(readings))}; the joints with values are '
                     f'{", ".join(readings) or "none"}; name them as the URDF does')
-        return np.stack([readings[name] for name in names], axis=-1)
+        return np.stack([readings[joint.name] for joint in self.joints], axis=-1)
 
     @cached_property
     def displacements(self) -> Array:
@@ -255,8 +254,7 @@ def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:
     return text, arm_of(text, base, flange, path)
 
 
-def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the URDF'
-           ) -> Arm:
+def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the URDF') -> Arm:
     """
     Return the arm of a URDF's text; raises InputError.
 

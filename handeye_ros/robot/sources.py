@@ -54,7 +54,6 @@ from scipy.interpolate import PchipInterpolator
 LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 LARGEST_APART = 0.05  # m and rad: largest difference of X between targets
-SEED = 0
 INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
 
 
@@ -127,7 +126,7 @@ def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
         config = source.problem.config
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
-                                 np.random.default_rng(SEED), subsets=True)
+                                 np.random.default_rng(0), subsets=True)
         exact = replace(config, noise=replace(noise, robot_smooth=0.0))
         measured.append(ArmProfiles(source.q[agreed.used], replace(agreed.problem, config=exact)))
         found.append(agreed.estimate)
@@ -144,7 +143,7 @@ def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
     """Return the median residual (m) of the stops; see selection.solve."""
     q = source.q @ joints.T
     poses = mount_poses(arm.forward(q), source.problem.config)
-    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
+    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(0))
     every = ArmProfiles(q, agreed.full_problem)
     fit = ArmFit.of_arm(arm, [every], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
     return float(np.median(fit.distances))
