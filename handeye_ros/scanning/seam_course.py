@@ -107,7 +107,7 @@ def sheets_of(points: Array, up: Array) -> Sheets:
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
     in_plane = thickness <= FLAT_RATIO * noise
     _put_into_planes(points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
-    label = _joined(points, normals, near[:, :3 * LINKED_NEIGHBOURS:3], in_plane,
+    label = _joined(points, normals, near[:, 1:3 * LINKED_NEIGHBOURS:3], in_plane,
                     1.5 * SAME_PLANE * noise)
     rims, outward = _rims(points, near, label, normals, spacing)
     return Sheets(points, tree, spacing, label, normals, noise, rims, outward)

@@ -130,6 +130,7 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
         place = position_text(curve.beyond(lengths[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
+    # of each section the pairs of values of both sides, field by field
     every = _Sides(*map(np.array, zip(*found.values(), strict=True)))
     ends = (lengths[0] + every.extent[0, :, 0].max(), lengths[-1] + every.extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
