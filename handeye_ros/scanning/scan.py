@@ -101,9 +101,8 @@ class Scanner:
                 '(set time_offset), or the poses are too sparse (sampling.max_pose_gap)')
         if not count.points:
             raise DataError(f'no point is left of {count.profiles} profiles with {count.returns} '
-                            'returns: ' + (
-                                'widen the limits (--range, --incidence)' if count.returns else
-                                'the sensor saw nothing; check its range and exposure'))
+                            'returns: widen the limits (--range, --incidence), or, without '
+                            'returns, check range and exposure of the sensor')
 
     def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
