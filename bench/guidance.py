@@ -62,7 +62,7 @@ from handeye_ros.sampling.session import duplicate_pose
 from handeye_ros.sampling.stops import Stop
 from handeye_ros.simulate import Scenario, SCENARIOS, sensor, settings, simulate_samples
 from handeye_ros.simulate.scenario import PlateTarget, WedgeTarget
-from handeye_ros.simulate.scenes import edge_frames, edge_lengths, facing, SCENES, SENSOR_FACING
+from handeye_ros.simulate.scenes import edge_frames, facing, SCENES, SENSOR_FACING
 import numpy as np
 
 KNOWN_WELL = 1e-3  # m: 1 sigma of mapped points, from which on the last answer is the start
@@ -115,7 +115,7 @@ class World:
         if not isinstance(target, PlateTarget):
             way = np.append(self.rng.uniform(-0.6, 0.6, 2), 1.0)
             return target.radius * way / np.linalg.norm(way)
-        length = edge_lengths(target)['pq'[edge]]
+        length = target.size[edge]
         frame = edge_frames(target)['pq'[edge]]
         return frame[:3, 3] + frame[:3, 0] * self.rng.uniform(0.03, length - 0.03)
 

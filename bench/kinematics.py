@@ -25,17 +25,9 @@ from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, Sample
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.frames import mount_poses
-from handeye_ros.robot.estimate import (
-    ArmFit,
-    ArmPoints,
-    ArmState,
-    ArmStops,
-    with_estimated_weights,
-)
-from handeye_ros.robot.points import arm_problem_of, PointRows
+from handeye_ros.robot.estimate import ArmFit, ArmPoints, with_estimated_weights
 from handeye_ros.robot.selection import ArmOutcome, solve
-from handeye_ros.robot.sources import arm_problem_of as arm_problem_of_sources
-from handeye_ros.robot.sources import Source
+from handeye_ros.robot.sources import fit_of_sources, PointRows, solve_rows, Source
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import recording as cells
 from handeye_ros.simulate import robot, SCENARIOS, settings
@@ -164,11 +156,10 @@ def selected(rows: PointRows, keep: Array) -> PointRows:
                             for name in ('q', 'points', 'target', 'number')})
 
 
-def predicted(state: ArmState, data: PointRows) -> Array:
+def predicted(fit: ArmFit, data: PointRows) -> Array:
     """Return where the points (n, 3) are in the sensor, by an estimate."""
-    T, X = state.arm.forward(data.q), state.X
-    targets = np.hstack([np.array(state.targets)[data.target], np.ones((len(data), 1))])[
-        :, :, None]
+    T, X = fit.arm.forward(data.q), fit.X
+    targets = np.hstack([np.array(fit.targets)[data.target], np.ones((len(T), 1))])[:, :, None]
     sensor = T @ X if data.in_hand else np.broadcast_to(X, T.shape)
     there = targets if data.in_hand else T @ targets
     return (np.linalg.inv(sensor) @ there)[:, :3, 0]
@@ -182,22 +173,22 @@ def rms(off: Array) -> float:
 def bound(cell: Cell, rows: PointRows, held: PointRows) -> float:
     """Return the RMS error (mm) of the best prediction that knows the sizes of all errors."""
     scale = max(float(np.sqrt(((cell.arm.errors / cell.arm.priors) ** 2).mean())), 1e-6)
-    state = ArmState(cell.X, (cell.ball,), cell.arm, np.zeros(0))
-    seen, others = (ArmStops.of(each.q, (ArmPoints(each.points, each.in_hand),))
-                    for each in (rows, held))
-    best = ArmFit(seen, state, np.full(3, NOISE), np.full(3, scale ** 2),
-                  np.ones(len(rows), dtype=bool)).solved()
-    J = others.linearised(best.state)[1]
+    seen, others = (replace(ArmFit.of_arm(
+        cell.arm, [ArmPoints(each.q, each.points, each.in_hand)], cell.X, [cell.ball],
+        np.full(3, NOISE)),
+        variances=np.full(3, scale ** 2)) for each in (rows, held))
+    best = seen.solved()
+    J = replace(others, X=best.X, arm=best.arm, targets=best.targets).linear[1]
     variances = np.einsum('mi,ij,mj->m', J, best.covariance, J).reshape(-1, 3)
-    return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3
+    return float(np.sqrt(variances.sum(axis=1).mean())) * 1e3 * NOISE
 
 
 def judged(cell: Cell, case: Case, outcome: ArmOutcome, held: PointRows) -> tuple[float, ...]:
     """Return before and after (mm), NEES over 6, and the share of parameters within 2 sigma."""
-    before, after = (rms(predicted(m.fit.state, held) - held.points)
+    before, after = (rms(predicted(m.fit, held) - held.points)
                      for m in (outcome.models[0], outcome.chosen))
-    away = se3.difference(outcome.chosen.fit.state.X, cell.X)
-    nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
+    away = se3.difference(outcome.chosen.fit.X, cell.X)
+    nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
     arm = outcome.arm
     off = np.abs(arm.errors - cell.arm.errors)[arm.free]
     inside = off < 2 * np.maximum(np.sqrt(np.diag(arm.covariance)), 1e-12)
@@ -245,20 +236,19 @@ def seen_by_profiles(name: str, seed: int) -> tuple[float, ...]:
     for each in names:
         cell, source = shown(each, rng, len(names), cell)
         sources.append(source)
-    start = arm_problem_of_sources(sources, arm_of(robot.urdf()))
-    stops = start.fit.stops
-    used = np.concatenate([np.arange(len(one)) < 0.75 * len(one) for one in stops.measured])
-    fit = with_estimated_weights(replace(start.fit, used=used))
-    outcome = solve(replace(start, fit=fit, q=stops.q[used]))
-    before, after = (float(np.sqrt((stops.distances(m.fit.state)[~used] ** 2).mean())) * 1e3
+    start = fit_of_sources(sources, arm_of(robot.urdf()))
+    used = np.concatenate([np.arange(len(one.q)) < 0.75 * len(one.q) for one in start.measured])
+    fit = with_estimated_weights(replace(start, used=used))
+    outcome = solve(fit, start.q[used], LIMIT, lambda joints: fit.residual_rms)
+    before, after = (float(np.sqrt((m.fit.distances[~used] ** 2).mean())) * 1e3
                      for m in (outcome.models[0], outcome.chosen))
     # the flange that counts is the one that the last axis carries: what lies behind it is the
     # sensor's, and so is what lies along the last axis before it
     along = np.append([0, 0, cell.arm.links[4][2]], np.zeros(3))
     X = (se3.perturb(np.eye(4), along) @ se3.perturb(np.eye(4), cell.arm.links[5])
          @ cell.T_mount_sensor)
-    away = se3.difference(outcome.chosen.fit.state.X, X)
-    nees = float(away @ np.linalg.solve(outcome.covariance[:6, :6], away)) / 6
+    away = se3.difference(outcome.chosen.fit.X, X)
+    nees = float(away @ np.linalg.solve(outcome.covariance, away)) / 6
     return before, after, nees
 
 
@@ -280,10 +270,10 @@ def main() -> None:
         case, rows, times = CASES[name], [], []
         for seed in range(given.seeds):
             cell = draw(case, given.stops + HELD_OUT, seed)
-            first = np.arange(len(cell.data)) < given.stops
+            first = np.arange(len(cell.data.q)) < given.stops
             began = time.perf_counter()
             seen, held = selected(cell.data, first), selected(cell.exact, ~first)
-            outcome = solve(arm_problem_of(seen, cell.arm.freed(()), LIMIT))
+            outcome = solve_rows(seen, cell.arm.freed(()), LIMIT)
             times.append(time.perf_counter() - began)
             rows.append((*judged(cell, case, outcome, held),
                          bound(cell, seen, held)))

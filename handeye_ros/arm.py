@@ -39,7 +39,6 @@ PRIOR_STDS = {REVOLUTE: (1e-3, 5e-4, 5e-4, 5e-4, 5e-4), PRISMATIC: (5e-4, 5e-4, 
 LENGTH_OF_RADIAN = 0.3  # m that count as much as a radian, between poses
 MOST_ROUNDS, LARGEST_STEP = 20, 0.2  # of the search for joint values (rad or m)
 FORMAT, KINEMATICS_FILE = 'handeye_ros/kinematics/', 'kinematics.yaml'
-MOST_JOINTS = 8
 FLANGE_FRAMES = ('tool0', 'flange', 'tool', 'tcp')  # usual names of the last frame
 
 
@@ -87,7 +86,7 @@ class Arm:
     kinds: the kinds of errors that are estimated, of GEOMETRY
     values: (k,) of them, joint by joint, each in the order of ERROR_KINDS
     covariance: (k, k) of the values
-    configurations: (n, joints) at which they were found; None where they are not stated
+    configurations: (n, joints) at which they were found; both empty before they are
     """
 
     base: str
@@ -96,8 +95,8 @@ class Arm:
     end: Array
     kinds: tuple[str, ...] = ()
     values: Array = field(default_factory=lambda: np.zeros(0))
-    covariance: Array | None = None
-    configurations: Array | None = None
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    configurations: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def freed(self, kinds: Sequence[str]) -> Arm:
         """Return the arm with some kinds of errors, all 0."""
@@ -127,14 +126,13 @@ class Arm:
 
         source: names them in the InputError that is raised where those of a joint are missing.
         """
-        names = [joint.name for joint in self.joints]
-        for name in names:
-            if name not in readings:
+        for joint in self.joints:
+            if joint.name not in readings:
                 raise InputError(
-                    f'{source}: there are no values of the joint {name}'
-                    f'{nearest(name, list(readings))}; the joints with values are '
+                    f'{source}: there are no values of the joint {joint.name}'
+                    f'{nearest(joint.name, list(readings))}; the joints with values are '
                     f'{", ".join(readings) or "none"}; name them as the URDF does')
-        return np.stack([readings[name] for name in names], axis=-1)
+        return np.stack([readings[joint.name] for joint in self.joints], axis=-1)
 
     @cached_property
     def displacements(self) -> Array:
@@ -191,7 +189,6 @@ class Arm:
 
         Poses beyond reach get those that come near.
         """
-        assert self.configurations is not None
         known, lengths = self.forward(self.configurations), np.repeat([1.0, LENGTH_OF_RADIAN], 3)
         q = self.configurations[[
             np.argmin(np.linalg.norm(se3.difference(known, T) * lengths, axis=1))
@@ -210,13 +207,9 @@ def with_arm_errors(solution: Solution, kinematics: Path) -> Solution:
 
     kinematics: the file of the arm that gave the poses. The covariance of X given the arm, plus
     G C G^T with G the change of X by the errors, is that of X and the arm together, whether
-    or not the arm was found from the same samples. Raises InputError for a file without C.
+    or not the arm was found from the same samples. Raises InputError.
     """
     arm = read_arm(kinematics)
-    if arm.covariance is None or arm.configurations is None:
-        raise InputError(f'{kinematics} does not state how certain the arm is, so that the '
-                         'certainty of the transform is unknown: write it again, with "handeye '
-                         'kinematics"')
     twists = arm.twists(arm.joints_near(solution.problem.robot_poses))[:, :, arm.free]
     wrt_arm = whitening(solution.linear, solution.noise)(solution.linear.wrt_twists(twists))
     G = solution.covariance[:6] @ solution.jacobian.T @ wrt_arm
@@ -238,17 +231,16 @@ def read_arm(path: Path) -> Arm:
         kinds = tuple(kind for kind in GEOMETRY if any(kind in of for of in stored))
         values = [float(value) for of in stored for kind in kinds if kind in of
                   for value in of[kind]['value']]
-        arrays = {key: np.array(content[key], dtype=float).reshape(-1, length)
-                  for key, length in (('covariance', len(values)),
-                                      ('configurations', len(joints))) if key in content}
+        covariance = np.array(content['covariance'], dtype=float).reshape(2 * [len(values)])
         arm = Arm(str(content['base']), str(content['flange']), joints,
-                  transform_from(path, 'end', content['end']), kinds, np.array(values), **arrays)
+                  transform_from(path, 'end', content['end']), kinds, np.array(values), covariance,
+                  np.array(content['configurations'], dtype=float).reshape(-1, len(joints)))
         if arm.free.sum() != len(values) or any(of.get('follows', of['name']) != of['name']
                                                 for of in stored):
             raise ValueError('errors of some joints are missing, or some mimic others')
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise unusable_file(
-            path, 'it is no kinematics.yaml as handeye kinematics writes it') from error
+            path, 'it is no kinematics.yaml as "handeye kinematics" writes it') from error
     return arm
 
 
@@ -262,8 +254,7 @@ def read_urdf(path: Path, base: str = '', flange: str = '') -> tuple[str, Arm]:
     return text, arm_of(text, base, flange, path)
 
 
-def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the URDF'
-           ) -> Arm:
+def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the URDF') -> Arm:
     """
     Return the arm of a URDF's text; raises InputError.
 
@@ -281,16 +272,11 @@ def arm_of(text: str, base: str = '', flange: str = '', source: object = 'the UR
         raise InputError(f'{source}: is no valid URDF of a serial arm, without closed loops such '
                          f'as a parallel linkage: {error}') from error
     base, flange, moving = first.name, last.name, list(model.supports[last.parentJoint])
-    if first.parentJoint not in moving:
-        raise InputError(f'{source}: the base {base} does not carry the flange {flange}: joints '
-                         'that move it do not belong to the arm; name another base')
-    moving = moving[moving.index(first.parentJoint) + 1:]
-    if not 0 < len(moving) <= MOST_JOINTS:
-        raise InputError(f'{source}: {len(moving)} joints move between the base {base} and the '
-                         f'flange {flange}; 1 to {MOST_JOINTS} can be identified: name other '
-                         'links with --base and --flange')
+    if first.parentJoint not in moving[:-1]:
+        raise InputError(f'{source}: no joint of the base {base} moves the flange {flange}: name '
+                         'other links with --base and --flange')
     joints, to_parent = [], se3.inverse(first.placement.homogeneous)
-    for i in moving:
+    for i in moving[moving.index(first.parentJoint) + 1:]:
         element = elements[model.names[i]]
         kind = 'mimic' if element.find('mimic') is not None else element.get('type')
         if kind not in URDF_TYPES:

@@ -57,8 +57,7 @@ def kinematics(
     from handeye_ros.arm import read_urdf
     from handeye_ros.results.calibration_file import input_values
     from handeye_ros.robot.arm_answer import table
-    from handeye_ros.robot.points import solve_table
-    from handeye_ros.robot.sources import solve_sources, source_of
+    from handeye_ros.robot.sources import solve_sources, solve_table, source_of
     text, arm = read_urdf(urdf, base, flange)
     if tables:
         with progress_bar('solving'):

@@ -53,7 +53,6 @@ class ArmAnswer:
     def joints(self) -> list[dict[str, Any]]:
         """Return of each joint what the URDF states, and value, std and known by kind of error."""
         arm, entries = self.outcome.arm, []
-        assert arm.covariance is not None
         columns = {'value': arm.values, 'std': np.sqrt(np.diag(arm.covariance)),
                    'known': self.outcome.known}
         joint_of, column_of = np.nonzero(arm.free)
@@ -87,8 +86,6 @@ class ArmAnswer:
 def _content(answer: ArmAnswer) -> dict[str, Any]:
     """Return the contents of kinematics.yaml."""
     outcome, arm, calibration = answer.outcome, answer.outcome.arm, answer.calibration
-    assert arm.covariance is not None
-    assert arm.configurations is not None
     return {
         'format': f'{FORMAT}{NEWEST}', 'name': calibration.name, 'base': arm.base,
         'flange': arm.flange, 'joints': answer.joints, 'end': se3.transform_values(arm.end),
@@ -97,7 +94,7 @@ def _content(answer: ArmAnswer) -> dict[str, Any]:
             for joint, offset in zip(arm.joints, arm.errors[:, 0].tolist(), strict=True)
             if joint.kind == REVOLUTE},
         'transform': se3.transform_values(calibration.T_flange_sensor),
-        'models': [{'parameters': list(m.kinds), 'residual_rms': m.fit.residual_rms,
+        'models': [{'parameters': list(m.fit.arm.kinds), 'residual_rms': m.fit.residual_rms,
                     'left_out_rms': m.left_out_rms, 'chosen': m is outcome.chosen}
                    for m in outcome.models],
         'robot_smooth_error': outcome.smooth,
@@ -123,7 +120,7 @@ def table(answer: ArmAnswer) -> RenderableType:
     stated, chosen = answer.outcome.models[0], answer.outcome.chosen
     return Group(
         Text('Zero offset: add it to the reading of the joint.'), joints,
-        Text(f'model: {", ".join(chosen.kinds) or UNCHANGED_ARM}; points that were left out: '
-             f'{stated.left_out_rms * 1e3:.2f} mm RMS before, '
+        Text(f'model: {", ".join(answer.outcome.arm.kinds) or UNCHANGED_ARM}; points that were '
+             f'left out: {stated.left_out_rms * 1e3:.2f} mm RMS before, '
              f'{chosen.left_out_rms * 1e3:.2f} mm after; what is left of the error of the robot: '
              f'{answer.outcome.smooth * 1e3:.2f} mm (RMS, each axis)'))

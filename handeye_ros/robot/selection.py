@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 import math
 
 from handeye_ros.arm import (
@@ -67,11 +68,6 @@ class Model:
     variance_ratio: float
 
     @property
-    def kinds(self) -> tuple[str, ...]:
-        """Return the kinds of errors."""
-        return self.fit.state.arm.kinds
-
-    @property
     def left_out_rms(self) -> float:
         """Return the RMS of the cross-validation errors of the used stops (m)."""
         return rms(self.left_out[self.fit.used])
@@ -82,7 +78,8 @@ class ArmOutcome:
     """
     The chosen model, and all models; the simplest has no errors of the arm.
 
-    covariance: (u, u) of X, the targets, and the k errors of the arm
+    arm: with its k errors, their covariance, and where they were found
+    covariance: (6, 6) of X
     known: (k,) posterior over prior sigma of each error
     smooth: RMS of the smooth remaining error of the robot, per axis (m)
     notes: sentences
@@ -90,40 +87,11 @@ class ArmOutcome:
 
     models: tuple[Model, ...]
     chosen: Model
+    arm: Arm
     covariance: Array
     known: Array
     smooth: float
     notes: tuple[str, ...]
-
-    @property
-    def arm(self) -> Arm:
-        """Return the arm with its errors, their covariance, and where they were found."""
-        u, fit = self.chosen.fit.stops.unknowns, self.chosen.fit
-        return replace(fit.state.arm, covariance=self.covariance[u:, u:],
-                       configurations=fit.stops.q)
-
-
-@dataclass(frozen=True, eq=False)
-class ArmProblem:
-    """
-    Stops with the arm as stated, from which an outcome is found.
-
-    fit: the hand-eye transform alone, of the stops that agree
-    limit: the largest valid residual (m)
-    q: (n, joints) of all stops
-    residual_with(joints): the residual (m) with the joint values multiplied by a matrix (joints,
-        joints)
-    """
-
-    fit: ArmFit
-    limit: float
-    q: Array
-    residual_with: Callable[[Array], float]
-
-    @property
-    def arm(self) -> Arm:
-        """Return the arm as stated."""
-        return self.fit.state.arm
 
 
 def require_enough(usable: int) -> None:
@@ -135,26 +103,32 @@ def require_enough(usable: int) -> None:
 
 
 @single_threaded
-def solve(problem: ArmProblem) -> ArmOutcome:
-    """Return the corrected arm and its hand-eye transform; raises DataError."""
-    fit = problem.fit
-    if fit.used.sum() < max(MINIMUM, LEAST_AGREEING * len(problem.q)) or (
-            fit.residual_rms > HOPELESS_FACTOR * problem.limit):
-        raise _contradiction(problem)
-    richest = without_outliers(with_arm(fit, problem.arm.freed(GEOMETRY)))
-    if richest.residual_rms > problem.limit or richest.used.mean() < LEAST_AGREEING:
-        raise _contradiction(problem)
-    agreed, fold, models = replace(fit, used=richest.used), _regions(fit.stops.q), list[Model]()
-    for kinds in ((), (OFFSET,), GEOMETRY):
-        of_kinds = with_estimated_weights(with_arm(agreed, problem.arm.freed(kinds)))
-        models.append(_validated(of_kinds, fold))
-    chosen = models[0]
-    for model in models[1:]:
-        chosen = model if _better(model, chosen) else chosen
-    _require_same_robot(chosen.fit.state.arm)
-    wide, covariance = reported_covariance(richest, chosen.fit.state)
-    return ArmOutcome(tuple(models), chosen, covariance * models[-1].variance_ratio,
-                      _known(chosen.fit), wide.smooth_rms, tuple(_notes(models, chosen)))
+def solve(fit: ArmFit, q: Array, limit: float, residual_with: Callable[[Array], float]
+          ) -> ArmOutcome:
+    """
+    Return the corrected arm and its hand-eye transform; raises DataError.
+
+    fit: the hand-eye transform alone with the arm as stated, of stops that agree; q: (n, joints)
+    of all stops; limit: the largest valid residual (m); residual_with(joints): the residual (m)
+    with the joint values multiplied by a matrix (joints, joints).
+    """
+    stated = fit.arm
+    if fit.used.sum() < max(MINIMUM, LEAST_AGREEING * len(q)) or (
+            fit.residual_rms > HOPELESS_FACTOR * limit):
+        raise _contradiction(stated, q, limit, residual_with)
+    richest = without_outliers(with_arm(fit, stated.freed(GEOMETRY)))
+    if richest.residual_rms > limit or richest.used.mean() < LEAST_AGREEING:
+        raise _contradiction(stated, q, limit, residual_with)
+    agreed, fold = replace(fit, used=richest.used), _regions(fit.q)
+    models = [_validated(with_estimated_weights(with_arm(agreed, stated.freed(kinds))), fold)
+              for kinds in ((), (OFFSET,), GEOMETRY)]
+    chosen = reduce(_better, models)
+    _require_same_robot(chosen.fit.arm)
+    covariance, smooth = reported_covariance(richest, chosen.fit)
+    covariance *= models[-1].variance_ratio
+    arm = replace(chosen.fit.arm, covariance=covariance[6:, 6:], configurations=fit.q)
+    return ArmOutcome(tuple(models), chosen, arm, covariance[:6, :6], _known(chosen.fit), smooth,
+                      tuple(_notes(models, chosen)))
 
 
 def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
@@ -171,28 +145,28 @@ def _regions(q: Array, most: int = REGION_COUNT) -> NDArray[np.intp]:
 
 def _validated(fit: ArmFit, fold: NDArray[np.intp]) -> Model:
     """Return the model of a fit; fold: (n,) regions of the stops, left out one by one."""
-    errors, variance_ratio = np.empty(len(fit.stops)), 1.0
+    errors, variance_ratio = np.empty(len(fold)), 1.0
     for number in np.unique(fold):
         rest = replace(fit, used=fit.used & (fold != number))
         without = with_estimated_weights(rest, rounds=FOLD_ROUNDS)
-        errors[fold == number] = fit.stops.distances(without.state)[fold == number]
+        errors[fold == number] = without.distances[fold == number]
         r, J = replace(without, used=fit.used & (fold == number)).linear
         predicted = len(r) + np.sum((J @ without.covariance) * J)
         variance_ratio = max(variance_ratio, float(r @ r / max(predicted, 1.0)))
     return Model(fit, errors, variance_ratio)
 
 
-def _better(model: Model, simpler: Model) -> bool:
-    """Return whether a model predicts left-out stops better by more than one standard error."""
+def _better(simpler: Model, model: Model) -> Model:
+    """Return the model if it predicts left-out stops better by more than one standard error."""
     used = model.fit.used
     gain = simpler.left_out[used] ** 2 - model.left_out[used] ** 2
-    return bool(gain.mean() > gain.std() / len(gain) ** 0.5)
+    return model if gain.mean() > gain.std() / len(gain) ** 0.5 else simpler
 
 
 def _known(fit: ArmFit) -> Array:
     """Return the posterior over the prior sigma (k,) of the errors, with the priors as stated."""
-    stated, u = replace(fit, variances=np.ones_like(fit.variances)), fit.stops.unknowns
-    return np.sqrt(np.diag(stated.covariance)[u:]) / stated.stds
+    stated = replace(fit, variances=np.ones_like(fit.variances))
+    return np.sqrt(np.diag(stated.covariance)[6:6 + len(stated.stds)]) / stated.stds
 
 
 def _require_same_robot(arm: Arm) -> None:
@@ -211,9 +185,9 @@ def _notes(models: Sequence[Model], chosen: Model) -> Iterator[str]:
     if dropped := int((~last.fit.used).sum()):
         yield f'{dropped} of {len(last.fit.used)} points contradict the others and are left out'
     if chosen is not last:
-        yield (f'the model with {" and ".join(last.kinds)} predicts left-out points no better '
-               f'than {" and ".join(chosen.kinds) or UNCHANGED_ARM}: the simpler one is '
-               'the answer')
+        rich, simple = (' and '.join(model.fit.arm.kinds) for model in (last, chosen))
+        yield (f'the model with {rich} predicts left-out points no better than '
+               f'{simple or UNCHANGED_ARM}: the simpler one is the answer')
 
 
 def joint_notes(arm: Arm, q: Array) -> list[str]:
@@ -240,28 +214,29 @@ def joint_notes(arm: Arm, q: Array) -> list[str]:
     return sentences
 
 
-def _contradiction(problem: ArmProblem) -> DataError:
-    """Return the refusal of stops that no arm explains, with the likely cause."""
-    stated = problem.residual_with(np.eye(len(problem.arm.joints)))
+def _contradiction(arm: Arm, q: Array, limit: float, residual_with: Callable[[Array], float]
+                   ) -> DataError:
+    """Return the refusal of stops that no arm explains, with the likely cause; see solve."""
+    stated = residual_with(np.eye(len(arm.joints)))
     cause = ('check that the URDF is of this robot, --base and --flange, the sign of each '
              'joint, all units, calibration_type, and that the target did not move')
     best = CURED_SHARE * stated
-    for words, joints in _changes(problem):
+    for words, joints in _changes(arm, q):
         with suppress(DataError, np.linalg.LinAlgError):
-            missed = problem.residual_with(joints)
+            missed = residual_with(joints)
             if missed < best:
                 best, cause = missed, words
     return DataError(f'joint values and measured points contradict each other by {mm(stated)}, '
-                     f'beyond the {mm(problem.limit)} of a robot that is only inaccurate: {cause}',
+                     f'beyond the {mm(limit)} of a robot that is only inaccurate: {cause}',
                      reason=UNSOLVED)
 
 
-def _changes(problem: ArmProblem) -> Iterator[tuple[str, Array]]:
-    """Yield possible errors in words, and what undoes them; see ArmProblem.residual_with."""
-    joints, identity = problem.arm.joints, np.eye(len(problem.arm.joints))
+def _changes(arm: Arm, q: Array) -> Iterator[tuple[str, Array]]:
+    """Yield possible errors of joint values q in words, and what undoes them; see solve."""
+    joints, identity = arm.joints, np.eye(len(arm.joints))
     revolute = np.array([joint.kind == REVOLUTE for joint in joints])
     words, unit = (('degrees stated as radians', math.radians(1))
-                   if np.median(np.abs(problem.q).max(axis=0)) > 2 * math.pi else
+                   if np.median(np.abs(q).max(axis=0)) > 2 * math.pi else
                    ('radians stated as degrees', math.degrees(1)))
     yield f'the joint values seem to be {words}', np.diag(np.where(revolute, unit, 1.0))
     for joint, column in zip(joints, identity, strict=True):

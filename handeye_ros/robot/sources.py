@@ -1,35 +1,60 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The corrected arm from recordings and sessions: samples with the joint values of their time."""
+"""
+The corrected arm from its data: recordings and sessions, or a table.
+
+They give samples with the joint values of their time; a table has a row for each configuration,
+with the point that the sensor measured there.
+"""
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from handeye_ros import pipeline, se3
-from handeye_ros.arm import Arm
+from handeye_ros.arm import Arm, PRISMATIC
 from handeye_ros.bags.bag import Recording
+from handeye_ros.calibration import assemble_calibration, report_of_row
 from handeye_ros.checks.clocks import require_same_clock
+from handeye_ros.checks.refusals import require_certain
 from handeye_ros.config import Config
 from handeye_ros.data import Array, Calibration, Sample
 from handeye_ros.errors import DataError, InputError, mm
-from handeye_ros.estimation.problem import linearise, Problem
+from handeye_ros.estimation.least_squares import adjust
+from handeye_ros.estimation.problem import Estimate, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
+from handeye_ros.published import jing2020
 from handeye_ros.robot.arm_answer import ArmAnswer
-from handeye_ros.robot.estimate import ArmProfiles, ArmState, ArmStops, first_fit, lengths
-from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
+from handeye_ros.robot.estimate import (
+    ArmFit,
+    ArmPoints,
+    ArmProfiles,
+    MINIMUM,
+    with_estimated_weights,
+)
+from handeye_ros.robot.selection import (
+    ArmOutcome,
+    joint_notes,
+    require_enough,
+    solve,
+    UNSOLVED,
+)
 from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
+from handeye_ros.tables import ANGLE, LENGTH, Table
+from handeye_ros.targets.target import xyz
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 LONGEST_GAP = 1_000_000_000  # ns, between a sample and joint values
 UNCORRECTED_STD = 5e-4  # 1 sigma of the robot's error before its correction (m)
 LARGEST_APART = 0.05  # m and rad: largest difference of X between targets
-SEED = 0
+INACCURATE_RMS = 1e-3  # 1 sigma (m) of the residuals of an inaccurate robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,38 +112,41 @@ def _joints_at(samples: Sequence[Sample], read: Recording, joints: Array) -> Arr
     return np.asarray(spline((np.clip(times, stamps[0], stamps[-1]) - stamps[0]) * 1e-9))
 
 
-def arm_problem_of(sources: Sequence[Source], arm: Arm) -> ArmProblem:
-    """Return the samples that agree, with the arm as stated; raises DataError."""
-    measured, states, q = [], [], []
+def outcome_of(sources: Sequence[Source], arm: Arm) -> ArmOutcome:
+    """Return the corrected arm; raises DataError."""
+    return solve(fit_of_sources(sources, arm), np.concatenate([source.q for source in sources]),
+                 sources[0].problem.config.limits.residual,
+                 lambda joints: max(_median_residual(source, arm, joints) for source in sources))
+
+
+def fit_of_sources(sources: Sequence[Source], arm: Arm) -> ArmFit:
+    """Return the hand-eye transform alone, of the stops that agree; raises DataError."""
+    measured, found = list[ArmProfiles](), list[Estimate]()
     for source in sources:
         config = source.problem.config
         noise = replace(config.noise, robot_smooth=UNCORRECTED_STD)
         agreed = robust_solution(replace(source.problem, config=replace(config, noise=noise)),
-                                 np.random.default_rng(SEED), subsets=True)
+                                 np.random.default_rng(0), subsets=True)
         exact = replace(config, noise=replace(noise, robot_smooth=0.0))
-        measured.append(ArmProfiles(replace(agreed.problem, config=exact)))
-        states.append(agreed.estimate)
-        q.append(source.q[agreed.used])
-        apart = se3.difference(agreed.estimate.X, states[0].X)
+        measured.append(ArmProfiles(source.q[agreed.used], replace(agreed.problem, config=exact)))
+        found.append(agreed.estimate)
+        apart = se3.difference(found[-1].X, found[0].X)
         if max(np.linalg.norm(apart[:3]), np.linalg.norm(apart[3:])) > LARGEST_APART:
             raise DataError(
                 f'two recordings place the sensor {mm(float(np.linalg.norm(apart[:3])))} '
                 'apart: give only recordings of one sensor in one mount, on one robot')
-    stops = ArmStops.of(np.concatenate(q), tuple(measured))
-    state = ArmState(states[0].X, tuple(found.state for found in states), arm, np.zeros(0))
-    fit = first_fit(stops, state, np.ones(len(stops), dtype=bool))
-    limit = sources[0].problem.config.limits.residual
-    return ArmProblem(fit, limit, np.concatenate([source.q for source in sources]),
-                      lambda joints: max(_median_residual(source, arm, joints)
-                                         for source in sources))
+    return with_estimated_weights(ArmFit.of_arm(
+        arm, measured, found[0].X, [each.state for each in found], np.ones(1)).solved())
 
 
 def _median_residual(source: Source, arm: Arm, joints: Array) -> float:
-    """Return the median residual (m) of the stops; see residual_with of ArmProblem."""
-    poses = mount_poses(arm.forward(source.q @ joints.T), source.problem.config)
-    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(SEED))
-    residuals = linearise(agreed.full_problem, agreed.estimate).residuals
-    return float(np.median(lengths(residuals, agreed.full_problem.observations.station)))
+    """Return the median residual (m) of the stops; see selection.solve."""
+    q = source.q @ joints.T
+    poses = mount_poses(arm.forward(q), source.problem.config)
+    agreed = robust_solution(replace(source.problem, poses=poses), np.random.default_rng(0))
+    every = ArmProfiles(q, agreed.full_problem)
+    fit = ArmFit.of_arm(arm, [every], agreed.estimate.X, [agreed.estimate.state], np.ones(1))
+    return float(np.median(fit.distances))
 
 
 def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str, str]] = ()
@@ -130,17 +158,17 @@ def solve_sources(sources: Sequence[Source], arm: Arm, inputs: Sequence[dict[str
     inputs: further files.
     """
     try:
-        outcome = solve(arm_problem_of(sources, arm))
+        outcome = outcome_of(sources, arm)
     except DataError as error:
         for source in sources if error.reason == UNSOLVED else ():
             require_same_clock(source.session, source.problem.config)
         raise
     calibrations = [_calibrated(source, outcome.arm) for source in sources]
-    first, covariance = calibrations[0], outcome.covariance[:6, :6]
+    first, covariance = calibrations[0], outcome.covariance
     if len(calibrations) == 1:
         calibration = replace(first, covariance=cover(first.covariance, covariance))
     else:
-        calibration = _combined(calibrations, outcome.chosen.fit.state.X @ se3.inverse(
+        calibration = _combined(calibrations, outcome.chosen.fit.X @ se3.inverse(
             T_sensor_plane(sources[0].problem.config)), covariance)
     files = [*(file for source in sources for file in source.inputs), *inputs]
     warnings = dict.fromkeys(words for source in sources for words in source.warnings)
@@ -166,3 +194,97 @@ def _combined(calibrations: Sequence[Calibration], X: Array, covariance: Array) 
     reports = tuple(report for calibration in calibrations for report in calibration.samples)
     return replace(calibrations[0], T_flange_sensor=X, covariance=covariance, quality=quality,
                    samples=reports)
+
+
+# -- a table
+
+
+@dataclass(frozen=True, eq=False)
+class PointRows:
+    """
+    The rows of a table, target by target.
+
+    q: (n, joints) reported values of all joints
+    points: (n, 3) in the sensor frame
+    target: (n,) index of each in names, ascending
+    number: (n,) of the row
+    in_hand: whether the sensor is on the flange
+    """
+
+    q: Array
+    points: Array
+    target: NDArray[np.intp]
+    names: tuple[str, ...]
+    number: NDArray[np.intp]
+    in_hand: bool = True
+
+
+def read_table(path: Path, arm: Arm, in_hand: bool) -> tuple[PointRows, list[str]]:
+    """
+    Return the contents of a table, and a sentence for each peculiarity.
+
+    A row for each configuration. Columns: the joints of the URDF with their unit
+    (`joint_1 [degrees]`), `x [mm]`, `y [mm]`, `z [mm]` in the sensor frame; optional: `target`
+    names the point where there are several. Raises InputError and DataError.
+    """
+    table = Table(path)
+    kinds = {j.name: LENGTH if j.kind == PRISMATIC else ANGLE for j in arm.joints}
+    readings = {name: table.values([name], kind)[:, 0] for name, kind in kinds.items()
+                if table.has([name])}
+    q, points = arm.positions(readings, path), table.values(['x', 'y', 'z'], LENGTH)
+    labels = table.text('target') if table.has(['target']) else ['target'] * len(points)
+    names = tuple(dict.fromkeys(labels))
+    target = np.array([names.index(label) for label in labels], dtype=np.intp)
+    order = np.argsort(target, kind='stable')
+    unused = [f'the column {name} is no joint between {arm.base} and {arm.flange}: it is not used'
+              for name in table.names if table.kind(name) == ANGLE and name not in kinds]
+    return (PointRows(q[order], points[order], target[order], names, order + 1, in_hand),
+            [*unused, *joint_notes(arm, q)])
+
+
+def solve_rows(rows: PointRows, arm: Arm, limit: float) -> ArmOutcome:
+    """Return the corrected arm; limit: the largest valid residual (m); raises DataError."""
+    require_enough(len(rows.q))
+    return solve(fit_of_rows(rows, arm), rows.q, limit, lambda joints: fit_of_rows(
+        replace(rows, q=rows.q @ joints.T), arm).residual_rms)
+
+
+def fit_of_rows(rows: PointRows, arm: Arm) -> ArmFit:
+    """Return the hand-eye transform alone, with the arm as stated, whatever its residuals."""
+    parts = [rows.target == k for k in range(len(rows.names))]
+    T = arm.forward(rows.q)
+    T = T if rows.in_hand else se3.inverse(T)
+    most = max(parts, key=np.count_nonzero)
+    X, _ = jing2020.fixed_point_linear(T[most], rows.points[most])
+    places = se3.apply(T @ X, rows.points[:, None])[:, 0]
+    start = ArmFit.of_arm(
+        arm, [ArmPoints(rows.q[part], rows.points[part], rows.in_hand) for part in parts], X,
+        [np.median(places[part], axis=0) for part in parts], np.full(3, INACCURATE_RMS))
+    adjusted = adjust(start.system, start, MINIMUM)
+    used = np.isin(np.arange(len(rows.q)), adjusted.used)
+    return with_estimated_weights(replace(adjusted.state, used=used).solved())
+
+
+def solve_table(path: Path, arm: Arm, config: Config, inputs: Sequence[dict[str, str]]
+                ) -> ArmAnswer:
+    """
+    Return the corrected arm from a table of joint values and points (read_table).
+
+    inputs: path and sha256 of the files. Raises HandeyeError.
+    """
+    rows, notes = read_table(path, arm, config.in_hand)
+    outcome = solve_rows(rows, arm, config.limits.residual)
+    fit, covariance = outcome.chosen.fit, outcome.covariance
+    config = replace(config, robot_base_frame=arm.base, robot_effector_frame=arm.flange)
+    require_certain(covariance, config, 'move all joints, and bring the target to different '
+                    'points of the field of view')
+    target = {f'point_{name}': xyz(place)
+              for name, place in zip(rows.names, fit.targets, strict=True)}
+    calibration = assemble_calibration(
+        config, 'kinematics', config.sensor_frame, fit.X, covariance,
+        fit.residual_rms, outcome.chosen.left_out_rms,
+        {**target, 'robot_position_error': outcome.smooth},
+        [report_of_row(rows.number[k], rows.names[rows.target[k]], fit.used[k], fit.distances[k])
+         for k in np.argsort(rows.number)], {'inputs': list(inputs)})
+    return ArmAnswer(outcome, replace(calibration, name=config.name or calibration.method),
+                     (*notes, *outcome.notes))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 
 from handeye_ros.data import Array, rms, robust_std
 from handeye_ros.scanning.seam_course import unit
@@ -32,14 +33,12 @@ class Curve:
     A cubic B-spline in space (m), over t (m) from first to last; without inner knots a cubic.
 
     covariance: (k, k) of its coefficients, summed over x, y, z (m^2)
-    score: of generalised cross validation, smaller for a better curve through the same points
     """
 
     bspline: BSpline
     first: float
     last: float
     covariance: Array
-    score: float
 
     @property
     def kind(self) -> str:
@@ -98,8 +97,7 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     inliers = np.ones(len(t), dtype=bool)
     for flexible in range(1, 5):  # first a stiff one, which does not follow outliers
         good = t[inliers], points[inliers]
-        curve = min((_spline_through(*good, n) for n in pieces[:flexible]),
-                    key=lambda curve: curve.score)
+        curve = min((_spline_through(*good, n) for n in pieces[:flexible]), key=itemgetter(0))[1]
         distance = np.linalg.norm(curve.position(t) - points, axis=1)
         # a flexible one would follow some wrong points in a row, which widen the mean square
         scatter = (robust_std if len(pieces) > len(STIFF_ONLY) else rms)(distance[inliers])
@@ -107,8 +105,12 @@ def spline(t: Array, points: Array, pieces: tuple[int, ...] = PIECES_TRIED) -> C
     return curve
 
 
-def _spline_through(t: Array, points: Array, pieces: int) -> Curve:
-    """Return the least squares through points (n, 3) at increasing t (n,)."""
+def _spline_through(t: Array, points: Array, pieces: int) -> tuple[float, Curve]:
+    """
+    Return the least squares through points (n, 3) at increasing t (n,).
+
+    With its score of generalised cross validation, smaller for a better curve.
+    """
     length = np.linalg.norm(np.diff(points[::8], axis=0), axis=1).sum()
     count = int(np.clip(pieces * length / KNOT_SPACING, 1, max(len(t) // 8, 1)))
     # longer pieces at the ends, where no points beyond determine the direction
@@ -118,5 +120,5 @@ def _spline_through(t: Array, points: Array, pieces: int) -> Curve:
     freedom = max(len(B) - B.shape[1], 1)
     variance = float(((bspline(t) - points) ** 2).sum()) / freedom
     # RSS / freedom^3 is RSS / (n - 1.5 k)^2 to first order in k / n
-    return Curve(bspline, float(t[0]), float(t[-1]), variance * np.linalg.pinv(B.T @ B),
-                 variance / freedom ** 2)
+    return variance / freedom ** 2, Curve(bspline, float(t[0]), float(t[-1]),
+                                          variance * np.linalg.pinv(B.T @ B))

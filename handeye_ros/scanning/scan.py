@@ -73,46 +73,52 @@ class ScanCount:
 
 
 class Scanner:
-    """Maps profiles to points in the base, live and offline; count: the numbers so far."""
+    """
+    Maps profiles to points in the base, live and offline.
+
+    frame: that of the points; count: the numbers so far
+    """
 
     def __init__(self, calibration: Calibration, config: Config,
                  options: ScanOptions | None = None) -> None:
         """Start without profiles."""
-        self.calibration, self.config = calibration, config
+        self.calibration, self.config, self.frame = calibration, config, target_frame(config)
         self.options = options or ScanOptions()
         self.count = ScanCount()
         self.lag = float(calibration.target.get(ROTATION_LAG, 0.0))  # s
-        self._intensity: bool | None = None  # whether the driver publishes it
+        self._fields: np.dtype[np.void] | None = None  # of a point, as the first profile has them
         self._filled = set[int]()  # cubes that have their point
-
-    @property
-    def frame(self) -> str:
-        """Return the frame of the points."""
-        return target_frame(self.config)
 
     def scan(self, profiles: Iterable[Profile], track: Trajectory) -> Iterator[Points]:
         """Yield the points of profiles in pieces; raises DataError where there are none."""
-        source = iter(profiles)
+        source, count = iter(profiles), self.count
         while batch := list(islice(source, BATCH_PROFILES)):
             yield self.points(batch, track)
-        self._require_points()
+        if count.profiles == count.without_pose > 0:
+            raise DataError(
+                f'none of the {count.profiles} profiles has a pose before and after it within '
+                f'{self.config.sampling.max_pose_gap:g} s: the clocks of sensor and robot differ '
+                '(set time_offset), or the poses are too sparse (sampling.max_pose_gap)')
+        if not count.points:
+            raise DataError(f'no point is left of {count.profiles} profiles with {count.returns} '
+                            'returns: widen the limits (--range, --incidence), or, without '
+                            'returns, check range and exposure of the sensor')
 
     def points(self, profiles: Sequence[Profile], track: Trajectory) -> Points:
         """Return the points of some profiles: x, y, z in the frame (m), intensity, std."""
-        offset = self.config.offset_ns
-        stamps = np.array([p.stamp + offset for p in profiles], dtype=np.int64)
+        if self._fields is None:
+            optional = {'intensity': profiles[0].intensity is not None, 'std': self.options.std}
+            self._fields = np.dtype([(name, '<f4') for name in (
+                *'xyz', *compress(optional, optional.values()))])
+        stamps = np.array([p.stamp for p in profiles], dtype=np.int64) + self.config.offset_ns
         flange = track.at(stamps, self.lag)
-        if self._intensity is None and profiles:
-            self._intensity = profiles[0].intensity is not None
-        used = list(compress(profiles, flange.inside))
         self.count.profiles += len(profiles)
-        self.count.without_pose += len(profiles) - len(used)
-        T = mount_poses(flange.T_base_flange[flange.inside], self.config
-                        ) @ self.calibration.T_flange_sensor
-        pose_stds = (track.std(stamps[flange.inside]) if self.options.std
-                     else np.zeros((len(used), 2)))
-        pieces = [self._of_profile(*item) for item in zip(used, T, pose_stds, strict=True)]
-        cloud = np.concatenate([np.empty(0, self.dtype), *pieces])
+        self.count.without_pose += len(profiles) - int(flange.inside.sum())
+        T = mount_poses(flange.T_base_flange, self.config) @ self.calibration.T_flange_sensor
+        stds = track.std(stamps) if self.options.std else np.zeros((len(profiles), 2))
+        used = compress(zip(profiles, T, stds, strict=True), flange.inside)
+        cloud = np.concatenate([np.empty(0, self._fields), *(
+            self._of_profile(self._fields, *item) for item in used)])
         return self._one_in_each_cube(cloud) if self.options.voxel > 0 else cloud
 
     def _one_in_each_cube(self, cloud: Points) -> Points:
@@ -126,36 +132,16 @@ class Scanner:
         self.count.thinned += len(cloud) - int(is_new.sum())
         return np.take(cloud, np.sort(first[is_new]))
 
-    def _require_points(self) -> None:
-        count = self.count
-        if count.points:
-            return
-        if count.without_pose and count.without_pose == count.profiles:
-            raise DataError(
-                f'none of the {count.profiles} profiles has a pose before and after it within '
-                f'{self.config.sampling.max_pose_gap:g} s: the clocks of sensor and robot differ '
-                '(set time_offset), or the poses are too sparse (sampling.max_pose_gap)')
-        raise DataError(f'no point is left of {count.profiles} profiles with {count.returns} '
-                        'returns: ' + (
-                            'widen the limits (--range, --incidence)' if count.returns else
-                            'the sensor saw nothing; check its range and exposure'))
-
-    @property
-    def dtype(self) -> np.dtype[np.void]:
-        """Return the fields of a point."""
-        optional = {'intensity': self._intensity, 'std': self.options.std}
-        names = [*'xyz', *(name for name, given in optional.items() if given)]
-        return np.dtype([(name, '<f4') for name in names])
-
-    def _of_profile(self, profile: Profile, T_base_sensor: Array, pose_std: Array) -> Points:
+    def _of_profile(self, fields: np.dtype[np.void], profile: Profile, T_base_sensor: Array,
+                    pose_std: Array) -> Points:
         keep = self._within_limits(profile.points)
         points = profile.points[keep]
         axes = unit_vectors(profile.axes)
         R = T_base_sensor[:3, :3] @ axes
         in_base = points @ R.T + T_base_sensor[:3, 3]
-        cloud = np.empty(len(points), self.dtype)
+        cloud = np.empty(len(points), fields)
         cloud['x'], cloud['y'], cloud['z'] = in_base.T
-        if self._intensity:
+        if 'intensity' in (fields.names or ()):
             cloud['intensity'] = (np.nan if profile.intensity is None
                                   else profile.intensity[keep])
         if self.options.std:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 from handeye_ros import se3
@@ -49,6 +48,7 @@ class Seam:
     curves: through first and second edge, root and centre
     curve: that of the path, a cubic if that is close to it
     normals: through the directions out of the part, mean of those of the sheets
+    distances: (k,) of the sections from the root (m)
     spacing: of the points of the cloud (m)
     others: number of seams of other kinds
     """
@@ -59,15 +59,9 @@ class Seam:
     curves: Mapping[str, Curve]
     curve: Curve
     normals: Curve
+    distances: Array
     spacing: float
     others: int
-
-    @cached_property
-    def distances(self) -> Array:
-        """Return the distances (k,) of the sections from the root (m)."""
-        sections = self.sections
-        return np.asarray(np.linalg.norm(
-            self.curves['root'].position(sections.lengths) - sections.lines['root'], axis=1))
 
     @property
     def scatter(self) -> float:
@@ -125,8 +119,10 @@ def find_seam(points: Array, widest: float = WIDEST_SEAM,
     first, last = sections.ends
     curves = {name: replace(spline(sections.lengths, values), first=first, last=last)
               for name, values in sections.lines.items()}
+    off_root = curves['root'].position(sections.lengths) - sections.lines['root']
     seam = Seam(rough.kind, line, sections, curves, curves[line].simplified(),
-                spline(sections.lengths, sections.normals), sheets.spacing, rough.others)
+                spline(sections.lengths, sections.normals), np.linalg.norm(off_root, axis=1),
+                sheets.spacing, rough.others)
     if seam.scatter > max(LARGEST_SCATTER * sheets.noise, sheets.spacing):
         raise DataError(f'the sections of the seam scatter by {mm(seam.scatter)}, and the points '
                         f'by {mm(sheets.noise)}: this is not a uniform seam; cut it out with '

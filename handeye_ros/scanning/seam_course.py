@@ -92,22 +92,34 @@ def sheets_of(points: Array, up: Array) -> Sheets:
     # six nearest of n points on an area: n = 6 at pi r^2 / d^2
     sixth = tree.query(points[::max(len(points) // 5000, 1)], 7)[0][:, 6]
     spacing = float(np.median(sixth) * np.sqrt(np.pi / 6.0))
+    own = np.arange(len(points), dtype=np.int32)[:, None]
+    distance, near = tree.query(points, NEIGHBOUR_COUNT + 1,
+                                distance_upper_bound=NEIGHBOUR_RADIUS * spacing)
+    near = np.where(np.isfinite(distance), near, own)[:, 1:].astype(np.int32)
     normals, thickness = np.zeros_like(points), np.full(len(points), np.inf)
-    linked = np.zeros((len(points), LINKED_NEIGHBOURS), dtype=np.int32)
-    for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
+    for block, valid, offset in _neighbourhoods(points, near):
         count = np.maximum(valid.sum(axis=1), 1)
         centred = (offset - (offset.sum(axis=1) / count[:, None])[:, None]) * valid[..., None]
         values, axes = np.linalg.eigh(np.swapaxes(centred, 1, 2) @ centred)
         normals[block] = axes[:, :, 0] * np.where(axes[:, :, 0] @ up < 0, -1.0, 1.0)[:, None]
         thickness[block] = np.where(count >= 6, np.sqrt(
             np.maximum(values[:, 0], 0.0) / np.maximum(count - 3, 1)), np.inf)
-        linked[block] = neighbours[:, 1:3 * LINKED_NEIGHBOURS:3]
     noise = max(float(np.median(thickness)), 1e-2 * spacing)
     in_plane = thickness <= FLAT_RATIO * noise
     _put_into_planes(points, in_plane, normals, 2 * NEIGHBOUR_RADIUS * spacing, SAME_PLANE * noise)
-    label = _joined(points, normals, linked, in_plane, 1.5 * SAME_PLANE * noise)
-    rims, outward = _rims(points, tree, label, normals, spacing)
+    label = _joined(points, normals, near[:, 1:3 * LINKED_NEIGHBOURS:3], in_plane,
+                    1.5 * SAME_PLANE * noise)
+    rims, outward = _rims(points, near, label, normals, spacing)
     return Sheets(points, tree, spacing, label, normals, noise, rims, outward)
+
+
+def _neighbourhoods(points: Array, near: NDArray[np.int32]
+                    ) -> Iterator[tuple[slice, NDArray[np.bool_], Array]]:
+    """Yield slices of points, which of their neighbours (m, k) are some, and their offsets."""
+    for start in range(0, len(points), CHUNK_POINTS):
+        block = slice(start, start + CHUNK_POINTS)
+        offset = points[near[block]] - points[block][:, None]
+        yield block, np.asarray(offset.any(axis=2)), offset
 
 
 def _put_into_planes(points: Array, in_plane: NDArray[np.bool_], normals: Array, reach: float,
@@ -141,17 +153,17 @@ def _joined(points: Array, normals: Array, linked: NDArray[np.int32],
     return np.where(in_plane & (size[label] >= SMALLEST_SHEET), label, -1)
 
 
-def _rims(points: Array, tree: cKDTree, label: NDArray[np.intp], normals: Array, spacing: float
-          ) -> tuple[NDArray[np.intp], Array]:
+def _rims(points: Array, near: NDArray[np.int32], label: NDArray[np.intp], normals: Array,
+          spacing: float) -> tuple[NDArray[np.intp], Array]:
     """Return the rows (k,) of points on the borders of sheets, and outward directions (n, 3)."""
     free_angle, outward = np.zeros(len(points)), np.zeros_like(points)
-    for block, neighbours, valid, offset in _neighbours(tree, points, spacing):
+    for block, valid, offset in _neighbourhoods(points, near):
         n = normals[block]
         first = unit(np.cross(n, np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])))
         second = np.cross(n, first)
         along, across = np.moveaxis(offset @ np.stack([first, second], axis=-1), -1, 0)
         free_angle[block], middle = _free_angle(
-            np.arctan2(across, along), valid & (label[neighbours] == label[block][:, None]))
+            np.arctan2(across, along), valid & (label[near[block]] == label[block][:, None]))
         outward[block] = np.cos(middle)[:, None] * first + np.sin(middle)[:, None] * second
     rows = np.flatnonzero((free_angle > FREE_ANGLE) & (label >= 0))
     cell = np.column_stack([np.floor(points[rows] / (2 * spacing)), label[rows]])
@@ -167,18 +179,6 @@ def _free_angle(angle: Array, valid: NDArray[np.bool_]) -> tuple[Array, Array]:
     widest = np.argmax(gaps, axis=1)
     free = gaps[rows, widest]
     return np.where(valid.sum(axis=1) >= 6, free, 0.0), angle[rows, widest] + free / 2
-
-
-def _neighbours(tree: cKDTree, points: Array, spacing: float
-                ) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.bool_], Array]]:
-    """Yield slices of points, rows (m, k) of their neighbours, which are valid, their offsets."""
-    for start in range(0, len(points), CHUNK_POINTS):
-        block = slice(start, start + CHUNK_POINTS)
-        distance, neighbours = tree.query(points[block], NEIGHBOUR_COUNT + 1,
-                                          distance_upper_bound=NEIGHBOUR_RADIUS * spacing)
-        valid = np.isfinite(distance[:, 1:])
-        neighbours = np.where(valid, neighbours[:, 1:], neighbours[:, :1])
-        yield block, neighbours, valid, points[neighbours] - points[block][:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,25 +288,18 @@ def _kind(sheets: Sheets, pairs: Pairs, up: Array) -> str:
         lateral = math.sqrt(max(distance ** 2 - height ** 2, 0.0))
         if height > 0.5 * lateral:
             return 'lap' if height <= HIGHEST_LAP else 'none'
-        is_gap = lateral > NARROWEST_GAP * sheets.spacing and not _covered(sheets, pairs)
-        return 'butt' if is_gap else 'none'
+        if lateral <= NARROWEST_GAP * sheets.spacing:
+            return 'none'
+        middle, normal = sheets.points[pairs].mean(axis=1), unit(normals[pairs].sum(axis=(0, 1)))
+        flat = np.eye(3) - np.outer(normal, normal)
+        between = sheets.points[cKDTree(sheets.points @ flat).query(middle @ flat)[1]]
+        covered = (between - middle) @ normal > NARROWEST_GAP * sheets.spacing
+        return 'none' if covered.mean() > 0.5 else 'butt'  # what is higher is a rib
     inward = np.where(normals[i] @ up > normals[j] @ up,  # of an upright wall the normal may be -n
                       (normals[i] * outward[j]).sum(axis=1), (normals[j] * outward[i]).sum(axis=1))
     if np.median(inward) > -INWARD_COSINE:
         return 'none'
     return 'v' if _is_v(sheets, pairs) else 'fillet'
-
-
-def _covered(sheets: Sheets, pairs: Pairs) -> bool:
-    """Return whether points in a gap are higher than its edges: a rib, no gap."""
-    ends, limit = sheets.points[pairs], NARROWEST_GAP * sheets.spacing
-    middle, normal = ends.mean(axis=1), unit(sheets.normals[pairs].sum(axis=(0, 1)))
-    reach = 0.25 * float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)))
-    flat = np.eye(3) - np.outer(normal, normal)
-    columns = cKDTree(sheets.points @ flat).query_ball_point(middle @ flat, reach)
-    higher = [((sheets.points[rows] - at) @ normal > limit).any()
-              for rows, at in zip(columns, middle, strict=True)]
-    return float(np.mean(higher)) > 0.5
 
 
 def _is_v(sheets: Sheets, pairs: Pairs) -> bool:

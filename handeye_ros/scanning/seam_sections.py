@@ -15,7 +15,14 @@ from typing import NamedTuple
 from handeye_ros.data import Array, robust_std
 from handeye_ros.errors import DataError, mm
 from handeye_ros.scanning.curves import Curve, spline, STIFF_ONLY
-from handeye_ros.scanning.seam_course import Course, position_text, Sheets, unit
+from handeye_ros.scanning.seam_course import (
+    Course,
+    NARROWEST_GAP,
+    position_text,
+    SAME_PLANE,
+    Sheets,
+    unit,
+)
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
@@ -29,13 +36,11 @@ SECTION_WIDTH = 24.0  # spacings: width of a sheet's section, at least
 LEAST_SECTION_WIDTH = 6e-3  # m: the same
 END_MARGIN = 2.5  # spacings: the sheet ends within this distance of the rough edge
 LARGEST_END_OFFSET = 2e-3  # m: largest distance of the end from the rough edge
-SHEET_SIGMAS = 4.0  # sigmas of points on the sheet
 WIDEST_LINE = 12.0  # spacings: largest width of the rough course
 LARGEST_MISSING_EDGE = 5e-3  # m: largest missing part of an edge
 ROUGH_EDGE_WINDOW = 5e-3  # m along the seam: pairs within it give the rough edges
 COURSE_OVERHANG = 8e-3  # m beyond the ends of the rough course where the seam may continue
 ROOT_GAP = 0.5  # spacings: a larger mean distance of the lower edges of a V is a root gap
-MEETING_GAP = 4.0  # spacings: else they meet in a section if they are nearer
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +64,14 @@ class Edges:
     ends: tuple[float, float]
 
 
-class _Side(NamedTuple):
+class _Sides(NamedTuple):
     """
-    A sheet in a section: its end (3,), outward direction (3,), mean normal (3,).
+    Sheets in a section: ends (3,), outward directions (3,), mean normals (3,).
 
-    noise: 1 sigma about it (m)
+    noise: 1 sigma about a sheet (m)
     extent: (2,) where its points begin and stop along the seam, from the section (m)
-    resolution: 1 sigma of the end from the distance between columns that follow the seam (m). Of k
-        sections: arrays (k, ...).
+    resolution: 1 sigma of the end from the distance between columns that follow the seam (m). Of
+        both sides of k sections: arrays (k, 2, ...).
     """
 
     end: Array
@@ -75,10 +80,6 @@ class _Side(NamedTuple):
     noise: Array
     extent: Array
     resolution: Array
-
-    def further(self) -> _Side:
-        """Return the sides (k, ...) with their ends 1 sigma further out."""
-        return self._replace(end=self.end + self.resolution[:, None] * self.outwards)
 
 
 def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
@@ -106,8 +107,8 @@ def edges_of_seam(sheets: Sheets, rough: Course) -> Edges:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Return the scalar products (k, 1) of vectors (k, 3)."""
-    return np.asarray((a * b).sum(axis=1, keepdims=True))
+    """Return the scalar products (..., 1) of vectors (..., 3)."""
+    return np.asarray((a * b).sum(axis=-1, keepdims=True))
 
 
 def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
@@ -120,35 +121,36 @@ def _edges_along(sheets: Sheets, rough: Course, curve: Curve) -> Edges:
     first, last = rough.t[0] - COURSE_OVERHANG, rough.t[-1] + COURSE_OVERHANG
     count = int((last - first) / step)  # the same sections from the other end
     places = 0.5 * (first + last) + step * (np.arange(count) - 0.5 * (count - 1))
-    sections = [(t, *both) for t in places.tolist() if None not in (
-        both := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])]
-    lengths, *sides = zip(*sections, strict=True) if sections else ((first, last),)
+    found = {t: zip(*both, strict=True) for t in places.tolist() if None not in (
+        both := [_side(sheets, rough, curve, side, t, step) for side in (0, 1)])}
+    lengths = np.array([*found] or [first, last])
     missing = np.append(np.diff(lengths) - step, 0.0)
     worst = int(np.argmax(missing))
     if missing[worst] > LARGEST_MISSING_EDGE:
-        place = position_text(curve.beyond(0.5 * (lengths[worst] + lengths[worst + 1]))[0])
+        place = position_text(curve.beyond(lengths[worst:worst + 2].mean())[0])
         raise DataError(f'the seam is not seen for {mm(float(missing[worst]))} at {place}: scan '
                         'there again, or cut one part out with --box')
-    a, b = (_Side(*map(np.array, zip(*side, strict=True))) for side in sides)
-    ends = (lengths[0] + max(a.extent[0, 0], b.extent[0, 0]),
-            lengths[-1] + min(a.extent[-1, 1], b.extent[-1, 1]))
+    # of each section the pairs of values of both sides, field by field
+    every = _Sides(*map(np.array, zip(*found.values(), strict=True)))
+    ends = (lengths[0] + every.extent[0, :, 0].max(), lengths[-1] + every.extent[-1, :, 1].min())
     # the ends of the sheets in a section of few points are not known well
-    shorter = np.minimum(np.ptp(a.extent, axis=1), np.ptp(b.extent, axis=1))
-    filled = shorter > 0.5 * step - sheets.spacing
-    a, b = (_Side(*(values[filled] for values in side)) for side in (a, b))
-    gap = np.median(_dot(a.end - b.end, unit(b.outwards - a.outwards)))
-    meeting_gaps = {'fillet': np.inf,
-                    'v': MEETING_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)}
-    lines, *changed = (_lines(rough.kind, meeting_gaps.get(rough.kind, 0.0), *sides)
-                       for sides in ((a, b), (a.further(), b), (a, b.further())))
+    filled = np.ptp(every.extent, axis=2).min(axis=1) > 0.5 * step - sheets.spacing
+    sides = _Sides(*(values[filled] for values in every))
+    gap = np.median(_dot(np.diff(sides.end, axis=1), unit(np.diff(-sides.outwards, axis=1))))
+    of_v = NARROWEST_GAP * sheets.spacing * (gap < ROOT_GAP * sheets.spacing)
+    meeting = {'lap': np.inf, 'fillet': np.inf, 'v': of_v, 'butt': 0.0}[rough.kind]
+    # also with the ends of one side 1 sigma further out
+    further = sides.outwards * sides.resolution[..., None]
+    lines, *changed = (_lines(rough.kind, meeting, sides._replace(end=sides.end + further * which))
+                       for which in (0.0, [[1.0], [0.0]], [[0.0], [1.0]]))
     resolution = {name: float(np.median(np.linalg.norm(
         [moved[name] - line for moved in changed], axis=(0, 2)))) for name, line in lines.items()}
-    return Edges(np.array(lengths)[filled], lines, resolution, unit(a.normal + b.normal),
-                 float(np.median([a.noise, b.noise])), ends)
+    return Edges(lengths[filled], lines, resolution, unit(sides.normal.sum(axis=1)),
+                 float(np.median(sides.noise)), ends)
 
 
 def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step: float
-          ) -> _Side | None:
+          ) -> _Sides | None:
     """Return one sheet in the section at t, None where it does not end there."""
     points, spacing, margin = sheets.points, sheets.spacing, END_MARGIN * sheets.spacing
     window = np.abs(rough.t - np.clip(t, rough.t[0], rough.t[-1])) <= ROUGH_EDGE_WINDOW
@@ -178,25 +180,18 @@ def _side(sheets: Sheets, rough: Course, curve: Curve, side: int, t: float, step
     if fitted is None:
         return None
     sheet, noise = fitted
-    end, on_sheet, inner = _end_of_sheet(sheet, noise, inward, height, margin)
+    on_sheet = np.abs(height - np.polyval(sheet, inward)) < SAME_PLANE * noise
+    inner = on_sheet & (inward > margin)
+    # half the mean distance of points beyond the last one
+    end = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
     if abs(end) > LARGEST_END_OFFSET:
         return None
     slope = np.polyval(np.polyder(sheet), end)
     mean = np.polyfit(inward[inner], height[inner], 1)[0]
-    return _Side(origin + end * into_sheet + np.polyval(sheet, end) * upright,
-                 -(into_sheet + slope * upright) / np.hypot(1, slope),
-                 (upright - mean * into_sheet) / np.hypot(1, mean), np.array(noise),
-                 np.quantile(along[on_sheet], [0, 1]), np.array(resolution))
-
-
-def _end_of_sheet(sheet: Array, noise: float, inward: Array, height: Array, margin: float
-                  ) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where a sheet ends (m), and which points are on it, and of these beyond margin."""
-    on_sheet = np.abs(height - np.polyval(sheet, inward)) < SHEET_SIGMAS * noise
-    inner = on_sheet & (inward > margin)
-    # half the mean distance of points beyond the last one
-    end = inward[on_sheet].min() - 0.5 * (inward[inner].max() - margin) / inner.sum()
-    return end, on_sheet, inner
+    return _Sides(origin + end * into_sheet + np.polyval(sheet, end) * upright,
+                  -(into_sheet + slope * upright) / np.hypot(1, slope),
+                  (upright - mean * into_sheet) / np.hypot(1, mean), np.array(noise),
+                  np.quantile(along[on_sheet], [0, 1]), np.array(resolution))
 
 
 def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangent: Array
@@ -205,10 +200,10 @@ def _axes(sheets: Sheets, own: NDArray[np.intp], other: NDArray[np.intp], tangen
     inwards = -sheets.outward[own].mean(axis=0)
     inwards = unit(inwards - (inwards @ tangent) * tangent)
     upright = np.cross(tangent, inwards)
-    towards = upright @ sheets.outward[other].mean(axis=0)
-    if abs(towards) > 0.5:  # of a corner: the other sheet ends on this one
-        return inwards, -np.sign(towards) * upright
-    return inwards, upright if upright @ sheets.normals[own].mean(axis=0) >= 0 else -upright
+    towards = -upright @ sheets.outward[other].mean(axis=0)
+    if abs(towards) <= 0.5:  # else of a corner: the other sheet ends on this one
+        towards = upright @ sheets.normals[own].mean(axis=0)
+    return inwards, np.copysign(1.0, towards) * upright
 
 
 def _sheet_through(inward: Array, height: Array, margin: float, degree: int
@@ -242,25 +237,23 @@ def _column_resolution(inward: Array, spacing: float) -> float:
     return 0.0 if few else float(spacing / FREQUENCIES[peaks[0]] / np.sqrt(12))
 
 
-def _lines(kind: str, meeting: float, a: _Side, b: _Side) -> dict[str, Array]:
+def _lines(kind: str, meeting: float, sides: _Sides) -> dict[str, Array]:
     """
     Return first and second edge, root and centre (k, 3) of sections.
 
-    meeting: edges of a corner that are nearer to each other meet (m).
+    meeting: sheets whose edges are nearer to each other meet in the root (m).
     """
-    first, second = a.end, b.end
-    root = 0.5 * (first + second)
-    if kind == 'lap':
-        normal = a.normal + b.normal  # the curvature of the sheets cancels
-        a_is_upper = np.median(_dot(a.end - b.end, normal)) > 0
-        upper, lower = (a, b) if a_is_upper else (b, a)
-        across = upper.outwards - _dot(upper.outwards, normal) / _dot(normal, normal) * normal
-        root = lower.end + lower.outwards * (
-            _dot(upper.end - lower.end, across) / _dot(lower.outwards, across))
-        first, second = (first, root) if a_is_upper else (root, second)
-    elif meeting:
-        apart, cosine = b.end - a.end, _dot(a.outwards, b.outwards)
-        met = a.end + a.outwards * ((
-            _dot(apart, a.outwards) - cosine * _dot(apart, b.outwards)) / (1 - cosine ** 2))
+    edges, root, lower, along = sides.end.copy(), sides.end.mean(axis=1), 0, sides.outwards[:, 1]
+    if kind == 'lap':  # the rim of the upper sheet is above the root; their curvature cancels
+        along = sides.normal.sum(axis=1)
+        lower = int(np.median(_dot(edges[:, 0] - edges[:, 1], along)) > 0)
+    if meeting:
+        end, way = edges[:, lower], sides.outwards[:, lower]
+        apart = edges[:, 1 - lower] - end
+        across = way - _dot(way, along) / _dot(along, along) * along
+        met = end + way * (_dot(apart, across) / _dot(way, across))
         root = np.where(np.sqrt(_dot(apart, apart)) < meeting, met, root)
-    return {'first': first, 'second': second, 'root': root, 'centre': 0.5 * (first + second)}
+    if kind == 'lap':
+        edges[:, lower] = root
+    return {'first': edges[:, 0], 'second': edges[:, 1], 'root': root,
+            'centre': edges.mean(axis=1)}

@@ -145,9 +145,8 @@ class Cell:
 def draw(scenario: Scenario, rng: np.random.Generator) -> Cell:
     """Draw a cell in which the sensor reaches its stops, and the robot's errors."""
     stops = SCENES[scenario.scene].stops(scenario, rng)
-    programme = np.arange(len(stops.labels))
-    if scenario.shuffled:
-        programme = rng.permutation(len(stops.labels))
+    number = len(stops.labels)
+    programme = rng.permutation(number) if scenario.shuffled else np.arange(number)
     return cell_of(scenario, stops.ordered(np.tile(programme, scenario.repeats)), rng)
 
 
@@ -209,11 +208,8 @@ def _best_mount(T: Array, error: Array, X: Array, scenario: Scenario) -> Array:
     a, R = T[:, None, :3, 3], T[:, :3, :3]
     points = se3.apply(T, lever + X[:3, 3])
     shift = error[:, None, :3] + np.cross(error[:, None, 3:], points - a)
-    wrt_turn = -np.einsum('nij,kjl->nkil', R, se3.skew(lever))
-    wrt_shift = np.broadcast_to(R[:, None], wrt_turn.shape)
-    wrt_target = np.concatenate([np.broadcast_to(-np.eye(3), wrt_turn.shape), se3.skew(points)],
-                                axis=3)
-    A = np.concatenate([wrt_shift, wrt_turn, wrt_target], axis=3).reshape(-1, 12)
+    wrt_mount = np.einsum('nij,kjl->nkil', R, se3.wrt_perturbation(lever))
+    A = np.concatenate([wrt_mount, -se3.wrt_perturbation(points)], axis=3).reshape(-1, 12)
     step = np.linalg.lstsq(A, -shift.reshape(-1), rcond=1e-9)[0]
     return se3.perturb(X, step[:6])
 
@@ -241,8 +237,7 @@ def timed_profiles(times: Array, points: Iterable[Array], axes: tuple[str, str] 
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulated:
     """Return a recording of a robot that moves from stop to stop, or sweeps past them."""
-    cell = draw(scenario, rng)
-    cell = replace(cell, distortion=sensors.draw_distortion(scenario.sensor, rng))
+    cell = replace(draw(scenario, rng), distortion=sensors.draw_distortion(scenario.sensor, rng))
     return _sweeping(cell, scenario.sweep, rng) if scenario.sweep else _stopping(cell, rng)
 
 

@@ -8,6 +8,7 @@ ones, which their name tells and their settings do not state. Metres, radians, s
 """
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 import math
 from typing import Any
@@ -300,8 +301,6 @@ SCENARIOS: dict[str, Scenario] = {s.name: s for s in (
     changed(PLATE, 'plate_real_robot', robot=REAL_ROBOT),
     changed(SPHERE, 'sphere_real_robot', robot=REAL_ROBOT),
     changed(PLATE, 'eye_on_base', calibration_type='eye_on_base'),
-    # an arm whose joint values are recorded
-    changed(SPHERE, 'arm_sphere', robot=WRONG_ARM, stations=(40, 0)),
     # recordings without an answer, or with warnings
     *(changed(PLATE, motion, motion=motion)
       for motion in ('one_orientation', 'one_orientation_per_edge', 'tilt_only', 'yaw_only')),
@@ -335,7 +334,6 @@ BASELINES = _, BALL, _, FLAT, _ = one_of_each(BASELINE, replace(WIDE_SENSOR, **Q
 # x from 0 to 140 mm, range from -25 to +25 mm counted upwards
 OFF_CENTRE: dict[str, Any] = {'range': (0.25, 0.30), 'half_width': 0.2545, 'sampling': 'fan_x',
                               'camera': (0.12, 0.0)}
-SPECKLE_STATED = (('noise.sensor', 20 * UM),)
 STATED_TOO_SMALL = tuple(zip(('noise.robot_translation', 'noise.robot_rotation'), (
     sigma / 1.3 for sigma in BASELINE.robot.repeatability), strict=True))
 
@@ -343,6 +341,11 @@ STATED_TOO_SMALL = tuple(zip(('noise.robot_translation', 'noise.robot_rotation')
 def smooth(error: float) -> dict[str, tuple[float, float]]:
     """Return a robot's error (m) that varies smoothly; in radians what it is at 0.3 m."""
     return {'systematic': (error, error / 0.3)}
+
+
+def each(bases: Iterable[Scenario], fault: str, **changes: Any) -> Iterator[Scenario]:
+    """Yield scenarios with a fault, named by their scene and the fault."""
+    return (changed(base, f'{base.scene}, {fault}', **changes) for base in bases)
 
 
 FAULTS: dict[str, Scenario] = {s.name: s for s in (
@@ -366,24 +369,20 @@ FAULTS: dict[str, Scenario] = {s.name: s for s in (
       for word, ground in (('bright', 4.0), ('dark', 0.25))),
     *(changed(BASELINE, f'distorted {size} mm', sensor={'distortion': size * MM})
       for size in (0.01, 0.02, 0.05)),
-    *(changed(base, f'{base.scene}, distorted 0.02 mm', sensor={'distortion': 0.02 * MM})
-      for base in BASELINES[1:]),
+    *each(BASELINES[1:], 'distorted 0.02 mm', sensor={'distortion': 0.02 * MM}),
     changed(BASELINE, 'scale 1e-3', sensor={'scale': 1e-3}),
-    *(changed(base, f'{base.scene}, line bent by 0.15 mm', sensor={'line_bend': 0.15 * MM})
-      for base in BASELINES),
-    *(changed(base, f'{base.scene}, frozen speckle 20 um', stated=SPECKLE_STATED,
-              sensor={'noise': 4 * UM, 'speckle': 20 * UM}) for base in BASELINES[:2]),
-    *(changed(base, f'{base.scene}, wide off-centre', sensor=OFF_CENTRE, lever=(0.5, 2.0),
-              layout=Layout('off_centre')) for base in BASELINES),
+    *each(BASELINES, 'line bent by 0.15 mm', sensor={'line_bend': 0.15 * MM}),
+    *each(BASELINES[:2], 'frozen speckle 20 um', sensor={'noise': 4 * UM, 'speckle': 20 * UM},
+          stated=(('noise.sensor', 20 * UM),)),
+    *each(BASELINES, 'wide off-centre', sensor=OFF_CENTRE, lever=(0.5, 2.0),
+          layout=Layout('off_centre')),
     # robots
     *(changed(BASELINE, f'joints and links {error} mm', robot={'geometry': error * MM})
       for error in (0.1, 0.3)),
-    *(changed(base, f'{base.scene}, joints and links 1 mm', robot={'geometry': 1 * MM})
-      for base in BASELINES),
+    *each(BASELINES, 'joints and links 1 mm', robot={'geometry': 1 * MM}),
     *(changed(BASELINE, f'smooth {error} mm', robot=smooth(error * MM))
       for error in (0.1, 0.2, 0.3, 1.0)),
-    *(changed(base, f'{base.scene}, smooth 0.2 mm', robot=smooth(0.2 * MM))
-      for base in BASELINES[1:]),
+    *each(BASELINES[1:], 'smooth 0.2 mm', robot=smooth(0.2 * MM)),
     changed(BASELINE, 'repeatability 1.3 times stated', stated=STATED_TOO_SMALL),
     *(changed(BASELINE, f'6 poses x 4{word}', robot=error, stations=(3, 3), repeats=4)
       for word, error in (('', {}), (', smooth 0.15 mm', smooth(0.15 * MM)),

@@ -7,8 +7,9 @@ SCENES has the three functions of each target. The features have exactly the noi
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 import math
 
 from handeye_ros import se3
@@ -87,9 +88,16 @@ def tilts(scenario: Scenario, rng: np.random.Generator, counts: tuple[int, ...])
     return np.asarray(Rotation.from_euler('xyz', np.concatenate(groups)).as_matrix())
 
 
-def seeing(R: Array, spots: Array, seen: Array) -> Array:
-    """Return T_target_sensor of sensors turned by R that see spots at points (n, 3) of theirs."""
-    return se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
+def seeing(scenario: Scenario, rng: np.random.Generator, nominal: Array, spots: Array,
+           seen: Array, groups: Sequence[Sequence[str]]) -> Placements:
+    """
+    Return stops of tilted sensors that see spots (n, 3) of the target at points (n, 3) of theirs.
+
+    nominal: (3, 3) or (n, 3, 3) their turn without the tilt; groups: the labels of each group.
+    """
+    R = nominal @ tilts(scenario, rng, tuple(map(len, groups)))
+    T = se3.transform(R, spots - (R @ seen[:, :, None])[:, :, 0])
+    return Placements(T, tuple(chain(*groups)), seen[:, [0, 2]])
 
 
 def _places(scenario: Scenario, rng: np.random.Generator, n: int, width: float, depth: float,
@@ -122,11 +130,18 @@ def _in_view(scenario: Scenario, points: Array, along: Array) -> Array:
     return _room(along @ view[:, :2].T, view[:, 2] - points @ view[:, :2].T)
 
 
-def _along(T_target_sensor: Array, axis: int) -> Array:
-    """Return (n, 2) unit vectors in the sensor plane along a face with its normal on an axis."""
+def _along(T_target_sensor: Array, axis: int, into: Array) -> tuple[Array, Array]:
+    """
+    Return unit vectors (n, 2) in the sensor plane along a face, and (n, 3) the same in the target.
+
+    axis: of the target, the normal of the face; into: (3,) or (n, 3) the side that they point to
+    """
     normal = T_target_sensor[:, axis, [0, 2]]
     along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
-    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    in_target = (T_target_sensor[:, :3, :3] @ lift(along)[:, :, None])[:, :, 0]
+    sense = np.sign((in_target * into).sum(axis=1))[:, None]
+    return sense * along, sense * in_target
 
 
 def _lines(scenario: Scenario, start: Array, along: Array, length: Array, noise: Array,
@@ -168,12 +183,6 @@ def edge_frames(target: PlateTarget) -> dict[str, Array]:
             for label, (turn, start) in starts.items()}
 
 
-def edge_lengths(target: PlateTarget) -> dict[str, float]:
-    """Return the length of each edge."""
-    length, width = target.size
-    return {'p': length, 'q': width, 'p2': length, 'q2': width}
-
-
 def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     """Draw stops whose laser line crosses an edge inside the field of view."""
     target: PlateTarget = scenario.target
@@ -184,28 +193,24 @@ def plate_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     fraction, points = np.split(np.concatenate([
         _places(scenario, rng, n, 0.5, 0.22, (0.0, 1.0)) for n in counts]), [1], axis=1)
     if MOTIONS[scenario.motion].shared:
-        diagonal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix() @ SENSOR_FACING
-        nominal = np.repeat(diagonal[None], len(labels), axis=0)
+        nominal = Rotation.from_rotvec([0, 0, -math.pi / 4]).as_matrix()
     else:  # the opposite edge is crossed outwards, so that the robot need not turn around
         frames = edge_frames(PlateTarget())
-        nominal = np.array([frames[label[0]][:3, :3] @ SENSOR_FACING for label in labels])
+        nominal = np.array([frames[label[0]][:3, :3] for label in labels])
     edges = np.array([edge_frames(target)[label] for label in labels])
-    lengths = np.array([edge_lengths(target)[label] for label in labels])
+    lengths = np.array([target.size['q' in label] for label in labels])
     along = END_MARGIN + fraction[:, 0] * (lengths - 2 * END_MARGIN)
     spots = edges[:, :3, 3] + edges[:, :3, 0] * along[:, None]
-    T = seeing(nominal @ tilts(scenario, rng, counts), spots, lift(points))
-    return Placements(T, tuple(labels), points)
+    groups = labels[:counts[0]], labels[counts[0]:]
+    return seeing(scenario, rng, nominal @ SENSOR_FACING, spots, lift(points), groups)
 
 
 def plate_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return (FaceLine, EdgePoint) of each stop, with the noise of all its profiles."""
-    T, along = stops.T_target_sensor, _along(stops.T_target_sensor, 2)
-    in_target = (T[:, :3, :3] @ lift(along)[:, :, None])[:, :, 0]
-    frames = edge_frames(scenario.target)
-    into_face = np.array([frames[label][:3, 1] for label in stops.labels])
-    sense = np.sign((in_target * into_face).sum(axis=1))[:, None]
-    inwards, rise = sense * along, sense * in_target[:, :2]
+    T, frames = stops.T_target_sensor, edge_frames(scenario.target)
+    inwards, in_target = _along(T, 2, np.array([frames[label][:3, 1] for label in stops.labels]))
+    rise = in_target[:, :2]
     start = se3.apply(T, lift(stops.points)[:, None])[:, 0, :2]
     in_face = _room(np.hstack([rise, -rise]),
                     np.hstack([np.array(scenario.target.size) - start, start]))
@@ -242,15 +247,14 @@ def plane_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     third = (1 / 3, 2 / 3)
     in_face, points = np.split(_places(scenario, rng, n, 0.3, 0.3, third, third), [2], axis=1)
     spots = np.column_stack([in_face * target.size, np.zeros(n)])
-    T = seeing(SENSOR_FACING @ tilts(scenario, rng, (n,)), spots, lift(points))
-    return Placements(T, ('plane',) * n, points)
+    return seeing(scenario, rng, SENSOR_FACING, spots, lift(points), [['plane'] * n])
 
 
 def plane_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
                    ) -> list[tuple[Feature, ...]]:
     """Return the FaceLine of each stop, with the noise of all its profiles."""
-    along = _along(stops.T_target_sensor, 2)
-    along *= np.sign(along[:, :1])
+    T = stops.T_target_sensor
+    along, _ = _along(T, 2, T[:, :3, 0])
     before, beyond = (_in_view(scenario, stops.points, way) for way in (-along, along))
     noise = rng.normal(size=(len(along), 2)).T
     start = stops.points - before[:, None] * along
@@ -278,8 +282,7 @@ def wedge_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     along, points = np.split(_places(
         scenario, rng, n, 0.35, 0.3, (MARGIN, target.length - MARGIN)), [1], axis=1)
     spots = np.column_stack([along, np.zeros((n, 2))])
-    T = seeing(facing(target) @ tilts(scenario, rng, (n,)), spots, lift(points))
-    return Placements(T, ('wedge',) * n, points)
+    return seeing(scenario, rng, facing(target), spots, lift(points), [['wedge'] * n])
 
 
 def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generator
@@ -289,10 +292,9 @@ def wedge_features(scenario: Scenario, stops: Placements, rng: np.random.Generat
     T = stops.T_target_sensor
     noise = rng.normal(size=(len(T), 2, 2))
     faces = []
-    # the axes of a face's normal and of the way into it, and the sense of that way
-    for k, (normal, into, sense) in enumerate(((2, 1, 1.0), (1, 2, 1 if target.concave else -1))):
-        along = _along(T, normal)
-        along *= (np.sign((T[:, into, [0, 2]] * along).sum(axis=1)) * sense)[:, None]
+    upwards = np.array([0.0, 0.0, 1.0 if target.concave else -1.0])
+    for k, (normal, into) in enumerate(((2, np.array([0.0, 1.0, 0.0])), (1, upwards))):
+        along, _ = _along(T, normal, into)
         length = _in_view(scenario, stops.points, along)
         faces.append(_lines(scenario, stops.points, along, length, noise[:, k].T,
                             np.sign(along[:, 0]))[0])
@@ -325,8 +327,8 @@ def sphere_stops(scenario: Scenario, rng: np.random.Generator) -> Placements:
     high = np.array([margin, 0.6 * radius, near + 0.45 * (far - near)])
     centre = strata(rng, n, low, high)  # of the ball in the sensor frame; z: top of the arc
     centre[:, 2] += np.sqrt(radius**2 - centre[:, 1]**2)
-    R = np.diag([1.0, -1.0, -1.0]) @ tilts(scenario, rng, (n,))
-    return Placements(seeing(R, np.zeros(3), centre), ('sphere',) * n, centre[:, [0, 2]])
+    down = np.diag([1.0, -1.0, -1.0])
+    return seeing(scenario, rng, down, np.zeros(3), centre, [['sphere'] * n])
 
 
 def sphere_features(scenario: Scenario, stops: Placements, rng: np.random.Generator

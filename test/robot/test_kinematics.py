@@ -15,14 +15,16 @@ from handeye_ros.config import Config, TargetConfig
 from handeye_ros.errors import DataError, HandeyeError
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.results.calibration_file import read_calibration
-from handeye_ros.robot import points, sources
-from handeye_ros.robot.selection import joint_notes, solve
+from handeye_ros.robot import sources
+from handeye_ros.robot.selection import joint_notes
+from handeye_ros.robot.sources import solve_rows
 from handeye_ros.sampling.session import Session
 from handeye_ros.simulate import robot as simulated_arm
 from handeye_ros.simulate import SCENARIOS, simulate_samples
 from handeye_ros.targets import target_for
 import numpy as np
 import pytest
+import yaml
 
 pinocchio = pytest.importorskip('pinocchio', reason='needs pinocchio')
 
@@ -96,10 +98,6 @@ def test_twists_are_the_derivatives_of_the_pose(urdf):
                                    atol=2e-6)
 
 
-def solve_rows(rows, arm):
-    return solve(points.arm_problem_of(rows, arm, 1e-3))
-
-
 @pytest.fixture(scope='module')
 def from_table(tmp_path_factory):
     """Return a cell, the rows held out, the folder of the answer, and what was shown."""
@@ -137,9 +135,9 @@ def test_a_wrong_row_is_left_out_and_several_points_are_distinguished():
     second = cell.ball + [0.02, 0.01, 0.0]
     points[30:] = se3.apply(se3.inverse(T[30:]), second[None])[:, 0]
     rows = replace(cell.data, points=points, names=('a', 'b'), target=np.repeat([0, 1], [30, 10]))
-    fit = solve_rows(rows, cell.arm.freed(())).chosen.fit
+    fit = solve_rows(rows, cell.arm.freed(()), 1e-3).chosen.fit
     assert np.flatnonzero(~fit.used).tolist() == [7, 20]
-    first, other = fit.state.targets
+    first, other = fit.targets
     np.testing.assert_allclose(other - first, [0.02, 0.01, 0.0], atol=2e-4)
 
 
@@ -154,7 +152,7 @@ def test_bad_tables_are_refused_in_a_sentence(from_table, tmp_path, change, word
     table = tmp_path / 'points.csv'
     table.write_text(change((from_table[2] / 'points.csv').read_text()))
     with pytest.raises(HandeyeError, match=words):
-        points.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
+        sources.solve_table(table, arm_of(bench.urdf(bench.SIX)), Config(), ())
 
 
 def test_values_beyond_a_limit_that_cannot_be_degrees_are_not_called_degrees():
@@ -165,7 +163,7 @@ def test_values_beyond_a_limit_that_cannot_be_degrees_are_not_called_degrees():
 
 def test_few_poses_do_not_make_an_error_less_certain_than_before():
     cell = bench.draw(bench.CASES['six'], 17, 2)
-    arm = solve_rows(cell.data, cell.arm.freed(())).arm
+    arm = solve_rows(cell.data, cell.arm.freed(()), 1e-3).arm
     assert (np.sqrt(np.diag(arm.covariance)) < 1.2 * arm.priors[arm.free]).all()
 
 
@@ -182,7 +180,7 @@ COUPLED = np.eye(6) - np.outer(np.eye(6)[2], np.eye(6)[1])
 def test_joint_values_that_contradict_the_points_are_named(from_table, words, joints, in_hand):
     cell, rows = from_table[0], from_table[0].data
     with pytest.raises(HandeyeError, match=words):
-        solve_rows(replace(rows, q=rows.q @ joints.T, in_hand=in_hand), cell.arm.freed(()))
+        solve_rows(replace(rows, q=rows.q @ joints.T, in_hand=in_hand), cell.arm.freed(()), 1e-3)
 
 
 @pytest.mark.parametrize(('urdf', 'flange', 'words'), [
@@ -203,6 +201,15 @@ def test_a_damaged_kinematics_file_is_refused(from_table, tmp_path):
     (tmp_path / 'kinematics.yaml').write_text(text.replace('\n  direction:', '\n  directions:', 1))
     with pytest.raises(HandeyeError, match='no kinematics.yaml'):
         read_arm(tmp_path)
+
+
+def test_the_file_of_an_arm_without_errors_is_read(from_table, tmp_path):
+    content = yaml.safe_load((from_table[2] / 'out/kinematics.yaml').read_text())
+    joints = [{key: joint[key] for key in joint.keys() - set(GEOMETRY)}
+              for joint in content['joints']]
+    (tmp_path / 'kinematics.yaml').write_text(yaml.dump(
+        content | {'joints': joints, 'covariance': []}))
+    assert read_arm(tmp_path).kinds == ()
 
 
 def test_profiles_and_joint_states_of_a_bag_correct_the_arm(tmp_path):
