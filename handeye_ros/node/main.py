@@ -48,7 +48,8 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
-    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS, HandeyeNode.stop))
+    # it publishes nothing more while it ends, and what computes ends with it
+    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS, lambda one: one.outputs.close()))
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk

@@ -59,6 +59,7 @@ class HandeyeNode(Node):
     Takes samples of stops, and computes, publishes and saves calibrations on request.
 
     live: the session
+    outputs: what is published of it
     streams: the subscriptions of now; others follow when topics change
     """
 
@@ -73,21 +74,20 @@ class HandeyeNode(Node):
             live.take_sample, live.remove_last_sample, live.clear_samples,
             answer.compute_calibration, answer.save_calibration,
             verification.verify_start, verification.verify_result)}
-        self._outputs = Outputs(self, self.live)
-        self.streams = Streams(self, self.live, self.live.add_joints)
+        self.outputs = Outputs(self, live)
         self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._on_set)
         if stored:
-            self.get_logger().info(self.live.open(stored, config))
+            self.get_logger().info(live.open(stored, config))
         elif config.session:
             self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
                                       'one begins')
-        self._outputs.show()
-        self.live.start()
-        self.streams.start()
+        self.streams = Streams(self, live, live.add_joints)
+        self.outputs.show()
+        live.start()
         self._serve()
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
-                               f'{self.live.config.pose_origin[0]}')
+                               f'{config.pose_origin[0]}')
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
             serve(self)
@@ -103,31 +103,27 @@ class HandeyeNode(Node):
         self.create_subscription(Empty, '~/take', lambda _: self.call_service('take_sample'), 10,
                                  callback_group=quick)
         # steady time: the state is published even while a simulated clock is paused
-        for period, work in ((1.0, self._diagnose), (CURRENT_PERIOD, self._outputs.show_current)):
+        for period, work in ((1.0, self._diagnose), (CURRENT_PERIOD, self.outputs.show_current)):
             self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _show_changes(self) -> None:
         """Publish what the worker has changed, parameters that follow from others too."""
-        self._outputs.show()
+        self.outputs.show()
         values = configuration.flatten(self.live.config)
-        if changed := {key: values[key] for key in FOLLOWING_KEYS
-                       if _values([self.get_parameter(key)])[key] != values[key]}:
+        told = _values(self.get_parameters(FOLLOWING_KEYS))
+        if changed := {key: values[key] for key in FOLLOWING_KEYS if told[key] != values[key]}:
             self.set_values(changed)
-
-    def stop(self) -> None:
-        """Publish nothing more: the process ends, and what computes with it."""
-        self._outputs.close()
 
     @property
     def state(self) -> State:
         """Return the current state of the session."""
-        return state_of(self.live, self.streams.obstacles(), self.streams.trouble())
+        return state_of(self.live, self.streams.disturbances())
 
     def _diagnose(self) -> None:
         """Publish the state, and log the warnings that are new but for their numbers."""
         state = self.state
-        self._outputs.diagnose(state)
+        self.outputs.diagnose(state)
         warnings = {re.sub(r'[-+.\d]+', '#', sentence): sentence
                     for sentence in (*troubles_of(state), *state['session']['notes'])}
         for kind in warnings.keys() - self._warned:
@@ -141,10 +137,10 @@ class HandeyeNode(Node):
         try:
             answer = self.live.ask(self._requests[name])
             text, success = answer.result() if isinstance(answer, Future) else answer, True
+            if name == 'clear_samples':
+                self.streams.restart()
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             text, success = sentence_and_log(name, error), False
-        if name == 'clear_samples' and success:
-            self.streams.restart()
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
             log.info(text) if success else log.warning(f'{name}: {text}')
@@ -220,7 +216,6 @@ class HandeyeNode(Node):
             live.configure(self._with(values))
         finally:  # to the topics before, where no new session can be written
             self.streams = Streams(self, live, live.add_joints)
-            self.streams.start()
 
 
 def declare(node: Node, folders: OutputFolders) -> tuple[Config, StoredSession | None]:
@@ -266,14 +261,12 @@ def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    texts = []
-    if parameter.length:
-        texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
-    if parameter.choices:
-        texts.append('one of ' + ', '.join(map(str, parameter.choices)))
-    result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
-                                 read_only=parameter.key in FIXED_KEYS,
-                                 additional_constraints='; '.join(texts))
+    lengths, choices = (map(str, one or ()) for one in (parameter.length, parameter.choices))
+    result = ParameterDescriptor(
+        description=parameter.description, dynamic_typing=True,
+        read_only=parameter.key in FIXED_KEYS, additional_constraints='; '.join(filter(None, (
+            f'a list of {" or ".join(lengths)} values' if parameter.length else '',
+            f'one of {", ".join(choices)}' if parameter.choices else ''))))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
         if isinstance(parameter.default, int):

@@ -62,28 +62,26 @@ LETTER_HEIGHT = 0.012  # m
 class _Latched:
     """A topic that keeps its last message for late subscribers, until it is withdrawn."""
 
-    def __init__(self, node: Node, kind: Any, name: str, message: Callable[[Any], Any]) -> None:
+    def __init__(self, node: Node, name: str, kind: Any, message: Callable[[Any], Any]) -> None:
         """Advertise the topic; message: makes one of a content."""
         self._node, self._message, self._content = node, message, None
         self._advertise = partial(node.create_publisher, kind, name, LATCHED_QOS,
                                   event_callbacks=NO_CALLBACKS)
         self._publisher = self._advertise()
 
-    def show(self, content: Any) -> bool:
+    def show(self, content: Any) -> None:
         """
-        Publish a content that is not the last one; return whether it is not.
+        Publish a content that is not the last one.
 
         None withdraws the last message: a new publisher gives a late subscriber none.
         """
-        if content == self._content:
-            return False
-        self._content = content
-        if content is None:
-            self._node.destroy_publisher(self._publisher)
-            self._publisher = self._advertise()
-        else:
-            self._publisher.publish(self._message(content))
-        return True
+        if content != self._content:
+            self._content = content
+            if content is None:
+                self._node.destroy_publisher(self._publisher)
+                self._publisher = self._advertise()
+            else:
+                self._publisher.publish(self._message(content))
 
 
 class Outputs:
@@ -94,26 +92,30 @@ class Outputs:
         self._node, self._live = node, live
         self._lock, self._closed = threading.Lock(), False
         self._attempt: Attempt | None = None  # the last one in the log
-        self._samples, self._status, self._guidance = (
-            _Latched(node, String, f'~/{name}', lambda text: String(data=text))
-            for name in ('samples', 'status', 'guidance'))
-        self._next_pose = _Latched(node, PoseStamped, '~/next_pose',
-                                   lambda place: pose_stamped(**place, stamp=self._now()))
-        self._calibration = _Latched(node, TransformStamped, '~/calibration',
-                                     lambda answer: transform_of(answer, self._now()))
-        self._tf_static = TFMessage and _Latched(
-            node, TFMessage, '/tf_static',
-            lambda answer: TFMessage(transforms=[transform_of(answer, self._now())]))
-        if not TFMessage:
+        text = String, lambda content: String(data=content)
+        topics: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+            '~/samples': text, '~/status': text, '~/guidance': text,
+            '~/next_pose': (PoseStamped, lambda place: pose_stamped(**place, stamp=self._now())),
+            '~/calibration': (TransformStamped, lambda one: transform_of(one, self._now())),
+            '~/markers': (MarkerArray, lambda _: session_markers(
+                live.copied().stops, live.answer.calibration, self._config))}
+        if TFMessage:
+            topics['/tf_static'] = TFMessage, lambda one: TFMessage(
+                transforms=[transform_of(one, self._now())])
+        else:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED_QOS)
+        self._latched = {name: _Latched(node, name, *of) for name, of in topics.items()}
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
     def _now(self) -> Time:
         return self._node.get_clock().now().to_msg()
+
+    @property
+    def _config(self) -> Config:
+        return self._live.session.with_base(self._live.config)
 
     def close(self) -> None:
         """
@@ -129,22 +131,18 @@ class Outputs:
         with self._lock:
             if self._closed:
                 return
-            live, state = self._live, state_of(self._live)
-            config = live.session.with_base(live.config)
-            self._show_attempt(live.attempt)
-            changed = self._samples.show(json.dumps(samples_message(state)))
-            answer = live.answer.calibration
-            answered = self._calibration.show(answer)
-            if self._tf_static:
-                self._tf_static.show(answer)
-            if changed or answered:
-                self._markers.publish(session_markers(live.copied().stops, answer, config))
-            self._status.show(json.dumps(status_message(state)))
-            guidance = state['guidance']
-            self._guidance.show(guidance['text'])
-            self._next_pose.show(guidance['translation'] and {
-                'translation': guidance['translation'], 'rotation': guidance['rotation'],
-                'frame_id': config.base_frame})
+            state, answer = state_of(self._live), self._live.answer.calibration
+            self._show_attempt(self._live.attempt)
+            samples, guidance = json.dumps(samples_message(state)), state['guidance']
+            contents = {
+                '~/samples': samples, '~/status': json.dumps(status_message(state)),
+                '~/calibration': answer, '/tf_static': answer, '~/markers': (samples, answer),
+                '~/guidance': guidance['text'],
+                '~/next_pose': guidance['translation'] and {
+                    'translation': guidance['translation'], 'rotation': guidance['rotation'],
+                    'frame_id': self._config.base_frame}}
+            for name, topic in self._latched.items():
+                topic.show(contents[name])
 
     def _show_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
@@ -162,17 +160,11 @@ class Outputs:
     def show_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
-            live = self._live
             self._current.publish(current_markers(
-                live.current(), live.answer.calibration, live.session.with_base(live.config)))
+                self._live.current(), self._live.answer.calibration, self._config))
 
     def diagnose(self, state: State) -> None:
-        """
-        Publish the state on /diagnostics.
-
-        Levels: ERROR if no usable message of a kind was ever received, or a published answer was
-        withdrawn; WARN if the operator should check.
-        """
+        """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(DiagnosticArray(header=Header(stamp=self._now()), status=[
             DiagnosticStatus(
@@ -182,7 +174,12 @@ class Outputs:
 
 
 def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
-    """Yield name, level, message and values of each status."""
+    """
+    Yield name, level, message and values of each status.
+
+    Levels: ERROR if no usable message of a kind was ever received, or a published answer was
+    withdrawn; WARN if the operator should check.
+    """
     streams = state['profiles'], state['poses']
     for stream in streams:
         kind, count, trouble = stream['kind'], stream['count'], stream['trouble']

@@ -62,7 +62,7 @@ class ScanNode(Node):
         self._dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
         self.create_timer(CLOUD_PERIOD, self._publish_ready)
-        Streams(self, self).start()
+        Streams(self, self)
 
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""

@@ -88,7 +88,9 @@ class LiveVerification:
         measured = bool(self.routine and _samples(self._parts[-1]))
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
         routine = self._wanted(live.config) if begins else None
-        live.skip_stops()
+        with live.lock:
+            live.end_stops()
+            live.to_evaluate.clear()
         if routine:
             self._parts, self.routine = [{}], routine
             self._most_parts = routine.recordings_for(len(live.config.verify.lengths))[-1]

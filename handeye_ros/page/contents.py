@@ -70,7 +70,7 @@ def source(node: HandeyeNode) -> PageSource:
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values['session'])))}
     queries: dict[str, Read] = {
-        'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
+        'stop': lambda values: stop_profile(node.live, values.get('number', '')),
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
@@ -127,9 +127,8 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
-    previous = 0
-    if sessions and not node.state['samples']:
-        previous = read_session(sessions[0]).sample_count
+    goes_on = sessions and not live.session.stops
+    previous = read_session(sessions[0]).sample_count if goes_on else 0
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
                 'key': key, 'value': values[key], 'description': parameters[key].description,
@@ -169,10 +168,10 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
                              'verdict': live.verification.verdict}}
 
 
-def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
+def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for stop in live.copied().stops:
-        if stop.number == number:
+        if str(stop.number) == number:
             seen = stop_snapshot(stop, live.config)
             return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
     raise InputError(f'there is no stop {number}')
@@ -181,7 +180,7 @@ def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
 def _edges(live: LiveSession) -> dict[int, str]:
     """Return the edges of the target that each used sample shows, by its number."""
     answer = live.answer.review.answer
-    if answer is None or answer.solution is None:
+    if answer.solution is None:
         return {}
     number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
               for one in stop.sample.station_samples}
@@ -199,7 +198,7 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     the advice while the sensor's pose is unknown.
     """
     config, advice = live.config, live.answer.review.advice
-    solution = live.answer.review.solution if advice.sigmas else None
+    solution = live.answer.review.answer.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
     pose, aim = live.pose, advice.next.T_base_flange if advice.next else None
     view = [live.answer.seen, *([current.points] if current else [])]
@@ -247,14 +246,3 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     ball = form.ball and (rounded(form.ball[0]), form.ball[1])
     return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
             'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
-
-
-def for_json(value: Any) -> Any:
-    """Return values, nested, with None for infinities and NaN, which JSON lacks."""
-    if isinstance(value, Mapping):
-        return {str(key): for_json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [for_json(item) for item in value]
-    if isinstance(value, float):
-        return value if abs(value) < float('inf') else None
-    return value

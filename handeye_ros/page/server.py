@@ -15,7 +15,7 @@ read keeps it over restarts.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -27,12 +27,14 @@ from pathlib import Path
 import secrets
 import socket
 import threading
-from typing import TYPE_CHECKING
+import time
+from typing import Any, TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from aiohttp import web
-from handeye_ros.errors import HandeyeError, InputError, sentence_and_log
-from handeye_ros.page.contents import Act, for_json, PageSource, Read, source
+from handeye_ros.errors import BadValueError, HandeyeError, InputError, sentence_and_log
+from handeye_ros.output import write_errors_for
+from handeye_ros.page.contents import Act, PageSource, Read, source
 
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
@@ -45,7 +47,6 @@ LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
 EVERYWHERE = ('0.0.0.0', '::')  # addresses that no browser can open
-CONTENT_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
 ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
@@ -63,7 +64,7 @@ def serve(node: HandeyeNode) -> None:
         token_file = node.live.folders.parent(config) / '.page_token'
         page = PageServer(source(node), config.page.address, config.page.port, token_file)
     except InputError as error:
-        log.warning(str(error))
+        log.warning(f'there is no page: {error}')
         return
     log.info(f'page for a browser: {page.url}' + (
         f'; it asks for the token in {token_file}' if page.token else ''))
@@ -81,28 +82,23 @@ class PageServer:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
         try:
             local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
-            self.token = '' if local else token_of(token_file)
         except ValueError as error:
-            raise InputError(f'page.address is "{address}", expected an IP address such as '
-                             '127.0.0.1 or 0.0.0.0: there is no page') from error
-        except OSError as error:
-            raise InputError(
-                f'there is no page: its token cannot be written to {token_file} '
-                f'({error.strerror or error}); set output_dir to a folder that can be written'
-            ) from error
+            raise BadValueError('page.address', address, 'an IP address such as 127.0.0.1 or '
+                                '0.0.0.0') from error
+        self.token = '' if local else token_of(token_file)
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
         self._pool = ThreadPoolExecutor(WORKER_COUNT, 'page')
         self._event, self._collected = '', 0.0  # the last event, and when it was collected (s)
-        self._loop = asyncio.new_event_loop()
-        threading.Thread(target=self._loop.run_forever, name='page', daemon=True).start()
         try:
-            asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(CLIENT_TIMEOUT)
+            listening = socket.create_server(
+                (address, port), family=socket.AF_INET6 if ':' in address else socket.AF_INET)
         except OSError as error:
-            self._loop.call_soon_threadsafe(self._loop.stop)
-            raise InputError(f'there is no page: {address}:{port} cannot be served '
-                             f'({error.strerror or error}); set page.port to another one, or to '
-                             '0 for no page') from error
+            raise InputError(f'{address}:{port} cannot be served ({error.strerror or error}); set '
+                             'page.port to another one, or to 0 for no page') from error
+        run = partial(web.run_app, self._app(), sock=listening, print=None, access_log=None,
+                      handle_signals=False)
+        threading.Thread(target=run, name='page', daemon=True).start()
 
     @property
     def url(self) -> str:
@@ -110,7 +106,7 @@ class PageServer:
         name = self._address if self._address not in EVERYWHERE else socket.gethostname()
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
-    async def _start(self) -> None:
+    def _app(self) -> web.Application:
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
@@ -121,21 +117,23 @@ class PageServer:
             app.router.add_get(f'/read/{name}', partial(self._read, read))
         for name, act in self._source.actions.items():
             app.router.add_post(f'/act/{name}', partial(self._act, act))
-        runner = web.AppRunner(app, access_log=None)
-        await runner.setup()
-        await web.TCPSite(runner, self._address, self.port).start()
+        return app
+
+    async def _of_node(self, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
+        """Return what the node answers, which may take long."""
+        return await asyncio.get_running_loop().run_in_executor(self._pool, function, values)
 
     async def _current(self) -> str:
         """Return the state as an event, which all browsers share."""
-        if self._loop.time() - self._collected >= 1 / EVENT_RATE:
-            self._collected = self._loop.time()
-            # in the loop's own pool: not behind requests that take long
-            self._event = await self._loop.run_in_executor(None, self._text)
+        if time.monotonic() - self._collected >= 1 / EVENT_RATE:
+            self._collected = time.monotonic()
+            # in another pool: not behind requests that take long
+            self._event = await asyncio.to_thread(self._text)
         return self._event
 
     def _text(self) -> str:
         try:
-            return json.dumps(for_json(self._source.state()), allow_nan=False)
+            return json_text(self._source.state())
         except Exception as error:  # noqa: BLE001 - the page must go on
             return json.dumps({'error': sentence_and_log('this', error)})
 
@@ -160,6 +158,8 @@ class PageServer:
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
+        except HandeyeError as error:
+            return _sentence(404 if request.method == 'GET' else 200, str(error))
         except ConnectionError:  # closed before the request was complete
             return _sentence(400, 'the connection is closed')
         except Exception as error:  # noqa: BLE001 - whoever asks wants to know
@@ -185,14 +185,11 @@ class PageServer:
         return response
 
     async def _read(self, read: Read, request: web.Request) -> web.StreamResponse:
-        try:
-            answer = await self._loop.run_in_executor(self._pool, read, request.query)
-        except (HandeyeError, ValueError) as error:
-            return _sentence(404, str(error))
+        answer = await self._of_node(read, request.query)
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
                 'Content-Disposition': f'attachment; filename="{answer[0]}"'})
-        return web.json_response(for_json(answer))
+        return web.json_response(text=json_text(answer))
 
     async def _act(self, act: Act, request: web.Request) -> web.StreamResponse:
         if request.content_type != 'application/json':
@@ -205,10 +202,7 @@ class PageServer:
             values = None
         if not isinstance(values, dict):
             return _sentence(400, 'expected a JSON object')
-        try:
-            success, message = await self._loop.run_in_executor(self._pool, act, values)
-        except HandeyeError as error:
-            success, message = False, str(error)
+        success, message = await self._of_node(act, values)
         return web.json_response({'success': success, 'message': message})
 
 
@@ -227,27 +221,30 @@ def _sentence(status: int, text: str) -> web.Response:
     return web.json_response({'success': False, 'message': text}, status=status)
 
 
+def json_text(values: Any) -> str:
+    """Return values as JSON, with null for infinities and NaN, which JSON lacks."""
+    return json.dumps(json.loads(json.dumps(values), parse_constant=lambda _: None))
+
+
 async def _asset(name: str, _: web.Request) -> web.StreamResponse:
     return _static(name)
 
 
-def _static(name: str, status: int = 200) -> web.Response:
+def _static(name: str, status: int = 200) -> web.FileResponse:
     room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
-    text = resources.files(room).joinpath('assets', name).read_text(encoding='utf-8')
-    return web.Response(text=text, status=status,
-                        content_type=CONTENT_TYPES[name.rpartition('.')[2]],
-                        charset='utf-8')
+    return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
 
 
 def token_of(file: Path) -> str:
-    """Return the token of a file; write a new one if it holds none. Raises OSError."""
+    """Return the token of a file; write a new one if it holds none. Raises UnwritableError."""
     with suppress(OSError, UnicodeDecodeError):
         token = file.read_text(encoding='ascii').strip()
         if len(token) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:
             return token
     token = secrets.token_urlsafe(TOKEN_BYTES)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.unlink(missing_ok=True)
-    file.touch(mode=0o600, exist_ok=False)
-    file.write_text(token + '\n', encoding='ascii')
+    with write_errors_for(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        file.touch(mode=0o600, exist_ok=False)
+        file.write_text(token + '\n', encoding='ascii')
     return token
