@@ -111,10 +111,10 @@ class LiveAnswer:
             f'; it was computed from {count_of(len(before), "sample")}, which have changed since '
             f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
 
-    def require_calibration(self) -> Calibration:
+    def require_calibration(self, use: str = 'save') -> Calibration:
         """Return the answer with name and record of now; raises DataError without one."""
         if self.calibration is None:
-            raise DataError('there is no calibration to save: call ~/compute_calibration first, '
+            raise DataError(f'there is no calibration to {use}: call ~/compute_calibration first, '
                             'and check that it succeeds')
         config, provenance = self._live.config, self.calibration.provenance
         values = {**provenance['config'], **recorded(config)}

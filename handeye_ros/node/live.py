@@ -83,6 +83,7 @@ class LiveSession:
     to_evaluate: stops that wait for the worker, by their stamps
     joints: stamps (ns) and serialised JointState messages
     messages: counts by kind (profile, pose); Streams (streams.py) begins them anew
+    troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
     running: the long computations in words, '' for a review
     """
@@ -98,7 +99,6 @@ class LiveSession:
         self.messages = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._worker, self._changed = ThreadPoolExecutor(1, 'worker'), changed
         self._woken = True  # nothing is due before start()
-        self._failure = ''  # of the last work of the worker
         self.running: list[str] = []
         self._begin(SessionFiles(folders.folder), Session(config))
         self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
@@ -111,7 +111,7 @@ class LiveSession:
         self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
         self._overflowed = 0  # stops that waited too long
-        self._store_trouble = ''
+        self.troubles: dict[str, str] = {}
         self.attempt: Attempt | None = None
 
     # messages
@@ -166,9 +166,8 @@ class LiveSession:
     @property
     def pose(self) -> Array | None:
         """Return T_base_flange (4, 4) of the last pose, None before the first."""
-        with self.lock:
-            last = self._poses[-1] if self._poses else None
-        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
+        poses = self._poses
+        return se3.from_quaternion(poses[-1].translation, poses[-1].quaternion) if poses else None
 
     def current(self) -> StopSnapshot | None:
         """Return the last profile with poses before and after it; None without a usable one."""
@@ -220,9 +219,9 @@ class LiveSession:
             try:
                 work(*args)
                 self._changed()
-                self._failure = ''
+                self.troubles.pop('work', None)
             except Exception as error:  # noqa: BLE001 - the thread must go on
-                self._failure = sentence_and_log('the work on the samples', error)
+                self.troubles['work'] = sentence_and_log('the work on the samples', error)
 
         self._worker.submit(done)
 
@@ -286,13 +285,8 @@ class LiveSession:
         """Return the running tasks in words; empty without any."""
         with self.lock:
             again = any(stop.reader for stop in self.to_evaluate.values())
-        text = 'the samples are extracted again from their profiles' if again else ''
-        return '; '.join(filter(None, (*self.running, text)))
-
-    @property
-    def troubles(self) -> tuple[str, ...]:
-        """Return why samples cannot be stored or computed with, one sentence each."""
-        return tuple(filter(None, (self._store_trouble, self._failure)))
+        return '; '.join(filter(None, (
+            *self.running, again and 'the samples are extracted again from their profiles')))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -398,10 +392,9 @@ class LiveSession:
         try:
             result = write(*args)
         except InputError as error:
-            self._store_trouble = str(error)
+            self.troubles['storing'] = str(error)
             raise
-        if self._store_trouble:
-            self._store_trouble = ''
+        if self.troubles.pop('storing', ''):
             self._evaluate_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
@@ -412,7 +405,7 @@ class LiveSession:
         A folder that is gone is found here too: then there is a trouble.
         """
         path = self.files.path
-        if self._store_trouble or path and not path.is_dir():
+        if 'storing' in self.troubles or path and not path.is_dir():
             self._store_settings()
 
     def _store_settings(self) -> None:
@@ -497,10 +490,12 @@ class LiveSession:
     def _sample_count(self) -> int:
         return sum(stop.sample is not None for stop in self.session.stops)
 
-    def configure(self, config: Config) -> None:
-        """Apply another configuration, already checked by the node."""
+    def configure(self, config: Config, other_topics: bool = False) -> None:
+        """Apply another configuration, already checked by the node; of other topics no stops."""
         old = self.config
         with self.lock:
+            if other_topics:
+                self._begin(self.files, Session(config, self.session.last_number))
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:
             self.verification.end()

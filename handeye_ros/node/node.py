@@ -199,22 +199,19 @@ class HandeyeNode(Node):
         """Apply changed settings; raises InputError. For the worker: one after the other."""
         config, live, session = self._with(values), self.live, self.live.session
         _check_names(config)
-        unknown = [number for number in config.samples.exclude
-                   if number > session.last_number and number not in live.config.samples.exclude]
-        if unknown:
-            raise InputError(f'there is no sample {unknown[0]} to exclude: the last stop is '
-                             f'{session.last_number}; ~/samples lists all')
-        if not self.streams.names_other_topics(config):
-            live.configure(config)
-            return
-        if session.stops:
+        last = session.last_number
+        for number in {*config.samples.exclude} - {*live.config.samples.exclude}:
+            if number > last:
+                raise InputError(f'there is no sample {number} to exclude: the last stop is {last}'
+                                 '; ~/samples lists all')
+        other_topics = self.streams.names_other_topics(config)
+        if other_topics and session.stops:
             raise InputError('the topics cannot change while there are stops from them: call '
                              '~/clear_samples first, which begins a new session')
-        self.streams.stop()
-        try:
-            live.clear_samples()
-            live.configure(self._with(values))
-        finally:  # to the topics before, where no new session can be written
+        if other_topics:
+            self.streams.stop()
+        live.configure(config, other_topics)
+        if other_topics:
             self.streams = Streams(self, live, live.add_joints)
 
 
@@ -230,13 +227,11 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, StoredSession |
     config, stored = settings_and_session(_values(node._parameter_overrides.values()), folders)
     _check_names(config)
     values, record = configuration.flatten(config), dict(config.record)
-    for parameter in _parameters():
-        node.declare_parameter(parameter.key, values[parameter.key], _descriptor(parameter),
-                               ignore_override=True)
     free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
-    for name in dict.fromkeys((*RECORD_NAMES, *record)):
-        node.declare_parameter(f'{RECORD_PREFIX}{name}', record.get(name, ''), free,
-                               ignore_override=True)
+    node.declare_parameters('', [
+        *((one.key, values[one.key], _descriptor(one)) for one in _parameters()),
+        *((f'{RECORD_PREFIX}{name}', record.get(name, ''), free)
+          for name in dict.fromkeys((*RECORD_NAMES, *record)))], ignore_override=True)
     return config, stored
 
 
@@ -261,12 +256,11 @@ def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    lengths, choices = (map(str, one or ()) for one in (parameter.length, parameter.choices))
-    result = ParameterDescriptor(
-        description=parameter.description, dynamic_typing=True,
-        read_only=parameter.key in FIXED_KEYS, additional_constraints='; '.join(filter(None, (
-            f'a list of {" or ".join(lengths)} values' if parameter.length else '',
-            f'one of {", ".join(choices)}' if parameter.choices else ''))))
+    texts = [f'{what} {" or ".join(map(str, values))}' for what, values in (
+        ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
+    result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
+                                 read_only=parameter.key in FIXED_KEYS,
+                                 additional_constraints='; '.join(texts))
     low, high = parameter.minimum, parameter.maximum
     if low is not None and high is not None:  # rqt_reconfigure makes sliders of them
         if isinstance(parameter.default, int):

@@ -12,7 +12,15 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped, TransformStamped
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
@@ -55,8 +63,7 @@ LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An executor that waits for the events of a publisher ends when this is destroyed.
 NO_CALLBACKS = PublisherEventCallbacks(use_default_callbacks=False)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene
-LETTER_HEIGHT = 0.012  # m
+METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene, of a text of its height
 
 
 class _Latched:
@@ -151,11 +158,11 @@ class Outputs:
         self._attempt, sample, log = attempt, attempt.stop.sample, self._node.get_logger()
         if sample is None:
             log.warning(attempt.text)
-            return
-        log.info(attempt.text)
-        xyz = in_sensor(in_plane(sample.features), self._live.config)
-        points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
-        self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
+        else:
+            log.info(attempt.text)
+            xyz = in_sensor(in_plane(sample.features), self._live.config)
+            points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
+            self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
     def show_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
@@ -215,19 +222,16 @@ def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:
 def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
                       child: str, stamp: Time) -> TransformStamped:
     """Return a transform (x y z in m, quaternion x y z w) of a child frame in its parent."""
-    msg = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
-    _set(msg.transform.translation, translation)
-    _set(msg.transform.rotation, rotation)
-    return msg
+    return TransformStamped(
+        header=Header(stamp=stamp, frame_id=parent), child_frame_id=child, transform=Transform(
+            translation=_made(Vector3, translation), rotation=_made(Quaternion, rotation)))
 
 
 def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,
                  stamp: Time) -> PoseStamped:
     """Return a pose (x y z in m, quaternion x y z w) in a frame."""
-    msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
-    _set(msg.pose.position, translation)
-    _set(msg.pose.orientation, rotation)
-    return msg
+    return PoseStamped(header=Header(stamp=stamp, frame_id=frame_id), pose=Pose(
+        position=_made(Point, translation), orientation=_made(Quaternion, rotation)))
 
 
 def time_message(stamp: int) -> Time:
@@ -253,7 +257,7 @@ def session_markers(evaluated: Iterable[Stop], calibration: Calibration | None, 
                           np.empty((0, 2)), sample.features)
              for stop in evaluated if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
-        {'name': 'numbers', 'color': FLANGE_COLOUR, 'text': str(stop.number),
+        {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(stop.number),
          'points': [stop.T_mount[:3, 3]]} for stop in stops]
     if stops:
         parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
@@ -283,25 +287,21 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
     markers = [Marker(action=Marker.DELETEALL)]
     for part in parts:
         red, green, blue = (int(part['color'][k:k + 2], 16) / 255 for k in (1, 3, 5))
-        marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0))
-        marker.pose.orientation.w = 1.0
+        points = [_made(Point, point) for point in part.get('line', part.get('points'))]
+        marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
+                        scale=_made(Vector3, 3 * [METRES_PER_WIDTH * part['width']]))
         if 'text' in part:
-            marker.type, marker.text, size = Marker.TEXT_VIEW_FACING, part['text'], LETTER_HEIGHT
-            _set(marker.pose.position, part['points'][0])
+            marker.type, marker.text = Marker.TEXT_VIEW_FACING, part['text']
+            marker.pose.position, = points
         else:
-            marker.type, name = ((Marker.LINE_STRIP, 'line') if 'line' in part else
-                                 (Marker.POINTS, 'points'))
-            marker.points = [_set(Point(), point) for point in part[name]]
-            size = METRES_PER_WIDTH * part['width']
-        _set(marker.scale, (size, size, size))
+            marker.type = Marker.LINE_STRIP if 'line' in part else Marker.POINTS
+            marker.points = points
         markers.append(marker)
     for number, marker in enumerate(markers):
         marker.header.frame_id, marker.id = target_frame(config), number
     return MarkerArray(markers=markers)
 
 
-def _set(msg: Any, values: Iterable[float]) -> Any:
-    """Set the fields x, y, z (and w) of a message; return it."""
-    for name, value in zip('xyzw', values):  # noqa: B905 - three or four
-        setattr(msg, name, float(value))
-    return msg
+def _made(kind: Any, values: Iterable[float]) -> Any:
+    """Return a message of the fields x, y, z (and w)."""
+    return kind(**dict(zip('xyzw', map(float, values))))  # noqa: B905 - three or four

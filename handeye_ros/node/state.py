@@ -9,7 +9,7 @@ agree and use the same sentences. SI units; docs/cell.md documents the fields.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import time
 from types import MappingProxyType
 from typing import Any, TYPE_CHECKING
@@ -32,9 +32,6 @@ State = dict[str, Any]
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
-NO_ANSWER = {
-    **dict.fromkeys(('parent', 'child', 'saved'), ''), 'used': 0, 'rejected': 0,
-    **dict.fromkeys(('translation', 'rotation', 'rpy', 'std', 'residual_rms', 'holdout_rms'))}
 NO_ANSWER = {
     **dict.fromkeys(('parent', 'child', 'saved'), ''), 'used': 0, 'rejected': 0,
     **dict.fromkeys(('translation', 'rotation', 'rpy', 'std', 'residual_rms', 'holdout_rms'))}
@@ -144,7 +141,7 @@ def state_of(live: LiveSession, disturbances: Mapping[str, str] = MappingProxyTy
         late and f'{late} are dropped, as their stamps are older than those before; if they stay '
         'so, sampling goes on with them', str(session.unusable_poses or ''),
         # of two publishers stamps that seem to be of two clocks follow
-        '' if outside else _clocks(profiles, poses), session.unasked, *live.troubles)
+        '' if outside else _clocks(profiles, poses), session.unasked, *live.troubles.values())
     return {
         'name': folder_name(config),
         'profiles': profiles.state(config.profile_topic, disturbances.get('profile', '')),
@@ -265,6 +262,5 @@ def _guidance(review: Review) -> State:
     return {
         'sample': sample, 'text': (f'after sample {sample}: ' if sample else '') + advice.text,
         'sentences': list(advice.sentences), 'enough': advice.enough, 'why': advice.why,
-        'sigmas': [{'name': s.name, 'std': float(s.std), 'limit': float(s.limit), 'unit': s.unit}
-                   for s in advice.sigmas],
+        'sigmas': [asdict(sigma) for sigma in advice.sigmas],
         **_pose(advice.next.T_base_flange if advice.next else None)}

@@ -143,18 +143,18 @@ class PageServer:
         host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
         site = request.headers.get('Sec-Fetch-Site', 'same-origin')
         token = request.query.get('token') or request.cookies.get(self.cookie, '')
-        if not self.token and _name_of(host) not in (
-                'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
-            return _sentence(403, f'this page is served for its own machine alone, as {self.url}')
-        if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
-            return _sentence(403, 'requests of other pages are refused')
-        if self.token and not hmac.compare_digest(token.encode(errors='replace'),
-                                                  self.token.encode()):
-            if request.path == '/page.css':
-                return _static('page.css')
-            return _static('login.html', 401) if request.path == '/' else _sentence(
-                401, 'the token is missing or wrong')
         try:
+            if not self.token and urlsplit(f'//{host}').hostname not in (  # with any port
+                    'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
+                return _sentence(403, 'this page is served for its own machine alone, as '
+                                 f'{self.url}')
+            if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
+                return _sentence(403, 'requests of other pages are refused')
+            if self.token and not hmac.compare_digest(token.encode(errors='replace'),
+                                                      self.token.encode()):
+                shown = {'/': ('login.html', 401), '/page.css': ('page.css', 200)}
+                return _static(*shown[request.path]) if request.path in shown else _sentence(
+                    401, 'the token is missing or wrong')
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
@@ -208,13 +208,6 @@ class PageServer:
 
 async def _add_headers(_: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(HEADERS)
-
-
-def _name_of(host: str) -> str | None:
-    """Return the name in a Host with any port, as it may be forwarded; None for none."""
-    with suppress(ValueError):
-        return urlsplit(f'//{host}').hostname
-    return None
 
 
 def _sentence(status: int, text: str) -> web.Response:
