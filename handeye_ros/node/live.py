@@ -285,8 +285,8 @@ class LiveSession:
         """Return the running tasks in words; empty without any."""
         with self.lock:
             again = any(stop.reader for stop in self.to_evaluate.values())
-        return '; '.join(filter(None, (
-            *self.running, again and 'the samples are extracted again from their profiles')))
+        text = 'the samples are extracted again from their profiles' if again else ''
+        return '; '.join(filter(None, (*self.running, text)))
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -189,7 +189,7 @@ class Streams:
     def _match_reliability(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
         for topic in [topic for topic in self._topics if topic.key]:
-            topic.publishers = self._publishers(topic.name)
+            topic.publishers = self._node.get_publishers_info_by_topic(topic.name)
             if topic.qos is RELIABLE_QOS and any(
                     info.qos_profile.reliability == BEST_EFFORT_QOS.reliability
                     for info in topic.publishers):
@@ -243,10 +243,6 @@ class Streams:
 
     # what disturbs them
 
-    def _publishers(self, topic: str) -> list[Any]:
-        """Return what is known of the publishers of a topic."""
-        return list(self._node.get_publishers_info_by_topic(self._full_name(topic)))
-
     def disturbances(self) -> dict[str, str]:
         """
         Return what disturbs them, as far as it is known.
@@ -284,7 +280,8 @@ class Streams:
         own = f'{self._node.get_fully_qualified_name()}/'
         return sorted(name for name, types in self._node.get_topic_names_and_types()
                       if message_type in types and not name.startswith(own)
-                      and any(info.topic_type == message_type for info in self._publishers(name)))
+                      and any(info.topic_type == message_type
+                              for info in self._node.get_publishers_info_by_topic(name)))
 
 
 def _on_joints(add_joints: Callable[[int, bytes], None], data: bytes) -> None:

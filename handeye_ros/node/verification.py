@@ -29,11 +29,9 @@ if TYPE_CHECKING:
 
 VERIFYING = 'the calibration is verified'
 
-Results = Sequence[Sample | Reject]  # of the stops at one face or ball
 
-
-def verification_of(routine: Routine, parts: Sequence[Results], calibration: Calibration,
-                    config: Config) -> Verification:
+def verification_of(routine: Routine, parts: Sequence[Sequence[Sample | Reject]],
+                    calibration: Calibration, config: Config) -> Verification:
     """
     Return what a routine measures; parts: what the stops at each face or ball gave.
 
@@ -135,10 +133,10 @@ class LiveVerification:
                             'artefact')
         live = self._live
         live.process_all()
-        in_order = [[result for _, result in sorted(part.items())] for part in self._parts]
         file = live.config.verify.calibration or live.answer.saved
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
-                            self.routine, in_order, self._calibration(), live.config)
+                            self.routine, [[*part.values()] for part in self._parts],
+                            self._calibration(), live.config)
 
     def _accept(self, parts: Sequence[object], file: str, result: Verification) -> str:
         """

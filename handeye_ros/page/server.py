@@ -46,7 +46,6 @@ CLIENT_TIMEOUT = 10.0  # s until a client must accept an event, and the server m
 LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
-EVERYWHERE = ('0.0.0.0', '::')  # addresses that no browser can open
 ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
@@ -103,7 +102,8 @@ class PageServer:
     @property
     def url(self) -> str:
         """Return an address that a browser can open, without the token."""
-        name = self._address if self._address not in EVERYWHERE else socket.gethostname()
+        everywhere = self._address in ('0.0.0.0', '::')  # which no browser can open
+        name = socket.gethostname() if everywhere else self._address
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
     def _app(self) -> web.Application:
@@ -112,7 +112,7 @@ class PageServer:
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
         for file in ASSET_FILES:
-            app.router.add_get(f'/{file}', partial(_asset, file))
+            app.router.add_get(f'/{file}', partial(_asset, file, 200))
         for name, read in self._source.queries.items():
             app.router.add_get(f'/read/{name}', partial(self._read, read))
         for name, act in self._source.actions.items():
@@ -127,15 +127,11 @@ class PageServer:
         """Return the state as an event, which all browsers share."""
         if time.monotonic() - self._collected >= 1 / EVENT_RATE:
             self._collected = time.monotonic()
-            # in another pool: not behind requests that take long
-            self._event = await asyncio.to_thread(self._text)
+            try:  # in another pool: not behind requests that take long
+                self._event = json_text(await asyncio.to_thread(self._source.state))
+            except Exception as error:  # noqa: BLE001 - the page must go on
+                self._event = json_text({'error': sentence_and_log('this', error)})
         return self._event
-
-    def _text(self) -> str:
-        try:
-            return json_text(self._source.state())
-        except Exception as error:  # noqa: BLE001 - the page must go on
-            return json.dumps({'error': sentence_and_log('this', error)})
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -153,8 +149,9 @@ class PageServer:
             if self.token and not hmac.compare_digest(token.encode(errors='replace'),
                                                       self.token.encode()):
                 shown = {'/': ('login.html', 401), '/page.css': ('page.css', 200)}
-                return _static(*shown[request.path]) if request.path in shown else _sentence(
-                    401, 'the token is missing or wrong')
+                if request.path in shown:
+                    return await _asset(*shown[request.path])
+                return _sentence(401, 'the token is missing or wrong')
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
@@ -178,7 +175,7 @@ class PageServer:
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
         if 'token' not in request.query:
-            return _static('index.html')
+            return await _asset('index.html')
         response = web.Response(status=303, headers={'Location': '/'})
         response.set_cookie(self.cookie, self.token, httponly=True, samesite='Strict',
                             max_age=COOKIE_AGE)
@@ -219,11 +216,8 @@ def json_text(values: Any) -> str:
     return json.dumps(json.loads(json.dumps(values), parse_constant=lambda _: None))
 
 
-async def _asset(name: str, _: web.Request) -> web.StreamResponse:
-    return _static(name)
-
-
-def _static(name: str, status: int = 200) -> web.FileResponse:
+async def _asset(name: str, status: int = 200, _: web.Request | None = None
+                 ) -> web.StreamResponse:
     room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
     return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
 
