@@ -305,11 +305,9 @@ class LiveSession:
         """Evaluate the next stop that waits, new or stored; return whether there was one."""
         with self.lock:
             stop = self.to_evaluate.pop(next(iter(self.to_evaluate), 0), None)
-        if stop and not stop.reader:
+        if stop and not (stop.reader and stop.final_reason):
             with suppress(DataError):  # of a verification
                 self._take(stop)
-        elif stop and not stop.final_reason:
-            self._add_stop(self._evaluated(stop))
         return stop is not None
 
     def process_waiting(self) -> None:
@@ -337,15 +335,17 @@ class LiveSession:
 
     def _take(self, stop: Stop, asked: bool = False) -> str:
         """
-        Put a stop with its result into the session, in place of an earlier part of it.
+        Put a stop with its result into the session, in place of an earlier part or result of it.
 
         asked: by ~/take_sample, for a sample: DataError is raised where there is none, InputError
         where it cannot be stored, and the session stays as it is. Returns what the stop gave, in
-        words. While a verification is running the stop counts for that: see its add_stop.
+        words. While a verification is running the stop counts for that: see its add_stop. Of one
+        that is stored only the result is new.
         """
         if self.verification.routine and not stop.number:
             return self.verification.add_stop(stop)
-        stop = self._evaluated(stop)
+        is_new = stop.reader is None
+        stop = self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
         earlier = next((one for one in self.session.stops if one.number == stop.number), None)
         had_sample = bool(earlier and earlier.sample)
         if asked and stop.sample is None:
@@ -354,19 +354,20 @@ class LiveSession:
         with self.lock:
             joints = [*self.joints]
         try:
-            stop = self._write(self.files.add_stop, stop, self.config, joints)
+            stop = self._write(self.files.add_stop, stop, self.config, joints) if is_new else stop
         except InputError as error:
             if asked:
                 raise
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
-        self._add_stop(stop)
+        with self.lock:
+            self.session.add_stop(stop)
         again = ' again, as the robot has not moved since' if had_sample else ''
         what = (f'sample {stop.number} taken{again}' if stop.sample else
                 f'stop {stop.number} gave no sample')
         text = f'{what}: {sample_summary(stop.result)}'
-        if asked or earlier is None or had_sample != bool(stop.sample):
+        if is_new and (asked or earlier is None or had_sample != bool(stop.sample)):
             # the same result with more profiles is not reported again
             self.attempt = Attempt(text, stop)
         return text
@@ -377,10 +378,6 @@ class LiveSession:
             return self.pool.run(result_of, stop.trimmed(config), config)
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
             return Reject(stop.stamp, str(error))  # the stop itself will be stored
-
-    def _evaluated(self, stop: Stop) -> Stop:
-        """Return a stop with its number and result, not yet in the session."""
-        return self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
 
     def _write(self, write: Callable[..., Result], *args: Any) -> Result:
         """
@@ -411,11 +408,6 @@ class LiveSession:
     def _store_settings(self) -> None:
         with suppress(InputError):  # kept as trouble
             self._write(self.files.add_event, CONFIGURED, self.config)
-
-    def _add_stop(self, stop: Stop) -> None:
-        """Put an evaluated stop into the session, in place of an earlier part of it."""
-        with self.lock:
-            self.session.add_stop(stop)
 
     def _finish(self, stop: Stop) -> None:
         """Take nothing more of a stop, which may go on."""
@@ -481,7 +473,8 @@ class LiveSession:
 
     def _switch_to(self, files: SessionFiles, session: Session, why: str) -> None:
         """Go on with another session; forget what followed from the one before."""
-        self.files.close()
+        if files is not self.files:
+            self.files.close()
         with self.lock:
             self._begin(files, session)
         self.verification.end()
@@ -493,9 +486,10 @@ class LiveSession:
     def configure(self, config: Config, other_topics: bool = False) -> None:
         """Apply another configuration, already checked by the node; of other topics no stops."""
         old = self.config
+        if other_topics:
+            self._switch_to(self.files, Session(config, self.session.last_number),
+                            'the topics were changed')
         with self.lock:
-            if other_topics:
-                self._begin(self.files, Session(config, self.session.last_number))
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:
             self.verification.end()
