@@ -20,7 +20,7 @@ from handeye_ros.bags.session_files import (
     StoredSession,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
-from handeye_ros.errors import InputError, sentence_and_log, UnknownKeyError
+from handeye_ros.errors import InputError, sentence_and_log
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
@@ -50,7 +50,7 @@ SLOW_SERVICES = ('compute_calibration', 'verify_result')  # no other service wai
 FIXED_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
 # Keys that a new session, and the class of the robot, set.
 FOLLOWING_KEYS = ('samples.exclude', 'noise.robot_smooth')
-# Keys of targets that are solved from files alone.
+# Keys of targets that are solved from files alone: no parameters.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
@@ -229,28 +229,21 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, StoredSession |
     values, record = configuration.flatten(config), dict(config.record)
     free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
     node.declare_parameters('', [
-        *((one.key, values[one.key], _descriptor(one)) for one in _parameters()),
+        *((one.key, values[one.key], _descriptor(one)) for one in configuration.parameters()
+          if not one.key.startswith(FILES_ONLY)),
         *((f'{RECORD_PREFIX}{name}', record.get(name, ''), free)
           for name in dict.fromkeys((*RECORD_NAMES, *record)))], ignore_override=True)
     return config, stored
 
 
-def _parameters() -> list[Parameter]:
-    """Return the parameters that the node has."""
-    return [p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY)]
-
-
 def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
-    """Return the values of the parameters of this package by key; raises UnknownKeyError."""
-    keys, values = [p.key for p in _parameters()], {}
+    """Return the values of parameters by key, without those that every node has."""
+    values = {}
     for p in ros_parameters:
-        if p.name.startswith(EVERY_NODES):
-            continue
-        if p.name not in keys and not p.name.startswith(RECORD_PREFIX):
-            raise UnknownKeyError(p.name, keys, PARAMETERS)
-        # ROS gives an empty list no type, and other lists as arrays
-        value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
-        values[p.name] = value if isinstance(value, str | int | float) else list(value)
+        if not p.name.startswith(EVERY_NODES):
+            # ROS gives an empty list no type, and other lists as arrays
+            value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
+            values[p.name] = value if isinstance(value, str | int | float) else list(value)
     return values
 
 

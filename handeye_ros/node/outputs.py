@@ -190,8 +190,8 @@ def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]
     streams = state['profiles'], state['poses']
     for stream in streams:
         kind, count, trouble = stream['kind'], stream['count'], stream['trouble']
-        level = OK if not trouble else WARN if count else ERROR
-        yield f'{kind}s', level, trouble or f'{count_of(count, kind)} on {stream["topic"]}', {
+        yield f'{kind}s', OK if not trouble else WARN if count else ERROR, (
+            trouble or f'{count_of(count, kind)} on {stream["topic"]}'), {
             f'{kind}s': count, f'malformed {kind}s': stream['malformed'],
             f'lost {kind}s': stream['lost'],
             f'seconds since the last {kind}': f'{stream["age"]:.1f}',

@@ -22,7 +22,7 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.view import extremes, Move
 from handeye_ros.results import exports, table
-from handeye_ros.results.scene import outline_of, profile_picture, rounded
+from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
@@ -158,9 +158,7 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
     """
     current, calibration = live.current(), live.answer.calibration
-    profile = current and {**profile_picture(current.points, current.features),
-                           'reason': current.reason}
-    return {**state, 'profile': profile, 'scene': _scene(live, current),
+    return {**state, 'profile': current and _picture(current), 'scene': _scene(live, current),
             'edges': _edges(live),
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {'running': live.verification.text,
@@ -171,9 +169,13 @@ def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for stop in live.copied().stops:
         if str(stop.number) == number:
-            seen = stop_snapshot(stop, live.config)
-            return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
+            return _picture(stop_snapshot(stop, live.config))
     raise InputError(f'there is no stop {number}')
+
+
+def _picture(seen: StopSnapshot) -> dict[str, Any]:
+    """Return a profile with its features, or why it has none."""
+    return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
 
 
 def _edges(live: LiveSession) -> dict[int, str]:

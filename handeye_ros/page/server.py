@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 EVENT_RATE = 5.0  # events a second, at most
 WORKER_COUNT = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
-CLIENT_TIMEOUT = 10.0  # s until a client must accept an event, and the server must start
+CLIENT_TIMEOUT = 10.0  # s until a client must accept an event
 LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
