@@ -179,7 +179,8 @@ class SessionFiles:
         seen = stop.load(config)
         joints = [one for one in joints if seen.start <= one[0] <= seen.end]
         file = self.add_event(STOP, config, seen, joints)
-        return replace(stop, poses=(), profiles=(), reader=partial(load_stop, file, stop.stamp))
+        return replace(stop, poses=stop.poses[-1:], profiles=(),
+                       reader=partial(load_stop, file, stop.stamp))
 
     def add_event(self, kind: str, config: Config, stop: Stop = NO_STOP,
                   joints: Sequence[tuple[int, bytes]] = ()) -> Path:

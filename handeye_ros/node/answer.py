@@ -8,9 +8,9 @@ it is asked for, and from then on again whenever settings change that affect it.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TYPE_CHECKING
 
@@ -18,7 +18,6 @@ from handeye_ros import pipeline
 from handeye_ros.config import Config, flatten, recorded
 from handeye_ros.data import Array, Calibration
 from handeye_ros.errors import DataError, HandeyeError
-from handeye_ros.estimation.solve import Solution
 from handeye_ros.guidance.advice import Advice, advise
 from handeye_ros.guidance.view import extremes
 from handeye_ros.output import folder_name
@@ -49,39 +48,28 @@ class Review:
     """
     What follows from the samples: their answer, how each agrees with it, and the advice.
 
-    answer: None before the first
     agreements: of the samples by their numbers, none without a solution
     advised: the number of the last sample in the advice, 0 for none
     """
 
     advice: Advice
-    answer: pipeline.Answer | None = None
-    agreements: Mapping[int, Agreement] = field(default_factory=dict)
-    advised: int = 0
-
-    @property
-    def solution(self) -> Solution | None:
-        """Return the solution of the answer, however uncertain."""
-        return self.answer.solution if self.answer else None
-
-    @property
-    def refusal(self) -> str:
-        """Return why the answer has no solution, or ''."""
-        return str(self.answer.refusal) if self.answer and not self.answer.solution else ''
+    answer: pipeline.Answer
+    agreements: Mapping[int, Agreement]
+    advised: int
 
 
-def review_of(session: Session, config: Config, seen: Array, failed_poses: Sequence[Array],
-              asked: bool) -> Review:
+def review_of(session: Session, config: Config, seen: Array, asked: bool) -> Review:
     """
     Return what follows from the samples of a session.
 
-    seen, failed_poses: see advise; asked: whether somebody waits for the answer, or has one:
-    then the cause of a refusal is searched in the stops.
+    seen: see advise; asked: whether somebody waits for the answer, or has one: then the cause of a
+    refusal is searched in the stops.
     """
     answer = pipeline.answer_samples(session.samples, session.rejects, config, session.frame_id,
                                      session if asked else None)
     in_order = sorted(session.samples, key=lambda sample: sample.stamp)
-    return Review(advise(in_order, config, answer, seen, failed_poses), answer,
+    failed = [stop.pose for stop in session.stops if stop.poses and not stop.sample]
+    return Review(advise(in_order, config, answer, seen, failed), answer,
                   agreements(session, answer, config),
                   max((stop.number for stop in session.stops if stop.sample), default=0))
 
@@ -91,6 +79,7 @@ class LiveAnswer:
     The answer of a running session; its methods are for the worker (see live.py).
 
     calibration: the last answer that was not refused
+    solved: the session that it was computed from, also of one that is withdrawn
     why_missing: why there is none
     saved: the file of the answer, '' before it is saved
     is_wanted: whether somebody has asked for it: then other settings compute it again
@@ -100,39 +89,32 @@ class LiveAnswer:
     def __init__(self, live: LiveSession) -> None:
         """Start without an answer."""
         self._live = live
-        self._numbers: set[int] = set()  # of the samples of the last answer
-        self.forget('')
+        self.solved: Session | None = None
+        self.forget('no calibration has been computed yet')
 
     def forget(self, why: str) -> None:
         """Begin anew with other samples; why: there is no answer any more."""
-        self.review = Review(advise((), self._live.config))
-        self.seen = np.zeros((0, 2))
+        config, self.seen = self._live.config, np.zeros((0, 2))
+        self.review = review_of(Session(config), config, self.seen, asked=False)
         self.calibration: Calibration | None = None
         self.why_missing, self.saved, self.is_wanted = why, '', False
         # the last computation: of which samples and settings, whether asked for, its message
         self._last: tuple[MadeFrom, bool, Future[str]] | None = None
 
-    @property
-    def withdrawn(self) -> bool:
-        """Return whether there was an answer that is not valid any more."""
-        return self.calibration is None and bool(self._numbers)
-
     def difference(self, session: Session) -> str:
         """Return how the samples of a session differ from those of the answer, or ''."""
-        now, before = used_numbers(session), self._numbers
-        differences = ' and '.join(
+        now, before = (_used_numbers(one) for one in (session, self.solved or session))
+        changes = ' and '.join(
             f'{len(numbers)} {what}'
             for numbers, what in ((before - now, 'removed'), (now - before, 'added')) if numbers)
-        if not differences:
-            return ''
-        return (f'; it was computed from {count_of(len(before), "sample")}, which have '
-                f'changed since ({differences}): call ~/compute_calibration for an answer from '
-                f'the current {len(now)}')
+        return changes and (
+            f'; it was computed from {count_of(len(before), "sample")}, which have changed since '
+            f'({changes}): call ~/compute_calibration for an answer from the current {len(now)}')
 
-    def require_calibration(self) -> Calibration:
+    def require_calibration(self, use: str = 'save') -> Calibration:
         """Return the answer with name and record of now; raises DataError without one."""
         if self.calibration is None:
-            raise DataError('there is no calibration to save: call ~/compute_calibration first, '
+            raise DataError(f'there is no calibration to {use}: call ~/compute_calibration first, '
                             'and check that it succeeds')
         config, provenance = self._live.config, self.calibration.provenance
         values = {**provenance['config'], **recorded(config)}
@@ -170,11 +152,10 @@ class LiveAnswer:
 
     def _made_from(self) -> MadeFrom:
         """Return settings and samples, of which review and answer are made."""
-        live = self._live
+        config, session = self._live.config, self._live.session
         # a stop that goes on gives another sample of the same number
-        samples = [(stop.number, stop.sample) for stop in live.session.stops if stop.sample]
-        return (values_of(live.config, ANSWER_KEYS), live.session,
-                values_of(live.config, ('guidance.',)), len(live.failed_poses), samples)
+        return (values_of(config, ANSWER_KEYS), session, values_of(config, ('guidance.',)),
+                [(stop.number, stop.sample) for stop in session.stops])
 
     def _begin_review(self, asked: bool) -> Future[str]:
         """Begin the review; return the future of the message. asked: whether for the answer."""
@@ -186,8 +167,7 @@ class LiveAnswer:
         made_from = self._made_from()
         message = live.run_job(
             COMPUTING if asked else '', partial(self._accept, made_from, session, asked),
-            review_of, session, config, self.seen, [*live.failed_poses.values()],
-            asked or self.calibration is not None)
+            review_of, session, config, self.seen, asked or self.calibration is not None)
         self._last = made_from, asked, message
         return message
 
@@ -204,7 +184,7 @@ class LiveAnswer:
         if asked and made_from[1] is not live.session:
             raise DataError('the samples were cleared while the calibration was computed, so '
                             'there is no answer: take new samples')
-        if answer is None or not asked:
+        if not asked:
             return ''
         if answer.refusal:
             self._refuse(answer.refusal)
@@ -213,7 +193,7 @@ class LiveAnswer:
                   {'session': live.path}]
         self.calibration = dated(replace(
             calibration, provenance={**calibration.provenance, 'inputs': inputs}))
-        self._numbers, self.why_missing, self.saved = used_numbers(session), '', ''
+        self.solved, self.why_missing, self.saved = session, '', ''
         return summary(calibration)
 
     def _refuse(self, error: HandeyeError) -> None:
@@ -249,7 +229,7 @@ def summary(calibration: Calibration) -> str:
             f'{quality.samples_rejected} not used{warned}; save it with ~/save_calibration')
 
 
-def used_numbers(session: Session) -> set[int]:
+def _used_numbers(session: Session) -> set[int]:
     """Return the numbers of the samples that an answer uses; none is ever used again."""
     return {stop.number for stop in session.stops
             if stop.sample and not session.excludes(stop)}

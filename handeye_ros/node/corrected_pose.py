@@ -17,7 +17,7 @@ from pathlib import Path
 import sys
 
 from geometry_msgs.msg import PoseStamped
-from handeye_ros.arm import Arm, read_arm, read_urdf
+from handeye_ros.arm import read_arm, read_urdf
 from handeye_ros.bags.poses import pose_from_joints
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.node.main import exit_code, own_arguments, spin
@@ -31,8 +31,10 @@ from sensor_msgs.msg import JointState
 class CorrectedPose(Node):
     """Subscribes to joint values and publishes flange poses at the same rate."""
 
-    def __init__(self, arm: Arm, options: argparse.Namespace) -> None:
-        """Subscribe."""
+    def __init__(self, options: argparse.Namespace) -> None:
+        """Subscribe; raises InputError for a file of an arm that is none."""
+        arm = read_arm(options.kinematics) if options.kinematics else (
+            read_urdf(options.urdf, options.base, options.flange)[1])
         super().__init__('handeye_corrected_pose')
         self._arm, self._frame = arm, options.frame
         self._poses = self.create_publisher(PoseStamped, options.pose_topic, QoSProfile(depth=100))
@@ -66,13 +68,7 @@ def main() -> int:
                           ('pose-topic', 'corrected_pose'), ('frame', 'corrected_flange')):
         parser.add_argument(f'--{name}', default=default)
     options = parser.parse_args(own_arguments())
-
-    def run() -> None:
-        arm = read_arm(options.kinematics) if options.kinematics else (
-            read_urdf(options.urdf, options.base, options.flange)[1])
-        spin(lambda: CorrectedPose(arm, options))
-
-    return exit_code(run)
+    return exit_code(lambda: spin(lambda: CorrectedPose(options)))
 
 
 if __name__ == '__main__':

@@ -40,7 +40,7 @@ from handeye_ros.bags.session_files import (
     StoredSession,
 )
 from handeye_ros.config import Config, SamplesConfig
-from handeye_ros.data import AnyProfile, Array, Reject, Sample, TimedPose
+from handeye_ros.data import AnyProfile, Array, Feature, Reject, Sample, TimedPose
 from handeye_ros.errors import (
     DataError,
     FeatureError,
@@ -83,8 +83,8 @@ class LiveSession:
     to_evaluate: stops that wait for the worker, by their stamps
     joints: stamps (ns) and serialised JointState messages
     messages: counts by kind (profile, pose); Streams (streams.py) begins them anew
+    troubles: why samples cannot be stored (storing) or computed with (work), a sentence each
     attempt: the last one to take a sample, None before
-    failed_poses: T_base_flange (4, 4) of stops that gave no sample, by their stamps
     running: the long computations in words, '' for a review
     """
 
@@ -95,25 +95,24 @@ class LiveSession:
 
         pool: where long computations run; changed: called by the worker after every change.
         """
-        self.folders, self.pool = folders, pool
-        self.files = SessionFiles(folders.folder)
-        self.lock = Lock()
-        self.session = Session(config)
+        self.folders, self.pool, self.lock = folders, pool, Lock()
+        self.messages = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
+        self._worker, self._changed = ThreadPoolExecutor(1, 'worker'), changed
+        self._woken = True  # nothing is due before start()
+        self.running: list[str] = []
+        self._begin(SessionFiles(folders.folder), Session(config))
+        self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
+
+    def _begin(self, files: SessionFiles, session: Session) -> None:
+        """Begin with a session, without messages."""
+        self.files, self.session = files, session
         self.to_evaluate: dict[int, Stop] = {}  # by their stamps
         self.joints: deque[tuple[int, bytes]] = deque(maxlen=KEPT_JOINTS)
         self._profiles: deque[AnyProfile] = deque(maxlen=KEPT_LATEST)
         self._poses: deque[TimedPose] = deque(maxlen=KEPT_LATEST)
-        self.messages = {kind: MessageCount(kind) for kind in ('profile', 'pose')}
         self._overflowed = 0  # stops that waited too long
-
-        self._worker, self._changed = ThreadPoolExecutor(1, 'worker'), changed
-        self._woken = True  # nothing is due before start()
-        self._failure = ''  # of the last work of the worker
-        self.running: list[str] = []
-        self._store_trouble = ''
+        self.troubles: dict[str, str] = {}
         self.attempt: Attempt | None = None
-        self.failed_poses: dict[int, Array] = {}
-        self.answer, self.verification = LiveAnswer(self), LiveVerification(self)
 
     # messages
 
@@ -146,10 +145,10 @@ class LiveSession:
         for stop in stops:
             self.to_evaluate.pop(stop.stamp, None)
             self.to_evaluate[stop.stamp] = stop
-            new = [stamp for stamp, one in self.to_evaluate.items() if not one.reader]
-            for stamp in new[:-MOST_STOPS]:
-                del self.to_evaluate[stamp]
-                self._overflowed += 1
+        new = [stamp for stamp, one in self.to_evaluate.items() if not one.reader]
+        for stamp in new[:-MOST_STOPS]:
+            del self.to_evaluate[stamp]
+            self._overflowed += 1
         if self.to_evaluate or self._frame_change:
             self.wake()
 
@@ -167,31 +166,31 @@ class LiveSession:
     @property
     def pose(self) -> Array | None:
         """Return T_base_flange (4, 4) of the last pose, None before the first."""
-        with self.lock:
-            last = self._poses[-1] if self._poses else None
-        return None if last is None else se3.from_quaternion(last.translation, last.quaternion)
+        poses = self._poses
+        return se3.from_quaternion(poses[-1].translation, poses[-1].quaternion) if poses else None
 
     def current(self) -> StopSnapshot | None:
         """Return the last profile with poses before and after it; None without a usable one."""
         config = self.config
         with self.lock:
-            profiles = list(self._profiles)
             # of equal stamps, as in a repeated playback, the last pose counts
-            by_stamp = {pose.stamp: pose for pose in self._poses}
-        poses = sorted(by_stamp.values(), key=lambda pose: pose.stamp)
-        inside = [p for p in profiles if poses and poses[0].stamp <= p.stamp <= poses[-1].stamp]
+            poses = [pose for _, pose in sorted({one.stamp: one for one in self._poses}.items())]
+            inside = [profile for profile in self._profiles
+                      if poses and poses[0].stamp <= profile.stamp <= poses[-1].stamp]
         if len(poses) < 2 or not inside:
             return None
+        features: tuple[Feature, ...] = ()
+        reason = ''
         try:
             profile = inside[-1].read(config.profile)
+            features = features_of(profile, config)
         except UnusableMessageError:
             return None
-        (T,) = interpolate(poses, [profile.stamp])
-        seen = StopSnapshot(0, profile.stamp, mount_poses(T, config), profile.points)
-        try:
-            return replace(seen, features=features_of(profile, config))
         except FeatureError as error:
-            return replace(seen, reason=str(error))
+            reason = str(error)
+        T, = interpolate(poses, [profile.stamp])
+        return StopSnapshot(0, profile.stamp, mount_poses(T, config), profile.points, features,
+                            reason)
 
     # the worker
 
@@ -220,9 +219,9 @@ class LiveSession:
             try:
                 work(*args)
                 self._changed()
-                self._failure = ''
+                self.troubles.pop('work', None)
             except Exception as error:  # noqa: BLE001 - the thread must go on
-                self._failure = sentence_and_log('the work on the samples', error)
+                self.troubles['work'] = sentence_and_log('the work on the samples', error)
 
         self._worker.submit(done)
 
@@ -290,22 +289,15 @@ class LiveSession:
         return '; '.join(filter(None, (*self.running, text)))
 
     @property
-    def troubles(self) -> tuple[str, ...]:
-        """Return why samples cannot be stored or computed with, one sentence each."""
-        return tuple(filter(None, (self._store_trouble, self._failure)))
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """Return the current warnings, one sentence each."""
-        warnings, routine = [], self.verification.routine
-        if routine:
-            warnings.append(f'a verification ({routine.name}) continues: stops are not samples '
-                            'until ~/verify_result')
-        if self._overflowed:
-            warnings.append(f'left {self._overflowed} stops out, the oldest of more than '
-                            f'{MOST_STOPS} that waited to be evaluated: the processor cannot keep '
-                            'up; stop less often, or publish fewer points')
-        return tuple(warnings)
+        routine, left_out = self.verification.routine, self._overflowed
+        return tuple(filter(None, (
+            f'a verification ({routine.name}) continues: stops are not samples until '
+            '~/verify_result' if routine else '',
+            f'left {left_out} stops out, the oldest of more than {MOST_STOPS} that waited to be '
+            'evaluated: the processor cannot keep up; stop less often, or publish fewer points'
+            if left_out else '')))
 
     # stops
 
@@ -313,8 +305,9 @@ class LiveSession:
         """Evaluate the next stop that waits, new or stored; return whether there was one."""
         with self.lock:
             stop = self.to_evaluate.pop(next(iter(self.to_evaluate), 0), None)
-        if stop:
-            self._process(stop)
+        if stop and not (stop.reader and stop.final_reason):
+            with suppress(DataError):  # of a verification
+                self._take(stop)
         return stop is not None
 
     def process_waiting(self) -> None:
@@ -330,57 +323,51 @@ class LiveSession:
         """
         self.process_waiting()
         with self.lock:
-            rest = self.session.copied().remaining()  # raises for mixed frames
-        for stop in rest:
-            self._process(stop)
-            self._finish(stop)
-            self._changed()
+            self._queue(self.end_stops())
+        self.process_waiting()
 
-    def skip_stops(self) -> None:
-        """Take nothing of the stops that have begun."""
-        with self.lock:
-            for stop in self.session.copied().remaining():
-                self.session.mark_done(stop)
-            self.to_evaluate.clear()
-
-    def _process(self, stop: Stop) -> None:
-        """Evaluate a stop that is over, or long enough, or a stored one again."""
-        if stop.reader is None:
-            with suppress(DataError):  # of a verification
-                self._take(stop)
-        elif not stop.final_reason:
-            self._add_stop(self._evaluated(stop))
+    def end_stops(self) -> list[Stop]:
+        """Return the stops that have begun; nothing more is taken of them. Under lock."""
+        stops = self.session.copied().remaining()  # raises for mixed frames
+        for stop in stops:
+            self.session.mark_done(stop)
+        return stops
 
     def _take(self, stop: Stop, asked: bool = False) -> str:
         """
-        Put a stop with its result into the session, in place of an earlier part of it.
+        Put a stop with its result into the session, in place of an earlier part or result of it.
 
         asked: by ~/take_sample, for a sample: DataError is raised where there is none, InputError
         where it cannot be stored, and the session stays as it is. Returns what the stop gave, in
-        words. While a verification is running the stop counts for that: see its add_stop.
+        words. While a verification is running the stop counts for that: see its add_stop. Of one
+        that is stored only the result is new.
         """
         if self.verification.routine and not stop.number:
             return self.verification.add_stop(stop)
-        stop = self._evaluated(stop)
-        earlier = self._find(stop.number)
+        is_new = stop.reader is None
+        stop = self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
+        earlier = next((one for one in self.session.stops if one.number == stop.number), None)
         had_sample = bool(earlier and earlier.sample)
         if asked and stop.sample is None:
             remedy = ': move on, and turn the tool' if stop.final_reason else ''
             raise DataError(f'{sample_summary(stop.result)}{remedy}')
+        with self.lock:
+            joints = [*self.joints]
         try:
-            stop = self._store(stop)
+            stop = self._write(self.files.add_stop, stop, self.config, joints) if is_new else stop
         except InputError as error:
             if asked:
                 raise
             # an earlier part of the stop has fewer profiles, but is on the disk
             stop = earlier if earlier and earlier.reader else replace(
                 stop, result=Reject(stop.result.stamp, str(error), final=True))
-        self._add_stop(stop)
+        with self.lock:
+            self.session.add_stop(stop)
         again = ' again, as the robot has not moved since' if had_sample else ''
         what = (f'sample {stop.number} taken{again}' if stop.sample else
                 f'stop {stop.number} gave no sample')
         text = f'{what}: {sample_summary(stop.result)}'
-        if asked or earlier is None or had_sample != bool(stop.sample):
+        if is_new and (asked or earlier is None or had_sample != bool(stop.sample)):
             # the same result with more profiles is not reported again
             self.attempt = Attempt(text, stop)
         return text
@@ -392,29 +379,6 @@ class LiveSession:
         except (PoolEndedError, InputError) as error:  # its file is gone; or its process, then
             return Reject(stop.stamp, str(error))  # the stop itself will be stored
 
-    def _evaluated(self, stop: Stop) -> Stop:
-        """
-        Return a stop with its number and result, not yet in the session.
-
-        The pose of a stop without a sample is noted, so that it is not proposed again.
-        """
-        stop = self.session.evaluated(stop, self.result_elsewhere(stop, self.config))
-        if stop.sample:
-            self.failed_poses.pop(stop.stamp, None)
-        elif stop.reader is None:
-            self.failed_poses[stop.stamp] = stop.pose(self.config)
-        return stop
-
-    def _find(self, number: int) -> Stop | None:
-        """Return the stop of a number in the session."""
-        return next((stop for stop in self.session.stops if stop.number == number), None)
-
-    def _store(self, stop: Stop) -> Stop:
-        """Store an evaluated stop; return the stored form. Raises InputError."""
-        with self.lock:
-            joints = list(self.joints)
-        return self._write(self.files.add_stop, stop, self.config, joints)
-
     def _write(self, write: Callable[..., Result], *args: Any) -> Result:
         """
         Write an event; raises InputError, which is kept as trouble until the next event.
@@ -425,10 +389,9 @@ class LiveSession:
         try:
             result = write(*args)
         except InputError as error:
-            self._store_trouble = str(error)
+            self.troubles['storing'] = str(error)
             raise
-        if self._store_trouble:
-            self._store_trouble = ''
+        if self.troubles.pop('storing', ''):
             self._evaluate_again(stop for stop in self.session.stops if not stop.sample)
         return result
 
@@ -439,17 +402,12 @@ class LiveSession:
         A folder that is gone is found here too: then there is a trouble.
         """
         path = self.files.path
-        if self._store_trouble or path and not path.is_dir():
+        if 'storing' in self.troubles or path and not path.is_dir():
             self._store_settings()
 
     def _store_settings(self) -> None:
         with suppress(InputError):  # kept as trouble
             self._write(self.files.add_event, CONFIGURED, self.config)
-
-    def _add_stop(self, stop: Stop) -> None:
-        """Put an evaluated stop into the session, in place of an earlier part of it."""
-        with self.lock:
-            self.session.add_stop(stop)
 
     def _finish(self, stop: Stop) -> None:
         """Take nothing more of a stop, which may go on."""
@@ -514,24 +472,23 @@ class LiveSession:
         return f'continuing with {count_of(self._sample_count(), "sample")} of {self.path}'
 
     def _switch_to(self, files: SessionFiles, session: Session, why: str) -> None:
-        """Go on with another session; forget messages, and what followed from the one before."""
-        with self.lock:
-            for messages in (self._profiles, self._poses, self.joints, self.to_evaluate):
-                messages.clear()
-            self.session = session
-        self.verification.end()
+        """Go on with another session; forget what followed from the one before."""
         if files is not self.files:
             self.files.close()
-        self.files, self._store_trouble = files, ''
-        self.attempt, self.failed_poses, self._overflowed = None, {}, 0
+        with self.lock:
+            self._begin(files, session)
+        self.verification.end()
         self.answer.forget(why)
 
     def _sample_count(self) -> int:
         return sum(stop.sample is not None for stop in self.session.stops)
 
-    def configure(self, config: Config) -> None:
-        """Apply another configuration, already checked by the node."""
+    def configure(self, config: Config, other_topics: bool = False) -> None:
+        """Apply another configuration, already checked by the node; of other topics no stops."""
         old = self.config
+        if other_topics:
+            self._switch_to(self.files, Session(config, self.session.last_number),
+                            'the topics were changed')
         with self.lock:
             self.session.configure(config)
         if config.verify.routine != old.verify.routine:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import takewhile
 import os
 import signal
@@ -48,7 +48,8 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(own_arguments())
     sys.setswitchinterval(SWITCH_INTERVAL)
     from handeye_ros.node.node import HandeyeNode
-    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS, HandeyeNode.stop))
+    # it publishes nothing more while it ends, and what computes ends with it
+    code = exit_code(lambda: spin(HandeyeNode, EXECUTOR_THREADS, lambda one: one.outputs.close()))
     sys.stderr.flush()
     # Python waits for all threads, of which one may wait for a solve; what was acknowledged is on
     # the disk
@@ -78,10 +79,9 @@ def spin(make: Callable[[], Any], threads: int = 1,
             runner.add_node(node)
             while True:
                 try:
-                    # with a timeout: a signal does not wake the executor
-                    runner.spin_once(timeout_sec=LONGEST_WAIT)
-                except InvalidHandle:  # an entity that another thread destroyed: go on
-                    pass
+                    with suppress(InvalidHandle):  # of an entity that another thread destroyed
+                        # with a timeout: a signal does not wake the executor
+                        runner.spin_once(timeout_sec=LONGEST_WAIT)
                 except Exception:
                     if threads == 1 or not node.context.ok():
                         raise

@@ -20,7 +20,7 @@ from handeye_ros.bags.session_files import (
     StoredSession,
 )
 from handeye_ros.config import Config, EVERY_NODES, Parameter, RECORD_NAMES, RECORD_PREFIX
-from handeye_ros.errors import InputError, sentence_and_log, UnknownKeyError
+from handeye_ros.errors import InputError, sentence_and_log
 from handeye_ros.node.live import LiveSession
 from handeye_ros.node.outputs import Outputs
 from handeye_ros.node.pool import Pool
@@ -50,7 +50,7 @@ SLOW_SERVICES = ('compute_calibration', 'verify_result')  # no other service wai
 FIXED_KEYS = ('robot_base_frame', 'robot_effector_frame', 'session', 'page.port', 'page.address')
 # Keys that a new session, and the class of the robot, set.
 FOLLOWING_KEYS = ('samples.exclude', 'noise.robot_smooth')
-# Keys of targets that are solved from files alone.
+# Keys of targets that are solved from files alone: no parameters.
 FILES_ONLY = ('tracker.', 'sensor_frame')
 
 
@@ -59,6 +59,7 @@ class HandeyeNode(Node):
     Takes samples of stops, and computes, publishes and saves calibrations on request.
 
     live: the session
+    outputs: what is published of it
     streams: the subscriptions of now; others follow when topics change
     """
 
@@ -73,21 +74,20 @@ class HandeyeNode(Node):
             live.take_sample, live.remove_last_sample, live.clear_samples,
             answer.compute_calibration, answer.save_calibration,
             verification.verify_start, verification.verify_result)}
-        self._outputs = Outputs(self, self.live)
-        self.streams = Streams(self, self.live, self.live.add_joints)
+        self.outputs = Outputs(self, live)
         self._warned: set[str] = set()  # warnings in the log
         self.add_on_set_parameters_callback(self._on_set)
         if stored:
-            self.get_logger().info(self.live.open(stored, config))
+            self.get_logger().info(live.open(stored, config))
         elif config.session:
             self.get_logger().warning(f'there is no session in {folders.parent(config)}: a new '
                                       'one begins')
-        self._outputs.show()
-        self.live.start()
-        self.streams.start()
+        self.streams = Streams(self, live, live.add_joints)
+        self.outputs.show()
+        live.start()
         self._serve()
         self.get_logger().info(f'waiting for profiles on {config.profile_topic}, poses on '
-                               f'{self.live.config.pose_origin[0]}')
+                               f'{config.pose_origin[0]}')
         if config.page.port:
             from handeye_ros.page.server import serve  # aiohttp takes long to import
             serve(self)
@@ -103,31 +103,27 @@ class HandeyeNode(Node):
         self.create_subscription(Empty, '~/take', lambda _: self.call_service('take_sample'), 10,
                                  callback_group=quick)
         # steady time: the state is published even while a simulated clock is paused
-        for period, work in ((1.0, self._diagnose), (CURRENT_PERIOD, self._outputs.show_current)):
+        for period, work in ((1.0, self._diagnose), (CURRENT_PERIOD, self.outputs.show_current)):
             self.create_timer(period, work, MutuallyExclusiveCallbackGroup(),
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _show_changes(self) -> None:
         """Publish what the worker has changed, parameters that follow from others too."""
-        self._outputs.show()
+        self.outputs.show()
         values = configuration.flatten(self.live.config)
-        if changed := {key: values[key] for key in FOLLOWING_KEYS
-                       if _values([self.get_parameter(key)])[key] != values[key]}:
+        told = _values(self.get_parameters(FOLLOWING_KEYS))
+        if changed := {key: values[key] for key in FOLLOWING_KEYS if told[key] != values[key]}:
             self.set_values(changed)
-
-    def stop(self) -> None:
-        """Publish nothing more: the process ends, and what computes with it."""
-        self._outputs.close()
 
     @property
     def state(self) -> State:
         """Return the current state of the session."""
-        return state_of(self.live, self.streams.obstacles(), self.streams.trouble())
+        return state_of(self.live, self.streams.disturbances())
 
     def _diagnose(self) -> None:
         """Publish the state, and log the warnings that are new but for their numbers."""
         state = self.state
-        self._outputs.diagnose(state)
+        self.outputs.diagnose(state)
         warnings = {re.sub(r'[-+.\d]+', '#', sentence): sentence
                     for sentence in (*troubles_of(state), *state['session']['notes'])}
         for kind in warnings.keys() - self._warned:
@@ -141,10 +137,10 @@ class HandeyeNode(Node):
         try:
             answer = self.live.ask(self._requests[name])
             text, success = answer.result() if isinstance(answer, Future) else answer, True
+            if name == 'clear_samples':
+                self.streams.restart()
         except Exception as error:  # noqa: BLE001 - the node, and what it holds, must go on
             text, success = sentence_and_log(name, error), False
-        if name == 'clear_samples' and success:
-            self.streams.restart()
         if name != 'take_sample':  # which is in the log as an attempt
             log = self.get_logger()
             log.info(text) if success else log.warning(f'{name}: {text}')
@@ -203,24 +199,20 @@ class HandeyeNode(Node):
         """Apply changed settings; raises InputError. For the worker: one after the other."""
         config, live, session = self._with(values), self.live, self.live.session
         _check_names(config)
-        unknown = [number for number in config.samples.exclude
-                   if number > session.last_number and number not in live.config.samples.exclude]
-        if unknown:
-            raise InputError(f'there is no sample {unknown[0]} to exclude: the last stop is '
-                             f'{session.last_number}; ~/samples lists all')
-        if not self.streams.names_other_topics(config):
-            live.configure(config)
-            return
-        if session.stops:
+        last = session.last_number
+        for number in {*config.samples.exclude} - {*live.config.samples.exclude}:
+            if number > last:
+                raise InputError(f'there is no sample {number} to exclude: the last stop is {last}'
+                                 '; ~/samples lists all')
+        other_topics = self.streams.names_other_topics(config)
+        if other_topics and session.stops:
             raise InputError('the topics cannot change while there are stops from them: call '
                              '~/clear_samples first, which begins a new session')
-        self.streams.stop()
-        try:
-            live.clear_samples()
-            live.configure(self._with(values))
-        finally:  # to the topics before, where no new session can be written
+        if other_topics:
+            self.streams.stop()
+        live.configure(config, other_topics)
+        if other_topics:
             self.streams = Streams(self, live, live.add_joints)
-            self.streams.start()
 
 
 def declare(node: Node, folders: OutputFolders) -> tuple[Config, StoredSession | None]:
@@ -235,42 +227,32 @@ def declare(node: Node, folders: OutputFolders) -> tuple[Config, StoredSession |
     config, stored = settings_and_session(_values(node._parameter_overrides.values()), folders)
     _check_names(config)
     values, record = configuration.flatten(config), dict(config.record)
-    for parameter in _parameters():
-        node.declare_parameter(parameter.key, values[parameter.key], _descriptor(parameter),
-                               ignore_override=True)
     free = ParameterDescriptor(description='Free text, kept with the answer.', dynamic_typing=True)
-    for name in dict.fromkeys((*RECORD_NAMES, *record)):
-        node.declare_parameter(f'{RECORD_PREFIX}{name}', record.get(name, ''), free,
-                               ignore_override=True)
+    node.declare_parameters('', [
+        *((one.key, values[one.key], _descriptor(one)) for one in configuration.parameters()
+          if not one.key.startswith(FILES_ONLY)),
+        *((f'{RECORD_PREFIX}{name}', record.get(name, ''), free)
+          for name in dict.fromkeys((*RECORD_NAMES, *record)))], ignore_override=True)
     return config, stored
 
 
-def _parameters() -> list[Parameter]:
-    """Return the parameters that the node has."""
-    return [p for p in configuration.parameters() if not p.key.startswith(FILES_ONLY)]
-
-
 def _values(ros_parameters: Iterable[RosParameter]) -> dict[str, Any]:
-    """Return the values of the parameters of this package by key; raises UnknownKeyError."""
-    keys, values = [p.key for p in _parameters()], {}
+    """Return values by key, without those that every node has; raises InputError."""
+    values = {}
     for p in ros_parameters:
-        if p.name.startswith(EVERY_NODES):
-            continue
-        if p.name not in keys and not p.name.startswith(RECORD_PREFIX):
-            raise UnknownKeyError(p.name, keys, PARAMETERS)
-        # ROS gives an empty list no type, and other lists as arrays
-        value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
-        values[p.name] = value if isinstance(value, str | int | float) else list(value)
+        if p.name.startswith(FILES_ONLY):
+            raise InputError(f'{p.name} is a key of the command line alone: leave it out')
+        if not p.name.startswith(EVERY_NODES):
+            # ROS gives an empty list no type, and other lists as arrays
+            value = [] if p.type_ == RosParameter.Type.NOT_SET else p.value
+            values[p.name] = value if isinstance(value, str | int | float) else list(value)
     return values
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor shown by `ros2 param describe`."""
-    texts = []
-    if parameter.length:
-        texts.append('a list of ' + ' or '.join(map(str, parameter.length)) + ' values')
-    if parameter.choices:
-        texts.append('one of ' + ', '.join(map(str, parameter.choices)))
+    texts = [f'{what} {" or ".join(map(str, values))}' for what, values in (
+        ('number of values:', parameter.length), ('one of', parameter.choices)) if values]
     result = ParameterDescriptor(description=parameter.description, dynamic_typing=True,
                                  read_only=parameter.key in FIXED_KEYS,
                                  additional_constraints='; '.join(texts))

@@ -12,7 +12,15 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped, TransformStamped
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Calibration, NS
@@ -55,35 +63,32 @@ LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # An executor that waits for the events of a publisher ends when this is destroyed.
 NO_CALLBACKS = PublisherEventCallbacks(use_default_callbacks=False)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene
-LETTER_HEIGHT = 0.012  # m
+METRES_PER_WIDTH = 1e-3  # m for each unit of width of the scene, of a text of its height
 
 
 class _Latched:
     """A topic that keeps its last message for late subscribers, until it is withdrawn."""
 
-    def __init__(self, node: Node, kind: Any, name: str, message: Callable[[Any], Any]) -> None:
+    def __init__(self, node: Node, name: str, kind: Any, message: Callable[[Any], Any]) -> None:
         """Advertise the topic; message: makes one of a content."""
         self._node, self._message, self._content = node, message, None
         self._advertise = partial(node.create_publisher, kind, name, LATCHED_QOS,
                                   event_callbacks=NO_CALLBACKS)
         self._publisher = self._advertise()
 
-    def show(self, content: Any) -> bool:
+    def show(self, content: Any) -> None:
         """
-        Publish a content that is not the last one; return whether it is not.
+        Publish a content that is not the last one.
 
         None withdraws the last message: a new publisher gives a late subscriber none.
         """
-        if content == self._content:
-            return False
-        self._content = content
-        if content is None:
-            self._node.destroy_publisher(self._publisher)
-            self._publisher = self._advertise()
-        else:
-            self._publisher.publish(self._message(content))
-        return True
+        if content != self._content:
+            self._content = content
+            if content is None:
+                self._node.destroy_publisher(self._publisher)
+                self._publisher = self._advertise()
+            else:
+                self._publisher.publish(self._message(content))
 
 
 class Outputs:
@@ -94,26 +99,30 @@ class Outputs:
         self._node, self._live = node, live
         self._lock, self._closed = threading.Lock(), False
         self._attempt: Attempt | None = None  # the last one in the log
-        self._samples, self._status, self._guidance = (
-            _Latched(node, String, f'~/{name}', lambda text: String(data=text))
-            for name in ('samples', 'status', 'guidance'))
-        self._next_pose = _Latched(node, PoseStamped, '~/next_pose',
-                                   lambda place: pose_stamped(**place, stamp=self._now()))
-        self._calibration = _Latched(node, TransformStamped, '~/calibration',
-                                     lambda answer: transform_of(answer, self._now()))
-        self._tf_static = TFMessage and _Latched(
-            node, TFMessage, '/tf_static',
-            lambda answer: TFMessage(transforms=[transform_of(answer, self._now())]))
-        if not TFMessage:
+        text = String, lambda content: String(data=content)
+        topics: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+            '~/samples': text, '~/status': text, '~/guidance': text,
+            '~/next_pose': (PoseStamped, lambda place: pose_stamped(**place, stamp=self._now())),
+            '~/calibration': (TransformStamped, lambda one: transform_of(one, self._now())),
+            '~/markers': (MarkerArray, lambda _: session_markers(
+                live.copied().stops, live.answer.calibration, self._config))}
+        if TFMessage:
+            topics['/tf_static'] = TFMessage, lambda one: TFMessage(
+                transforms=[transform_of(one, self._now())])
+        else:
             node.get_logger().warning('tf2_msgs is not installed: the transform is published on '
                                       f'~/calibration only, not on /tf_static; {INSTALL_TF2}')
-        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED_QOS)
+        self._latched = {name: _Latched(node, name, *of) for name, of in topics.items()}
         self._current = node.create_publisher(MarkerArray, '~/current', 1)
         self._features = node.create_publisher(PointCloud2, '~/features', 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
     def _now(self) -> Time:
         return self._node.get_clock().now().to_msg()
+
+    @property
+    def _config(self) -> Config:
+        return self._live.session.with_base(self._live.config)
 
     def close(self) -> None:
         """
@@ -129,22 +138,18 @@ class Outputs:
         with self._lock:
             if self._closed:
                 return
-            live, state = self._live, state_of(self._live)
-            config = live.session.with_base(live.config)
-            self._show_attempt(live.attempt)
-            changed = self._samples.show(json.dumps(samples_message(state)))
-            answer = live.answer.calibration
-            answered = self._calibration.show(answer)
-            if self._tf_static:
-                self._tf_static.show(answer)
-            if changed or answered:
-                self._markers.publish(session_markers(live.copied().stops, answer, config))
-            self._status.show(json.dumps(status_message(state)))
-            guidance = state['guidance']
-            self._guidance.show(guidance['text'])
-            self._next_pose.show(guidance['translation'] and {
-                'translation': guidance['translation'], 'rotation': guidance['rotation'],
-                'frame_id': config.base_frame})
+            state, answer = state_of(self._live), self._live.answer.calibration
+            self._show_attempt(self._live.attempt)
+            samples, guidance = json.dumps(samples_message(state)), state['guidance']
+            contents = {
+                '~/samples': samples, '~/status': json.dumps(status_message(state)),
+                '~/calibration': answer, '/tf_static': answer, '~/markers': (samples, answer),
+                '~/guidance': guidance['text'],
+                '~/next_pose': guidance['translation'] and {
+                    'translation': guidance['translation'], 'rotation': guidance['rotation'],
+                    'frame_id': self._config.base_frame}}
+            for name, topic in self._latched.items():
+                topic.show(contents[name])
 
     def _show_attempt(self, attempt: Attempt | None) -> None:
         """Log an attempt once, and publish the features of its sample in the sensor frame."""
@@ -153,26 +158,20 @@ class Outputs:
         self._attempt, sample, log = attempt, attempt.stop.sample, self._node.get_logger()
         if sample is None:
             log.warning(attempt.text)
-            return
-        log.info(attempt.text)
-        xyz = in_sensor(in_plane(sample.features), self._live.config)
-        points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
-        self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
+        else:
+            log.info(attempt.text)
+            xyz = in_sensor(in_plane(sample.features), self._live.config)
+            points = xyz.astype('<f4', order='C').view([(name, '<f4') for name in 'xyz'])[:, 0]
+            self._features.publish(cloud(points, self._live.session.frame_id, sample.stamp))
 
     def show_current(self) -> None:
         """Publish the current profile with its features, if there is a subscriber."""
         if self._current.get_subscription_count():
-            live = self._live
             self._current.publish(current_markers(
-                live.current(), live.answer.calibration, live.session.with_base(live.config)))
+                self._live.current(), self._live.answer.calibration, self._config))
 
     def diagnose(self, state: State) -> None:
-        """
-        Publish the state on /diagnostics.
-
-        Levels: ERROR if no usable message of a kind was ever received, or a published answer was
-        withdrawn; WARN if the operator should check.
-        """
+        """Publish the state on /diagnostics."""
         name = self._node.get_fully_qualified_name().lstrip('/')
         self._diagnostics.publish(DiagnosticArray(header=Header(stamp=self._now()), status=[
             DiagnosticStatus(
@@ -182,12 +181,17 @@ class Outputs:
 
 
 def _statuses(state: State) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
-    """Yield name, level, message and values of each status."""
+    """
+    Yield name, level, message and values of each status.
+
+    Levels: ERROR if no usable message of a kind was ever received, or a published answer was
+    withdrawn; WARN if the operator should check.
+    """
     streams = state['profiles'], state['poses']
     for stream in streams:
         kind, count, trouble = stream['kind'], stream['count'], stream['trouble']
-        level = OK if not trouble else WARN if count else ERROR
-        yield f'{kind}s', level, trouble or f'{count_of(count, kind)} on {stream["topic"]}', {
+        yield f'{kind}s', OK if not trouble else WARN if count else ERROR, (
+            trouble or f'{count_of(count, kind)} on {stream["topic"]}'), {
             f'{kind}s': count, f'malformed {kind}s': stream['malformed'],
             f'lost {kind}s': stream['lost'],
             f'seconds since the last {kind}': f'{stream["age"]:.1f}',
@@ -218,19 +222,16 @@ def transform_of(calibration: Calibration, stamp: Time) -> TransformStamped:
 def transform_stamped(translation: Iterable[float], rotation: Iterable[float], parent: str,
                       child: str, stamp: Time) -> TransformStamped:
     """Return a transform (x y z in m, quaternion x y z w) of a child frame in its parent."""
-    msg = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
-    _set(msg.transform.translation, translation)
-    _set(msg.transform.rotation, rotation)
-    return msg
+    return TransformStamped(
+        header=Header(stamp=stamp, frame_id=parent), child_frame_id=child, transform=Transform(
+            translation=_made(Vector3, translation), rotation=_made(Quaternion, rotation)))
 
 
 def pose_stamped(translation: Iterable[float], rotation: Iterable[float], frame_id: str,
                  stamp: Time) -> PoseStamped:
     """Return a pose (x y z in m, quaternion x y z w) in a frame."""
-    msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
-    _set(msg.pose.position, translation)
-    _set(msg.pose.orientation, rotation)
-    return msg
+    return PoseStamped(header=Header(stamp=stamp, frame_id=frame_id), pose=Pose(
+        position=_made(Point, translation), orientation=_made(Quaternion, rotation)))
 
 
 def time_message(stamp: int) -> Time:
@@ -256,7 +257,7 @@ def session_markers(evaluated: Iterable[Stop], calibration: Calibration | None, 
                           np.empty((0, 2)), sample.features)
              for stop in evaluated if (sample := stop.sample)]
     parts: list[dict[str, Any]] = [
-        {'name': 'numbers', 'color': FLANGE_COLOUR, 'text': str(stop.number),
+        {'name': 'numbers', 'color': FLANGE_COLOUR, 'width': 12.0, 'text': str(stop.number),
          'points': [stop.T_mount[:3, 3]]} for stop in stops]
     if stops:
         parts.append({'name': 'flanges', 'color': FLANGE_COLOUR, 'width': 6.0,
@@ -286,25 +287,21 @@ def _markers(parts: Iterable[Mapping[str, Any]], config: Config) -> MarkerArray:
     markers = [Marker(action=Marker.DELETEALL)]
     for part in parts:
         red, green, blue = (int(part['color'][k:k + 2], 16) / 255 for k in (1, 3, 5))
-        marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0))
-        marker.pose.orientation.w = 1.0
+        points = [_made(Point, point) for point in part.get('line', part.get('points'))]
+        marker = Marker(ns=part['name'], color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
+                        scale=_made(Vector3, 3 * [METRES_PER_WIDTH * part['width']]))
         if 'text' in part:
-            marker.type, marker.text, size = Marker.TEXT_VIEW_FACING, part['text'], LETTER_HEIGHT
-            _set(marker.pose.position, part['points'][0])
+            marker.type, marker.text = Marker.TEXT_VIEW_FACING, part['text']
+            marker.pose.position, = points
         else:
-            marker.type, name = ((Marker.LINE_STRIP, 'line') if 'line' in part else
-                                 (Marker.POINTS, 'points'))
-            marker.points = [_set(Point(), point) for point in part[name]]
-            size = METRES_PER_WIDTH * part['width']
-        _set(marker.scale, (size, size, size))
+            marker.type = Marker.LINE_STRIP if 'line' in part else Marker.POINTS
+            marker.points = points
         markers.append(marker)
     for number, marker in enumerate(markers):
         marker.header.frame_id, marker.id = target_frame(config), number
     return MarkerArray(markers=markers)
 
 
-def _set(msg: Any, values: Iterable[float]) -> Any:
-    """Set the fields x, y, z (and w) of a message; return it."""
-    for name, value in zip('xyzw', values):  # noqa: B905 - three or four
-        setattr(msg, name, float(value))
-    return msg
+def _made(kind: Any, values: Iterable[float]) -> Any:
+    """Return a message of the fields x, y, z (and w)."""
+    return kind(**dict(zip('xyzw', map(float, values))))  # noqa: B905 - three or four

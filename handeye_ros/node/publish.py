@@ -17,9 +17,9 @@ from handeye_ros.results.calibration_file import file_of, read_calibration
 from rclpy.node import Node
 
 
-def publish(paths: Sequence[Path]) -> None:
+def publisher(paths: Sequence[Path]) -> Node:
     """
-    Publish the calibrations of files or folders until Ctrl-C.
+    Return a node that publishes the calibrations of files or folders.
 
     Raises InputError for a file that cannot be used, or two of one sensor: nothing is published.
     """
@@ -33,16 +33,12 @@ def publish(paths: Sequence[Path]) -> None:
                              f'{calibration.child_frame}, and a frame has one parent: name each '
                              'sensor once')
         calibrations[calibration.child_frame] = calibration
-    spin(lambda: _publisher([*calibrations.values()]))
-
-
-def _publisher(calibrations: Sequence[Calibration]) -> Node:
     node = Node('handeye_publish')
-    publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS)
-    stamp = node.get_clock().now().to_msg()
+    stamp, found = node.get_clock().now().to_msg(), calibrations.values()
     # in one message: a latched topic keeps only the last
-    publisher.publish(TFMessage(transforms=[transform_of(one, stamp) for one in calibrations]))
-    for one in calibrations:
+    node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS).publish(
+        TFMessage(transforms=[transform_of(one, stamp) for one in found]))
+    for one in found:
         node.get_logger().info(f'{one.child_frame} in {one.parent_frame} is on /tf_static '
                                f'(calibration {one.name})')
     return node
@@ -54,7 +50,7 @@ def main() -> int:
     parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
                         help='a calibration.yaml, or the folder that holds it')
     options = parser.parse_args(own_arguments())
-    return exit_code(lambda: publish(options.files))
+    return exit_code(lambda: spin(lambda: publisher(options.files)))
 
 
 if __name__ == '__main__':

@@ -15,10 +15,11 @@ from handeye_ros.bags.reader import Raw, Reader
 from handeye_ros.errors import InputError
 from handeye_ros.node.main import exit_code, own_arguments, ros
 from handeye_ros.node.outputs import time_message
+from handeye_ros.node.streams import LATCHED_TREE
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
 CLOCK_PERIOD = 0.02  # s between two messages on /clock
@@ -73,10 +74,8 @@ def _publishers(node: Node, topics: Mapping[str, str]) -> dict[str, Publisher]:
         except (AttributeError, ImportError):
             print(f'{topic} is left out: {kind} is not installed', file=sys.stderr)
             continue
-        durability = (DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static'
-                      else DurabilityPolicy.VOLATILE)
-        publishers[topic] = node.create_publisher(
-            message_type, topic, QoSProfile(depth=1000, durability=durability))
+        qos = LATCHED_TREE if topic == '/tf_static' else QoSProfile(depth=1000)
+        publishers[topic] = node.create_publisher(message_type, topic, qos)
     return publishers
 
 

@@ -24,7 +24,7 @@ from typing import Any
 
 from handeye_ros.bags.messages import returns_of
 from handeye_ros.config import Config, with_assignments
-from handeye_ros.data import Calibration, Profile, RawProfile, TimedPose
+from handeye_ros.data import Profile, RawProfile, TimedPose
 from handeye_ros.errors import UnusableMessageError
 from handeye_ros.frames import wrong_sensor
 from handeye_ros.node.main import exit_code, own_arguments, spin
@@ -47,8 +47,11 @@ KEPT_PROFILES = 4000  # may wait for a pose; the oldest are dropped first
 class ScanNode(Node):
     """Takes profiles and poses, and publishes points."""
 
-    def __init__(self, calibration: Calibration, config: Config, options: ScanOptions) -> None:
-        """Subscribe; raises InputError for poses from transforms without tf2_msgs."""
+    def __init__(self, given: argparse.Namespace) -> None:
+        """Subscribe; raises InputError for arguments, and poses on /tf without tf2_msgs."""
+        options = ScanOptions.of_texts(given.range, given.incidence, given.voxel, given.std)
+        calibration = read_calibration(file_of(given.calibration))
+        config = with_assignments(use_config(calibration), given.set)
         super().__init__('handeye_scan')
         self.config: Config = replace(config, time_offset=0.0)  # the scanner adds it
         self.messages: dict[str, MessageCount] = {}
@@ -61,7 +64,7 @@ class ScanNode(Node):
         self._dropped = 0
         self._points = self.create_publisher(PointCloud2, '~/points', 10)
         self.create_timer(CLOUD_PERIOD, self._publish_ready)
-        Streams(self, self).start()
+        Streams(self, self)
 
     def add_profile(self, profile: RawProfile) -> None:
         """Keep the points of a profile until its pose is known."""
@@ -119,14 +122,7 @@ def main() -> int:
     parser.add_argument('--voxel', default='0', metavar='EDGE')
     parser.add_argument('--std', action='store_true')
     given = parser.parse_args(own_arguments())
-
-    def run() -> None:
-        options = ScanOptions.of_texts(given.range, given.incidence, given.voxel, given.std)
-        calibration = read_calibration(file_of(given.calibration))
-        config = with_assignments(use_config(calibration), given.set)
-        spin(lambda: ScanNode(calibration, config, options))
-
-    return exit_code(run)
+    return exit_code(lambda: spin(lambda: ScanNode(given)))
 
 
 if __name__ == '__main__':

@@ -9,11 +9,13 @@ agree and use the same sentences. SI units; docs/cell.md documents the fields.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import time
+from types import MappingProxyType
 from typing import Any, TYPE_CHECKING
 
 from handeye_ros import se3
+from handeye_ros.data import Array
 from handeye_ros.node.answer import LiveAnswer, Review, summary
 from handeye_ros.output import folder_name
 from handeye_ros.results.scene import Agreement
@@ -30,6 +32,9 @@ State = dict[str, Any]
 SAMPLES_FORMAT = 'handeye_ros/samples/1'
 STATUS_FORMAT = 'handeye_ros/status/1'
 NONE, CURRENT, OUTDATED, WITHDRAWN = 'none', 'current', 'outdated', 'withdrawn'
+NO_ANSWER = {
+    **dict.fromkeys(('parent', 'child', 'saved'), ''), 'used': 0, 'rejected': 0,
+    **dict.fromkeys(('translation', 'rotation', 'rpy', 'std', 'residual_rms', 'holdout_rms'))}
 SILENCE_TIME = 2.0  # s without a message until it is reported
 BAD_IN_A_ROW = 3  # consecutive invalid messages until they are reported,
 BAD_SHARE = 0.01  # or such a share of all, or of the messages lost in transit
@@ -77,20 +82,29 @@ class MessageCount:
         """Return the seconds since the last valid message, or since the start."""
         return time.monotonic() - self._received
 
-    @property
-    def trouble(self) -> str:
-        """Return a sentence if many, or the last, messages are invalid or lost."""
-        bad, last, total, sentences = self.malformed, self._bad_in_a_row, self.count, []
-        if last >= BAD_IN_A_ROW or bad >= max(BAD_IN_A_ROW, BAD_SHARE * (bad + total)):
-            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of {bad + total}'
-            sentences.append(f'{which} {self.kind}s cannot be used; the last reason: '
-                             f'{self.reason}')
-        sent = self.lost + bad + total
+    def state(self, topic: str, obstacle: str) -> State:
+        """
+        Return what has come on a topic; obstacle: why nothing arrives, where it is known.
+
+        count, malformed: numbers of valid and invalid messages; reason: of the last invalid one;
+        lost: of those lost on their way; age: seconds since the last valid one, or since the
+        start; trouble: that many, or the last, are invalid or lost, or none arrive; or ''.
+        """
+        kind, count, bad, last = self.kind, self.count, self.malformed, self._bad_in_a_row
+        sentences, age, sent = [], self.silence, self.lost + bad + count
+        if last >= BAD_IN_A_ROW or bad >= max(BAD_IN_A_ROW, BAD_SHARE * (bad + count)):
+            which = f'the last {last}' if last >= BAD_IN_A_ROW else f'{bad} of {bad + count}'
+            sentences.append(f'{which} {kind}s cannot be used; the last reason: {self.reason}')
         if self.lost > BAD_SHARE * sent:
-            sentences.append(f'{self.lost} of {sent} {self.kind}s were lost on their way: let '
-                             'the driver publish them reliably, with a queue for as many as come '
-                             'at once, or fewer or smaller ones')
-        return '; '.join(sentences)
+            sentences.append(f'{self.lost} of {sent} {kind}s were lost on their way: let the '
+                             'driver publish them reliably, with a queue for as many as come at '
+                             'once, or fewer or smaller ones')
+        if not sentences and age >= SILENCE_TIME:
+            sentences.append(f'{"no more" if count else "no"} {kind}s on {topic} for {age:.0f} s'
+                             + (f' ({obstacle})' if obstacle else ''))
+        return {'kind': kind, 'topic': topic, 'count': count, 'malformed': bad,
+                'reason': self.reason, 'lost': self.lost, 'age': age,
+                'trouble': '; '.join(sentences)}
 
 
 def _clocks(profiles: MessageCount, poses: MessageCount) -> str:
@@ -100,62 +114,49 @@ def _clocks(profiles: MessageCount, poses: MessageCount) -> str:
     ahead = (profiles.stamp - poses.stamp) * 1e-9 + profiles.silence - poses.silence
     if abs(ahead) < LARGEST_APART:
         return ''
-    size = f'{abs(ahead):.1f} s' if abs(ahead) < 3600 else f'{abs(ahead) / 3600:.2f} hours'
-    return (f'the stamps of the profiles are {size} {"ahead of" if ahead > 0 else "behind"} '
-            'those of the poses: the clocks of sensor and robot differ; set them to one time '
-            '(PTP or NTP), or let one driver stamp as the other does')
+    return (f'the stamps of the profiles are {abs(ahead):.1f} s '
+            f'{"ahead of" if ahead > 0 else "behind"} those of the poses: the clocks of sensor '
+            'and robot differ; set them to one time (PTP or NTP), or let one driver stamp as the '
+            'other does')
 
 
-def state_of(live: LiveSession, obstacles: Mapping[str, str] | None = None, trouble: str = ''
-             ) -> State:
+def state_of(live: LiveSession, disturbances: Mapping[str, str] = MappingProxyType({})) -> State:
     """
     Return the state of a running node.
 
-    obstacles: why no messages of a kind (profile, pose) arrive, where it is known; trouble: what
-    else disturbs the node.
+    disturbances: by kind (profile, pose) why no messages arrive, where it is known; of the session
+    what else disturbs it.
     """
     session, config, attempt = live.copied(), live.config, live.attempt
-    review = live.answer.review
-    obstacles, profiles, poses = obstacles or {}, live.messages['profile'], live.messages['pose']
-    T = {stop.number: stop.sample.T_base_flange for stop in session.stops if stop.sample}
-    # at once, which is faster; the scipy of Jazzy knows no empty rotations
-    rotations = dict(zip(T, se3.quaternion(np.array([*T.values()])), strict=True)) if T else {}
-    samples = [_sample(stop, session, review.agreements.get(stop.number),
-                       rotations.get(stop.number)) for stop in session.stops]
+    review, motion, outside = live.answer.review, session.motion, disturbances.get('session', '')
+    profiles, poses = live.messages['profile'], live.messages['pose']
+    samples = [_sample(stop, session, review.agreements.get(stop.number))
+               for stop in session.stops]
     worst = sorted((s for s in samples if s['left_out'] is not None), key=lambda s: -s['left_out'])
-    motion = session.motion
+    late, conflict = ' and '.join(session.late), session.conflict
+    troubles = (
+        outside, str(conflict or ''),
+        'all samples are of the first: ~/clear_samples begins anew with the frame of now'
+        if conflict and conflict.reason == 'two_frames' else '',
+        late and f'{late} are dropped, as their stamps are older than those before; if they stay '
+        'so, sampling goes on with them', str(session.unusable_poses or ''),
+        # of two publishers stamps that seem to be of two clocks follow
+        '' if outside else _clocks(profiles, poses), session.unasked, *live.troubles.values())
     return {
         'name': folder_name(config),
-        'profiles': _stream(profiles, config.profile_topic, obstacles.get('profile', '')),
-        'poses': _stream(poses, live.config.pose_origin[0], obstacles.get('pose', '')),
+        'profiles': profiles.state(config.profile_topic, disturbances.get('profile', '')),
+        'poses': poses.state(config.pose_origin[0], disturbances.get('pose', '')),
         'motion': {
             'standing': session.is_standing,
             'text': motion.sentence if motion else 'too few poses have come to measure it'},
         'session': {'path': live.path, 'mode': config.sampling.mode, 'working': live.working,
-                    'trouble': _session_trouble(live, session, trouble),
+                    'trouble': '; '.join(filter(None, troubles)),
                     'notes': [*session.warnings, *live.warnings]},
         'samples': samples, 'worst': [sample['number'] for sample in worst],
-        'review': review.refusal,
+        'review': '' if review.answer.solution else str(review.answer.refusal),
         'attempt': attempt and {'accepted': attempt.stop.sample is not None,
                                 'number': attempt.stop.number, 'text': attempt.text},
         'calibration': _calibration(live.answer, session), 'guidance': _guidance(review)}
-
-
-def _session_trouble(live: LiveSession, session: Session, trouble: str) -> str:
-    """Return what disturbs the session, outside causes first, as one text."""
-    # of two publishers late stamps follow, and clocks that seem to differ
-    remedy = '' if trouble else ': sampling continues by itself if the clock was set back'
-    late = (f'{" and ".join(session.late)} are dropped, as their stamps are older than those '
-            f'before{remedy}') if session.late else ''
-    clocks = '' if trouble else _clocks(live.messages['profile'], live.messages['pose'])
-    conflict = session.conflict
-    has_samples = any(stop.sample for stop in session.stops)
-    without = 'all samples are of the first; without them, ' if has_samples else ''
-    begin_anew = (f'; {without}~/clear_samples begins anew with the frame of now' if
-                  conflict and conflict.reason == 'two_frames' else '')
-    return '; '.join(filter(None, (
-        trouble, f'{conflict or ""}{begin_anew}', late, str(session.unusable_poses or ''), clocks,
-        session.unasked, *live.troubles)))
 
 
 def sample_count(state: State) -> int:
@@ -188,9 +189,8 @@ def with_trouble(state: State, text: str, success: bool, service: str) -> str:
 def samples_message(state: State) -> State:
     """Return the content of ~/samples, as plain values."""
     return {'format': SAMPLES_FORMAT, 'session': state['session']['path'],
-            'mode': state['session']['mode'], 'samples': state['samples'],
-            'worst_first': state['worst'], 'review': state['review'],
-            'attempt': state['attempt']}
+            'mode': state['session']['mode'], 'worst_first': state['worst'],
+            **{key: state[key] for key in ('samples', 'review', 'attempt')}}
 
 
 def status_message(state: State) -> State:
@@ -198,27 +198,9 @@ def status_message(state: State) -> State:
     return {'format': STATUS_FORMAT, **state['calibration']}
 
 
-def _stream(messages: MessageCount, topic: str, obstacle: str) -> State:
+def _sample(stop: Stop, session: Session, agreement: Agreement | None) -> State:
     """
-    Return the messages of one kind.
-
-    count, malformed: numbers of valid and invalid messages; reason: of the last invalid one; lost:
-    of those lost on their way; age: seconds since the last valid one, or since the start; trouble:
-    why no usable messages arrive and what to do, or ''.
-    """
-    kind, count, trouble = messages.kind, messages.count, messages.trouble
-    if not trouble and messages.silence >= SILENCE_TIME:
-        cause = f' ({obstacle})' if obstacle else ''
-        trouble = (f'{"no more" if count else "no"} {kind}s on {topic} for '
-                   f'{messages.silence:.0f} s{cause}')
-    return {'kind': kind, 'topic': topic, 'count': count, 'malformed': messages.malformed,
-            'reason': messages.reason, 'lost': messages.lost, 'age': messages.silence,
-            'trouble': trouble}
-
-
-def _sample(stop: Stop, session: Session, agreement: Agreement | None, rotation: Any) -> State:
-    """
-    Return one stop of the robot; rotation: of its sample, a quaternion.
+    Return one stop of the robot.
 
     taken: whether it gave a sample; excluded: whether samples.exclude leaves it out; believed:
     whether the fit uses it; text: its features, or why there is no sample; residual, left_out: RMS
@@ -231,13 +213,11 @@ def _sample(stop: Stop, session: Session, agreement: Agreement | None, rotation:
         'excluded': excluded,
         'believed': sample is not None and not excluded and (agreement is None or agreement.used),
         'text': sample_summary(stop.result),
-        'residual': agreement.residual if agreement else None,
-        'left_out': agreement.left_out if agreement else None,
-        'translation': sample.T_base_flange[:3, 3].tolist() if sample else None,
-        'rotation': rotation.tolist() if sample else None}
+        'residual': agreement and agreement.residual, 'left_out': agreement and agreement.left_out,
+        **_pose(sample.T_base_flange if sample else None)}
 
 
-def _pose(T: Any) -> State:
+def _pose(T: Array | None) -> State:
     """Return a transform (4, 4), or None, as translation and rotation (quaternion x y z w)."""
     return {'translation': None if T is None else T[:3, 3].tolist(),
             'rotation': None if T is None else se3.quaternion(T).tolist()}
@@ -254,19 +234,15 @@ def _calibration(answer: LiveAnswer, session: Session) -> State:
     """
     calibration = answer.calibration
     if calibration is None:
-        text = (f'{answer.why_missing}; the transform that was published before is not the answer'
-                if answer.withdrawn else
-                ': '.join(filter(None, ('no calibration has been computed yet',
-                                        answer.why_missing))))
-        return {'state': WITHDRAWN if answer.withdrawn else NONE, 'text': text, 'parent': '',
-                'child': '', **_pose(None), 'rpy': None, 'std': None, 'residual_rms': None,
-                'holdout_rms': None, 'used': 0, 'rejected': 0, 'saved': ''}
-    T, quality = calibration.T_flange_sensor, calibration.quality
-    changes = answer.difference(session)
+        state, note = NONE, ''
+        if answer.solved:
+            state, note = WITHDRAWN, '; the transform that was published before is not the answer'
+        return {**NO_ANSWER, 'state': state, 'text': f'{answer.why_missing}{note}'}
+    changes, quality = answer.difference(session), calibration.quality
     return {
         'state': OUTDATED if changes else CURRENT, 'text': summary(calibration) + changes,
         'parent': calibration.parent_frame, 'child': calibration.child_frame,
-        **_pose(T), 'rpy': [float(angle) for angle in se3.rpy(T)],
+        **_pose(calibration.T_flange_sensor), 'rpy': se3.rpy(calibration.T_flange_sensor).tolist(),
         'std': np.sqrt(np.diag(calibration.covariance)).tolist(),
         'residual_rms': quality.residual_rms, 'holdout_rms': quality.holdout_rms,
         'used': quality.samples_used, 'rejected': quality.samples_rejected, 'saved': answer.saved}
@@ -286,6 +262,5 @@ def _guidance(review: Review) -> State:
     return {
         'sample': sample, 'text': (f'after sample {sample}: ' if sample else '') + advice.text,
         'sentences': list(advice.sentences), 'enough': advice.enough, 'why': advice.why,
-        'sigmas': [{'name': s.name, 'std': float(s.std), 'limit': float(s.limit), 'unit': s.unit}
-                   for s in advice.sigmas],
+        'sigmas': [asdict(sigma) for sigma in advice.sigmas],
         **_pose(advice.next.T_base_flange if advice.next else None)}

@@ -10,7 +10,7 @@ from functools import partial
 import struct
 import threading
 import time
-from typing import Any, Protocol, TypeVar
+from typing import Any, TYPE_CHECKING, TypeVar
 
 from geometry_msgs.msg import PoseStamped
 from handeye_ros.bags.messages import ProfileReader, split
@@ -27,6 +27,10 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2
+
+if TYPE_CHECKING:
+    from handeye_ros.node.live import LiveSession
+    from handeye_ros.node.scan import ScanNode
 
 try:
     from tf2_msgs.msg import TFMessage as TFMessage
@@ -48,26 +52,6 @@ WARNING_PERIOD = 5.0  # s between two warnings of a kind
 MOST_LISTED = 5  # largest number of topics or nodes in a sentence
 
 Stamped = TypeVar('Stamped', RawProfile, TimedPose)
-
-
-class Receiver(Protocol):
-    """
-    Takes what is read, in the thread that reads it.
-
-    messages: counts by kind (profile, pose).
-    """
-
-    messages: dict[str, MessageCount]
-
-    @property
-    def config(self) -> Config:
-        """Return the current settings, of which those of topics and frames stay."""
-
-    def add_profile(self, profile: RawProfile) -> None:
-        """Take a profile, its stamp with time_offset."""
-
-    def add_poses(self, poses: Sequence[TimedPose]) -> None:
-        """Take poses of the flange."""
 
 
 class NoExecutor(MutuallyExclusiveCallbackGroup):
@@ -108,12 +92,14 @@ class Streams:
     arrive otherwise. An invalid message is counted and left out.
     """
 
-    def __init__(self, node: Node, receiver: Receiver,
+    def __init__(self, node: Node, receiver: LiveSession | ScanNode,
                  add_joints: Callable[[int, bytes], None] | None = None) -> None:
         """
-        Subscribe, and count anew; raises InputError.
+        Subscribe, count anew, and begin to read; raises InputError.
 
-        add_joints: takes stamp (ns) and serialised JointState, of which no pose is made.
+        receiver: takes profiles, their stamps with time_offset, and poses, in the thread that
+        reads them; its settings of topics and frames stay. add_joints: takes stamp (ns) and
+        serialised JointState, of which no pose is made.
         """
         self._node, self._receiver, self._add_joints = node, receiver, add_joints
         config, self._group = receiver.config, NoExecutor()
@@ -126,6 +112,7 @@ class Streams:
             self._subscribe(topic)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._drain_all, name='drain', daemon=True)
+        self._thread.start()
 
     def _topics_of(self, config: Config) -> list[_Topic]:
         """Return the topics that settings name; raises InputError."""
@@ -145,10 +132,6 @@ class Streams:
             raise InputError('two of profile_topic, pose_topic and joint_topic are the same: each '
                              'needs its own')
         return topics
-
-    def start(self) -> None:
-        """Start reading messages."""
-        self._thread.start()
 
     def stop(self) -> None:
         """Read no more messages."""
@@ -206,7 +189,7 @@ class Streams:
     def _match_reliability(self) -> None:
         """Subscribe again, with best effort, where a publisher offers no more."""
         for topic in [topic for topic in self._topics if topic.key]:
-            topic.publishers = self._publishers(topic.name)
+            topic.publishers = self._node.get_publishers_info_by_topic(topic.name)
             if topic.qos is RELIABLE_QOS and any(
                     info.qos_profile.reliability == BEST_EFFORT_QOS.reliability
                     for info in topic.publishers):
@@ -260,52 +243,45 @@ class Streams:
 
     # what disturbs them
 
-    def _publishers(self, topic: str) -> list[Any]:
-        """Return what is known of the publishers of a topic."""
-        return list(self._node.get_publishers_info_by_topic(self._full_name(topic)))
+    def disturbances(self) -> dict[str, str]:
+        """
+        Return what disturbs them, as far as it is known.
 
-    def obstacles(self) -> dict[str, str]:
-        """Return why no messages of a kind (profile, pose) arrive, where it is known."""
-        return {'pose': self._tracker.missing(),
-                **{topic.messages.kind: self._why_silent(topic)
-                   for topic in self._topics if topic.key}}
-
-    def _why_silent(self, topic: _Topic) -> str:
-        """Return why no messages of a topic arrive, '' if there is a publisher."""
-        name, message_type = self._full_name(topic.name), topic.type
-        types = {info.topic_type for info in topic.publishers}
-        if message_type in types:
-            return ''
-        reason = f'{name} has no publisher' if not types else (
-            f'it carries {", ".join(sorted(types))}, expected {message_type}')
-        others = ', '.join(self.topics_of(message_type)[:MOST_LISTED])
-        return f'{reason}; {message_type} is on {others}: set {topic.key}' if others else reason
-
-    def topics_of(self, message_type: str) -> list[str]:
-        """Return the topics with publishers of a message type, without those of this node."""
-        own = f'{self._node.get_fully_qualified_name()}/'
-        return sorted(name for name, types in self._node.get_topic_names_and_types()
-                      if message_type in types and not name.startswith(own)
-                      and any(info.topic_type == message_type for info in self._publishers(name)))
-
-    def trouble(self) -> str:
-        """Return a sentence for several publishers of a topic, and for a second node."""
-        sentences, node = [], self._node
-        for topic in (topic for topic in self._topics if topic.key):
+        By kind (profile, pose) why no messages arrive; of the session: several publishers of a
+        topic, and a second node.
+        """
+        found, sentences, node = {'pose': self._tracker.missing()}, [], self._node
+        for topic in [topic for topic in self._topics if topic.key]:
+            kind, name = topic.messages.kind, self._full_name(topic.name)
+            types = {info.topic_type for info in topic.publishers}
+            found[kind] = ''
+            if topic.type not in types:
+                others = ', '.join(self.topics_of(topic.type)[:MOST_LISTED])
+                found[kind] = (
+                    f'it carries {", ".join(sorted(types))}, expected {topic.type}' if types else
+                    f'{name} has no publisher') + (
+                    f'; {topic.type} is on {others}: set {topic.key}' if others else '')
             names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                            for info in topic.publishers)
             if len(names) > 1:
                 sentences.append(
-                    f'{len(names)} publishers send {topic.messages.kind}s on '
-                    f'{self._full_name(topic.name)} ({", ".join(names[:MOST_LISTED])}): let only '
-                    'one publish')
+                    f'{len(names)} publishers send {kind}s on {name} '
+                    f'({", ".join(names[:MOST_LISTED])}): let only one publish')
         own_name = (node.get_name(), node.get_namespace())
         if node.get_node_names_and_namespaces().count(own_name) > 1:
             sentences.append(
                 f'there are two nodes {node.get_fully_qualified_name()}: both take samples, and '
                 'either may answer; end one, or rename it (-r __node:=other). One that was killed '
                 'is listed for 20 s more')
-        return '; '.join(sentences)
+        return {**found, 'session': '; '.join(sentences)}
+
+    def topics_of(self, message_type: str) -> list[str]:
+        """Return the topics with publishers of a message type, without those of this node."""
+        own = f'{self._node.get_fully_qualified_name()}/'
+        return sorted(name for name, types in self._node.get_topic_names_and_types()
+                      if message_type in types and not name.startswith(own)
+                      and any(info.topic_type == message_type
+                              for info in self._node.get_publishers_info_by_topic(name)))
 
 
 def _on_joints(add_joints: Callable[[int, bytes], None], data: bytes) -> None:

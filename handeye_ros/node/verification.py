@@ -29,11 +29,9 @@ if TYPE_CHECKING:
 
 VERIFYING = 'the calibration is verified'
 
-Results = Sequence[Sample | Reject]  # of the stops at one face or ball
 
-
-def verification_of(routine: Routine, parts: Sequence[Results], calibration: Calibration,
-                    config: Config) -> Verification:
+def verification_of(routine: Routine, parts: Sequence[Sequence[Sample | Reject]],
+                    calibration: Calibration, config: Config) -> Verification:
     """
     Return what a routine measures; parts: what the stops at each face or ball gave.
 
@@ -69,12 +67,11 @@ class LiveVerification:
     @property
     def text(self) -> str:
         """Return the progress in words, empty where none is running."""
-        routine, parts = self.routine, self._parts
-        if routine is None:
-            return ''
-        part = f', part {len(parts)}' if self._most_parts > 1 else ''
-        return (f'{routine.name}{part}: {len(_samples(parts[-1]))} usable stops of '
-                f'{len(parts[-1])}')
+        last, count = [*self._parts[-1].values()], len(self._parts)
+        usable = sum(isinstance(result, Sample) for result in last)
+        part = f', part {count}' if self._most_parts > 1 else ''
+        return f'{self.routine.name}{part}: {usable} usable stops of {len(last)}' if (
+            self.routine) else ''
 
     def verify_start(self) -> str:
         """
@@ -82,34 +79,31 @@ class LiveVerification:
 
         Returns what to do. Raises InputError for the settings, DataError without a calibration.
         """
-        live = self._live
+        live, wanted = self._live, self._live.config.verify
         live.process_waiting()  # what began before is a sample, or of the part before
         before = self.text
-        measured = bool(self.routine and _samples(self._parts[-1]))
+        measured = any(isinstance(result, Sample) for result in self._parts[-1].values())
         begins = self.routine is None or (measured and len(self._parts) == self._most_parts)
-        routine = self._wanted(live.config) if begins else None
-        live.skip_stops()
-        if routine:
-            self._parts, self.routine = [{}], routine
-            self._most_parts = routine.recordings_for(len(live.config.verify.lengths))[-1]
+        if begins:
+            if not wanted.routine:
+                raise InputError('verify.routine is not set, so there is nothing to measure: set '
+                                 'it to the artefact under the sensor (docs/measure.md)')
+            routine = routine_of(wanted.routine)
+            if routine.in_passes:
+                raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
+                                 f'call "handeye verify {routine.name}" with them')
+            most_parts = routine.recordings_for(len(wanted.lengths))[-1]  # raises InputError
+            self._calibration()  # raises where there is none
+        with live.lock:
+            live.end_stops()
+            live.to_evaluate.clear()
+        if begins:
+            self.routine, self._most_parts, self._parts = routine, most_parts, [{}]
         elif measured:
             self._parts = [*self._parts, {}]
         dropped = f'; what was measured before is dropped ({before})' if begins and before else ''
         return (f'{self.text}; move on, and stop with other tilts: what begins from now on '
                 f'counts, until ~/verify_result{dropped}')
-
-    def _wanted(self, config: Config) -> Routine:
-        """Return the routine of the settings, if it can begin; raises InputError, DataError."""
-        if not config.verify.routine:
-            raise InputError('verify.routine is not set, so there is nothing to measure: set it '
-                             'to the artefact under the sensor (docs/measure.md)')
-        routine = routine_of(config.verify.routine)
-        if routine.in_passes:
-            raise InputError(f'{routine.name} is scanned in passes: record a bag of each, and '
-                             f'call "handeye verify {routine.name}" with them')
-        routine.recordings_for(len(config.verify.lengths))  # raises InputError
-        self._calibration()
-        return routine
 
     def add_stop(self, stop: Stop) -> str:
         """
@@ -139,10 +133,10 @@ class LiveVerification:
                             'artefact')
         live = self._live
         live.process_all()
-        in_order = [[result for _, result in sorted(part.items())] for part in self._parts]
         file = live.config.verify.calibration or live.answer.saved
         return live.run_job(VERIFYING, partial(self._accept, self._parts, file), verification_of,
-                            self.routine, in_order, self._calibration(), live.config)
+                            self.routine, [[*part.values()] for part in self._parts],
+                            self._calibration(), live.config)
 
     def _accept(self, parts: Sequence[object], file: str, result: Verification) -> str:
         """
@@ -167,14 +161,5 @@ class LiveVerification:
     def _calibration(self) -> Calibration:
         """Return that of verify.calibration, or the answer; raises HandeyeError."""
         file = self._live.config.verify.calibration
-        if file:
-            return read_calibration(Path(file).expanduser())
-        if self._live.answer.calibration is None:
-            raise DataError('there is no calibration to verify: call ~/compute_calibration, or '
-                            'set verify.calibration to the file of one')
-        return self._live.answer.calibration
-
-
-def _samples(part: dict[int, Sample | Reject]) -> list[Sample]:
-    # a copy: the worker may add one meanwhile
-    return [result for result in [*part.values()] if isinstance(result, Sample)]
+        return (read_calibration(Path(file).expanduser()) if file else
+                self._live.answer.require_calibration('verify (verify.calibration names none)'))

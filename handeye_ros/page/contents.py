@@ -22,7 +22,7 @@ from handeye_ros.frames import mount_poses
 from handeye_ros.guidance.candidates import anchor_of
 from handeye_ros.guidance.view import extremes, Move
 from handeye_ros.results import exports, table
-from handeye_ros.results.scene import outline_of, profile_picture, rounded
+from handeye_ros.results.scene import outline_of, profile_picture, rounded, StopSnapshot
 from handeye_ros.review import stop_snapshot
 from handeye_ros.verification.routines import ROUTINES
 import numpy as np
@@ -70,7 +70,7 @@ def source(node: HandeyeNode) -> PageSource:
         'exclude': partial(_exclude, node), 'set': partial(_set, node),
         'open': lambda values: (True, node.open_session(str(values['session'])))}
     queries: dict[str, Read] = {
-        'stop': lambda values: stop_profile(node.live, int(values.get('number', '0'))),
+        'stop': lambda values: stop_profile(node.live, values.get('number', '')),
         'cell': lambda values: _cell(node),
         'file': lambda values: _file(node.live, values.get('name', ''))}
     return PageSource(lambda: contents(node.state, node.live), actions, queries)
@@ -119,7 +119,6 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     previous: of an empty session, the number of samples in the session before.
     """
     live = node.live
-    parameters = {p.key: p for p in configuration.parameters()}
     values = configuration.flatten(live.config)
     choices = {'profile_topic': node.streams.topics_of(CLOUD_TYPE),
                'pose_topic': node.streams.topics_of(POSE_TYPE), 'verify.routine': [
@@ -127,14 +126,13 @@ def _cell(node: HandeyeNode) -> dict[str, Any]:
     current = Path(live.path).name
     sessions = [path for path in sessions_in(live.folders.folder(live.config))
                 if path.name != current]
-    previous = 0
-    if sessions and not node.state['samples']:
-        previous = read_session(sessions[0]).sample_count
+    goes_on = sessions and not live.session.stops
+    previous = read_session(sessions[0]).sample_count if goes_on else 0
     return {'sessions': [path.name for path in sessions], 'session': current,
             'previous': previous, 'settings': [{
-                'key': key, 'value': values[key], 'description': parameters[key].description,
-                'choices': choices.get(key, list(parameters[key].choices))}
-                for key in PAGE_SETTINGS]}
+                'key': one.key, 'value': values[one.key], 'description': one.description,
+                'choices': choices.get(one.key, list(one.choices))}
+                for one in configuration.parameters() if one.key in PAGE_SETTINGS]}
 
 
 def _file(live: LiveSession, name: str) -> tuple[str, str]:
@@ -160,28 +158,30 @@ def contents(state: State, live: LiveSession) -> dict[str, Any]:
     rows: of the answer, name, value, 1 sigma and unit as in the table of `handeye solve`.
     """
     current, calibration = live.current(), live.answer.calibration
-    profile = current and {**profile_picture(current.points, current.features),
-                           'reason': current.reason}
-    return {**state, 'profile': profile, 'scene': _scene(live, current),
+    return {**state, 'profile': current and _picture(current), 'scene': _scene(live, current),
             'edges': _edges(live),
             'rows': list(table.transform_rows(calibration)) if calibration else [],
             'verification': {'running': live.verification.text,
                              'verdict': live.verification.verdict}}
 
 
-def stop_profile(live: LiveSession, number: int) -> dict[str, Any]:
+def stop_profile(live: LiveSession, number: str) -> dict[str, Any]:
     """Return a profile of a stop with its features; raises InputError for unknown stops."""
     for stop in live.copied().stops:
-        if stop.number == number:
-            seen = stop_snapshot(stop, live.config)
-            return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
+        if str(stop.number) == number:
+            return _picture(stop_snapshot(stop, live.config))
     raise InputError(f'there is no stop {number}')
+
+
+def _picture(seen: StopSnapshot) -> dict[str, Any]:
+    """Return a profile with its features, or why it has none."""
+    return {**profile_picture(seen.points, seen.features), 'reason': seen.reason}
 
 
 def _edges(live: LiveSession) -> dict[int, str]:
     """Return the edges of the target that each used sample shows, by its number."""
     answer = live.answer.review.answer
-    if answer is None or answer.solution is None:
+    if answer.solution is None:
         return {}
     number = {one.stamp: stop.number for stop in live.copied().stops if stop.sample
               for one in stop.sample.station_samples}
@@ -199,7 +199,7 @@ def _scene(live: LiveSession, current: Any) -> dict[str, Any]:
     the advice while the sensor's pose is unknown.
     """
     config, advice = live.config, live.answer.review.advice
-    solution = live.answer.review.solution if advice.sigmas else None
+    solution = live.answer.review.answer.solution if advice.sigmas else None
     X = solution.estimate.X if solution else np.eye(4)
     pose, aim = live.pose, advice.next.T_base_flange if advice.next else None
     view = [live.answer.seen, *([current.points] if current else [])]
@@ -247,14 +247,3 @@ def _target(solution: Solution, config: Config) -> Mapping[str, Any]:
     ball = form.ball and (rounded(form.ball[0]), form.ball[1])
     return {'edges': [rounded(line) for line in form.edges], 'ball': ball,
             'outline': [rounded(line) for line in form.outline], 'spots': rounded(points)}
-
-
-def for_json(value: Any) -> Any:
-    """Return values, nested, with None for infinities and NaN, which JSON lacks."""
-    if isinstance(value, Mapping):
-        return {str(key): for_json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [for_json(item) for item in value]
-    if isinstance(value, float):
-        return value if abs(value) < float('inf') else None
-    return value

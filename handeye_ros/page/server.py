@@ -15,7 +15,7 @@ read keeps it over restarts.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -27,12 +27,14 @@ from pathlib import Path
 import secrets
 import socket
 import threading
-from typing import TYPE_CHECKING
+import time
+from typing import Any, TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from aiohttp import web
-from handeye_ros.errors import HandeyeError, InputError, sentence_and_log
-from handeye_ros.page.contents import Act, for_json, PageSource, Read, source
+from handeye_ros.errors import BadValueError, HandeyeError, InputError, sentence_and_log
+from handeye_ros.output import write_errors_for
+from handeye_ros.page.contents import Act, PageSource, Read, source
 
 if TYPE_CHECKING:
     from handeye_ros.node.node import HandeyeNode
@@ -40,12 +42,10 @@ if TYPE_CHECKING:
 EVENT_RATE = 5.0  # events a second, at most
 WORKER_COUNT = 8  # requests that wait for the node at the same time
 LARGEST_BODY = 1024  # bytes
-CLIENT_TIMEOUT = 10.0  # s until a client must accept an event, and the server must start
+CLIENT_TIMEOUT = 10.0  # s until a client must accept an event
 LONGEST_BODY = 5.0  # s until the body of a request must be there
 COOKIE_AGE = 30 * 86400  # s
 TOKEN_BYTES = 18
-EVERYWHERE = ('0.0.0.0', '::')  # addresses that no browser can open
-CONTENT_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript'}
 ASSET_FILES = ('page.css', 'page.js', 'viewer.js', 'scene.js', 'profile.js', 'cell.js')
 HEADERS = {
     'Content-Security-Policy': "default-src 'self'; img-src 'self' data:; "
@@ -63,7 +63,7 @@ def serve(node: HandeyeNode) -> None:
         token_file = node.live.folders.parent(config) / '.page_token'
         page = PageServer(source(node), config.page.address, config.page.port, token_file)
     except InputError as error:
-        log.warning(str(error))
+        log.warning(f'there is no page: {error}')
         return
     log.info(f'page for a browser: {page.url}' + (
         f'; it asks for the token in {token_file}' if page.token else ''))
@@ -81,63 +81,57 @@ class PageServer:
         """Start to serve; token_file: keeps the token, if one is needed. Raises InputError."""
         try:
             local = address == 'localhost' or ipaddress.ip_address(address).is_loopback
-            self.token = '' if local else token_of(token_file)
         except ValueError as error:
-            raise InputError(f'page.address is "{address}", expected an IP address such as '
-                             '127.0.0.1 or 0.0.0.0: there is no page') from error
-        except OSError as error:
-            raise InputError(
-                f'there is no page: its token cannot be written to {token_file} '
-                f'({error.strerror or error}); set output_dir to a folder that can be written'
-            ) from error
+            raise BadValueError('page.address', address, 'an IP address such as 127.0.0.1 or '
+                                '0.0.0.0') from error
+        self.token = '' if local else token_of(token_file)
         self.port, self._address, self._source = port, address, source
         self.cookie = f'handeye_{port}'  # cookies know no ports
         self._pool = ThreadPoolExecutor(WORKER_COUNT, 'page')
         self._event, self._collected = '', 0.0  # the last event, and when it was collected (s)
-        self._loop = asyncio.new_event_loop()
-        threading.Thread(target=self._loop.run_forever, name='page', daemon=True).start()
         try:
-            asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(CLIENT_TIMEOUT)
+            listening = socket.create_server(
+                (address, port), family=socket.AF_INET6 if ':' in address else socket.AF_INET)
         except OSError as error:
-            self._loop.call_soon_threadsafe(self._loop.stop)
-            raise InputError(f'there is no page: {address}:{port} cannot be served '
-                             f'({error.strerror or error}); set page.port to another one, or to '
-                             '0 for no page') from error
+            raise InputError(f'{address}:{port} cannot be served ({error.strerror or error}); set '
+                             'page.port to another one, or to 0 for no page') from error
+        run = partial(web.run_app, self._app(), sock=listening, print=None, access_log=None,
+                      handle_signals=False)
+        threading.Thread(target=run, name='page', daemon=True).start()
 
     @property
     def url(self) -> str:
         """Return an address that a browser can open, without the token."""
-        name = self._address if self._address not in EVERYWHERE else socket.gethostname()
+        everywhere = self._address in ('0.0.0.0', '::')  # which no browser can open
+        name = socket.gethostname() if everywhere else self._address
         return f'http://{f"[{name}]" if ":" in name else name}:{self.port}/'
 
-    async def _start(self) -> None:
+    def _app(self) -> web.Application:
         app = web.Application(middlewares=[self._guarded], client_max_size=LARGEST_BODY)
         app.on_response_prepare.append(_add_headers)
         app.router.add_get('/', self._index)
         app.router.add_get('/events', self._events)
         for file in ASSET_FILES:
-            app.router.add_get(f'/{file}', partial(_asset, file))
+            app.router.add_get(f'/{file}', partial(_asset, file, 200))
         for name, read in self._source.queries.items():
             app.router.add_get(f'/read/{name}', partial(self._read, read))
         for name, act in self._source.actions.items():
             app.router.add_post(f'/act/{name}', partial(self._act, act))
-        runner = web.AppRunner(app, access_log=None)
-        await runner.setup()
-        await web.TCPSite(runner, self._address, self.port).start()
+        return app
+
+    async def _of_node(self, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
+        """Return what the node answers, which may take long."""
+        return await asyncio.get_running_loop().run_in_executor(self._pool, function, values)
 
     async def _current(self) -> str:
         """Return the state as an event, which all browsers share."""
-        if self._loop.time() - self._collected >= 1 / EVENT_RATE:
-            self._collected = self._loop.time()
-            # in the loop's own pool: not behind requests that take long
-            self._event = await self._loop.run_in_executor(None, self._text)
+        if time.monotonic() - self._collected >= 1 / EVENT_RATE:
+            self._collected = time.monotonic()
+            try:  # in another pool: not behind requests that take long
+                self._event = json_text(await asyncio.to_thread(self._source.state))
+            except Exception as error:  # noqa: BLE001 - the page must go on
+                self._event = json_text({'error': sentence_and_log('this', error)})
         return self._event
-
-    def _text(self) -> str:
-        try:
-            return json.dumps(for_json(self._source.state()), allow_nan=False)
-        except Exception as error:  # noqa: BLE001 - the page must go on
-            return json.dumps({'error': sentence_and_log('this', error)})
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -145,21 +139,24 @@ class PageServer:
         host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
         site = request.headers.get('Sec-Fetch-Site', 'same-origin')
         token = request.query.get('token') or request.cookies.get(self.cookie, '')
-        if not self.token and _name_of(host) not in (
-                'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
-            return _sentence(403, f'this page is served for its own machine alone, as {self.url}')
-        if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
-            return _sentence(403, 'requests of other pages are refused')
-        if self.token and not hmac.compare_digest(token.encode(errors='replace'),
-                                                  self.token.encode()):
-            if request.path == '/page.css':
-                return _static('page.css')
-            return _static('login.html', 401) if request.path == '/' else _sentence(
-                401, 'the token is missing or wrong')
         try:
+            if not self.token and urlsplit(f'//{host}').hostname not in (  # with any port
+                    'localhost', '127.0.0.1', '::1', self._address, socket.gethostname().lower()):
+                return _sentence(403, 'this page is served for its own machine alone, as '
+                                 f'{self.url}')
+            if origin not in (None, f'http://{host}') or site not in ('same-origin', 'none'):
+                return _sentence(403, 'requests of other pages are refused')
+            if self.token and not hmac.compare_digest(token.encode(errors='replace'),
+                                                      self.token.encode()):
+                shown = {'/': ('login.html', 401), '/page.css': ('page.css', 200)}
+                if request.path in shown:
+                    return await _asset(*shown[request.path])
+                return _sentence(401, 'the token is missing or wrong')
             return await handler(request)
         except web.HTTPException as error:
             return _sentence(error.status, error.reason.lower())
+        except HandeyeError as error:
+            return _sentence(404 if request.method == 'GET' else 200, str(error))
         except ConnectionError:  # closed before the request was complete
             return _sentence(400, 'the connection is closed')
         except Exception as error:  # noqa: BLE001 - whoever asks wants to know
@@ -178,21 +175,18 @@ class PageServer:
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
         if 'token' not in request.query:
-            return _static('index.html')
+            return await _asset('index.html')
         response = web.Response(status=303, headers={'Location': '/'})
         response.set_cookie(self.cookie, self.token, httponly=True, samesite='Strict',
                             max_age=COOKIE_AGE)
         return response
 
     async def _read(self, read: Read, request: web.Request) -> web.StreamResponse:
-        try:
-            answer = await self._loop.run_in_executor(self._pool, read, request.query)
-        except (HandeyeError, ValueError) as error:
-            return _sentence(404, str(error))
+        answer = await self._of_node(read, request.query)
         if isinstance(answer, tuple):
             return web.Response(text=answer[1], headers={
                 'Content-Disposition': f'attachment; filename="{answer[0]}"'})
-        return web.json_response(for_json(answer))
+        return web.json_response(text=json_text(answer))
 
     async def _act(self, act: Act, request: web.Request) -> web.StreamResponse:
         if request.content_type != 'application/json':
@@ -205,10 +199,7 @@ class PageServer:
             values = None
         if not isinstance(values, dict):
             return _sentence(400, 'expected a JSON object')
-        try:
-            success, message = await self._loop.run_in_executor(self._pool, act, values)
-        except HandeyeError as error:
-            success, message = False, str(error)
+        success, message = await self._of_node(act, values)
         return web.json_response({'success': success, 'message': message})
 
 
@@ -216,38 +207,31 @@ async def _add_headers(_: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(HEADERS)
 
 
-def _name_of(host: str) -> str | None:
-    """Return the name in a Host with any port, as it may be forwarded; None for none."""
-    with suppress(ValueError):
-        return urlsplit(f'//{host}').hostname
-    return None
-
-
 def _sentence(status: int, text: str) -> web.Response:
     return web.json_response({'success': False, 'message': text}, status=status)
 
 
-async def _asset(name: str, _: web.Request) -> web.StreamResponse:
-    return _static(name)
+def json_text(values: Any) -> str:
+    """Return values as JSON, with null for infinities and NaN, which JSON lacks."""
+    return json.dumps(json.loads(json.dumps(values), parse_constant=lambda _: None))
 
 
-def _static(name: str, status: int = 200) -> web.Response:
+async def _asset(name: str, status: int = 200, _: web.Request | None = None
+                 ) -> web.StreamResponse:
     room = 'handeye_ros.results' if name in ('viewer.js', 'profile.js') else 'handeye_ros.page'
-    text = resources.files(room).joinpath('assets', name).read_text(encoding='utf-8')
-    return web.Response(text=text, status=status,
-                        content_type=CONTENT_TYPES[name.rpartition('.')[2]],
-                        charset='utf-8')
+    return web.FileResponse(Path(str(resources.files(room))) / 'assets' / name, status=status)
 
 
 def token_of(file: Path) -> str:
-    """Return the token of a file; write a new one if it holds none. Raises OSError."""
+    """Return the token of a file; write a new one if it holds none. Raises UnwritableError."""
     with suppress(OSError, UnicodeDecodeError):
         token = file.read_text(encoding='ascii').strip()
         if len(token) >= TOKEN_BYTES and not file.stat().st_mode & 0o077:
             return token
     token = secrets.token_urlsafe(TOKEN_BYTES)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.unlink(missing_ok=True)
-    file.touch(mode=0o600, exist_ok=False)
-    file.write_text(token + '\n', encoding='ascii')
+    with write_errors_for(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        file.touch(mode=0o600, exist_ok=False)
+        file.write_text(token + '\n', encoding='ascii')
     return token

@@ -48,7 +48,8 @@ class Stop:
     stamp: of the first pose (ns), though a long stop may keep later ones only; it identifies the
         stop
     poses, profiles: in the order of their stamps
-    reader: of a stop on the disk, which holds no messages itself: reads them for a configuration
+    reader: of a stop on the disk, which holds a pose at most: reads its messages for a
+        configuration
     number: in its session, from 1, never reused; 0 before
     result: a sample, or the reason why there is none
     """
@@ -88,9 +89,10 @@ class Stop:
         """Return the stamp of the last pose."""
         return self.poses[-1].stamp
 
-    def pose(self, config: Config) -> Array:
-        """Return T_base_flange (4, 4) of the last pose."""
-        last = self.load(config).poses[-1]
+    @property
+    def pose(self) -> Array:
+        """Return T_base_flange (4, 4) of the last pose, which a stored stop of a node has too."""
+        last = self.poses[-1]
         return se3.from_quaternion(last.translation, last.quaternion)
 
     def with_profiles(self, candidates: Sequence[AnyProfile], config: Config) -> Stop:

@@ -100,7 +100,6 @@ def test_topics_are_read_on_after_a_fault(
         return look(*args)
     monkeypatch.setattr(client.node, 'get_publishers_info_by_topic', fails_once)
     streams = Streams(client.node, receiver)
-    streams.start()
     client.until(lambda: faults, 'it looks for publishers')
     client.until(lambda: client.poses.get_subscription_count(), 'it subscribes')
 
