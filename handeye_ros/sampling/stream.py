@@ -54,6 +54,7 @@ class Stream(Copyable, Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 
+    kind: what they are, for the warnings
     latest: stamp of the last message passed on, -1 before the first
     count: number passed on since the start, or since the clock was set back
     late: whether the last received message was dropped because it is older than `latest`
@@ -64,8 +65,8 @@ class Stream(Copyable, Generic[Stamped]):
     """
 
     def __init__(self, kind: str, frame: str | None = None) -> None:
-        """Start with none; kind: what they are, for the warnings; frame: if it is known before."""
-        self._kind = kind
+        """Start with none; frame: if it is known before."""
+        self.kind = kind
         self._held: Stamped | None = None  # far ahead of the one before it
         self._dropped: Counter[str] = Counter()  # by reason
         self._first = 0  # stamp of the first message that was counted
@@ -87,15 +88,15 @@ class Stream(Copyable, Generic[Stamped]):
         """Return the error of a topic with two frames, None for a few strays or if they ended."""
         if self._strays <= FEW_STRAYS or self.latest - self._last_stray > UNMIXED_TIME:
             return None
-        return two_frames(self._kind, str(self.frame), self._other)
+        return two_frames(self.kind, str(self.frame), self._other)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each reason for which messages were dropped."""
-        dropped = [f'dropped a {self._kind} {reason} ({count} times)'
+        dropped = [f'dropped a {self.kind} {reason} ({count} times)'
                    for reason, count in self._dropped.items()]
         steps = self._set_backs
-        return (*([f'the clock of the {self._kind}s was set back by {steps[-1] * 1e-9:.1f} s '
+        return (*([f'the clock of the {self.kind}s was set back by {steps[-1] * 1e-9:.1f} s '
                    f'({len(steps)} times): sampling continues in the new time'] if steps else []),
                 *dropped)
 
