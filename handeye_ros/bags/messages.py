@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 import math
-import sys
 from typing import Any
 
 from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, STRING_TYPE, TF_TYPE
@@ -77,12 +76,10 @@ def _stamp_and_frame(message: Any) -> tuple[int, str]:
     return header.stamp.sec * NS + header.stamp.nanosec, frame_name(header.frame_id)
 
 
+@lru_cache(100)  # it is in thousands of messages
 def frame_name(frame_id: str) -> str:
     """Return a frame name as in tf2, without the leading slash of ROS 1; one line of text."""
-    name = str(frame_id).removeprefix('/')
-    if not name.isprintable():
-        name = ''.join(filter(str.isprintable, name))
-    return sys.intern(name)  # it is in thousands of messages
+    return ''.join(filter(str.isprintable, frame_id.removeprefix('/')))
 
 
 def text_from_cdr(data: bytes) -> str:
@@ -123,13 +120,12 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     """
     good, malformed = [], None
     for one in _message(TF_TYPE, data).transforms:
+        placed = one.transform
         try:
-            pose = _pose('TransformStamped', one, one.transform.translation,
-                         one.transform.rotation)
+            good.append((frame_name(one.child_frame_id), _pose(
+                'TransformStamped', one, placed.translation, placed.rotation)))
         except UnusableMessageError as error:
             malformed = error
-        else:
-            good.append((frame_name(one.child_frame_id), pose))
     if malformed and not good:
         raise malformed
     return good
@@ -138,11 +134,11 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
 def joints_from_cdr(data: bytes) -> tuple[int, dict[str, float]]:
     """Return stamp (ns) and positions by name in a JointState; raises UnusableMessageError."""
     message = _message(JOINTS_TYPE, data)
-    if len(message.position) != len(message.name):
-        raise UnusableMessageError(f'JointState message not used: it names {len(message.name)} '
-                                   f'joints and holds {len(message.position)} positions')
-    return (_stamp_and_frame(message)[0],
-            dict(zip(message.name, message.position.tolist(), strict=True)))
+    names, positions = message.name, message.position.tolist()
+    if len(positions) != len(names):
+        raise UnusableMessageError(f'JointState message not used: it names {len(names)} '
+                                   f'joints and holds {len(positions)} positions')
+    return _stamp_and_frame(message)[0], dict(zip(names, positions, strict=True))
 
 
 def _unusable(reason: str) -> UnusableMessageError:

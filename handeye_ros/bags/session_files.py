@@ -27,9 +27,8 @@ import time
 from typing import Any
 
 from handeye_ros.bags.bag_write import (
-    cloud_cdr,
     contents_of,
-    pose_cdr,
+    raw_of,
     string_cdr,
     sync,
     write_mcap,
@@ -46,7 +45,7 @@ from handeye_ros.bags.reader import (
     STRING_TYPE,
 )
 from handeye_ros.config import Config, flatten, with_values
-from handeye_ros.data import RawProfile, Reject
+from handeye_ros.data import Reject
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.output import atomic_file, folder_name, write_errors_for
 from handeye_ros.results.calibration_file import NEWEST, require_format
@@ -243,16 +242,10 @@ def _locked(folder: Path, taken: str) -> int:
 def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
               ) -> list[Raw]:
     """Return the messages of an event, in the order of their times."""
-    pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
-    messages = [Raw(pose_topic, POSE_TYPE, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
-    # a driver may publish no stamp: log_time holds it
-    messages += [
-        Raw(full_name(config.profile_topic), CLOUD_TYPE, profile.stamp - config.offset_ns,
-            bytes(profile.fetch()) if isinstance(profile, RawProfile)
-            else cloud_cdr(profile, config.profile.unit, 'f8'))
-        for profile in stop.profiles]
-    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, data)
-                 for stamp, data in joints]
+    # a driver may publish no stamp: the time of the record holds it
+    seen = [replace(profile, stamp=profile.stamp - config.offset_ns) for profile in stop.profiles]
+    messages = [raw_of(item, config, 'f8') for item in (*stop.poses, *seen)]
+    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, *joint) for joint in joints]
     values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
               'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
@@ -303,10 +296,10 @@ def read_session(path: Path) -> StoredSession:
     for file in files_of(path):
         kind, config, stop, gave_a_sample = _event_of(file)
         last_number = max(last_number, stop.number)
-        if kind != CONFIGURED:
-            stops.pop(stop.number, None)
         if kind == STOP:
             stops[stop.number] = stop, gave_a_sample
+        elif kind == REMOVED:
+            stops.pop(stop.number, None)
     return StoredSession(path, config, {number: stop for number, (stop, _) in stops.items()},
                          sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
 
@@ -362,16 +355,10 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     overrides: settings of the user by key; all others are those of the session. Raises InputError.
     """
     config = with_values(Config(), overrides, PARAMETERS)
-    if not config.session:
-        return config, None
-    if config.session != LAST_SESSION:
-        path: Path | None = Path(config.session).expanduser().absolute()
-    else:
-        parent = folders.parent(config)
-        if 'name' in overrides or 'target.type' in overrides:
-            named = [folders.folder(config)]
-        else:
-            named = list(parent.iterdir()) if parent.is_dir() else []
+    path = Path(config.session).expanduser().absolute() if config.session else None
+    if config.session == LAST_SESSION:
+        is_named = 'name' in overrides or 'target.type' in overrides
+        named = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
         newest = [session for folder in named for session in islice(sessions_in(folder), 1)]
         path = max(newest, key=lambda session: session.name, default=None)
     if path is None:

@@ -105,15 +105,14 @@ class FlangeTracker:
         return ''
 
     def _chains(self) -> tuple[list[_Link], list[_Link]] | None:
-        """Return the links from flange and base up to their common ancestor."""
-        from_flange, from_base = self._ancestors(self._flange), self._ancestors(self._base)
-        for ancestor in from_flange:
-            if ancestor in from_base:
-                flange_chain, base_chain = (
-                    [self._links[frame] for frame in frames[:frames.index(ancestor)]]
-                    for frames in (from_flange, from_base))
-                return flange_chain, base_chain
-        return None
+        """Return the links from flange and base up to their common ancestor, None without one."""
+        chains = self._ancestors(self._flange), self._ancestors(self._base)
+        if chains[0][-1] != chains[1][-1]:
+            return None
+        while all(chains) and chains[0][-1] == chains[1][-1]:
+            chains = chains[0][:-1], chains[1][:-1]
+        to_flange, to_base = ([self._links[frame] for frame in chain] for chain in chains)
+        return to_flange, to_base
 
     def _ancestors(self, frame: str) -> list[str]:
         """Return a frame and its ancestors; stops at a loop."""
