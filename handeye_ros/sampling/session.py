@@ -141,9 +141,12 @@ class Session(Copyable):
     def _before_setting_back(self) -> list[Stop]:
         """Continue after a clock was set back; return the stops from before."""
         stops = self._take_out(self._all_stops())
-        self._finder, self._profiles = StopFinder(self.config.sampling), ProfileBuffer()
+        self._finder = StopFinder(self.config.sampling)
+        if self._profile_stream.set_back:
+            self._profiles = ProfileBuffer()
         for stream in self._streams:
-            stream.restart()
+            if stream.set_back:
+                stream.restart()
         return stops
 
     def remaining(self) -> list[Stop]:
