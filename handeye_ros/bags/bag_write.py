@@ -102,11 +102,11 @@ def contents_of(file: Path) -> Summary:
     """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
         summary = _contents(file, file.stat().st_mtime_ns)
+        if summary and summary.statistics:
+            return summary
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
         raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
-    if summary is None or summary.statistics is None:
-        raise InputError(f'{file}: is cut off')
-    return summary
+    raise InputError(f'{file}: is cut off')
 
 
 @lru_cache(10_000)

@@ -75,11 +75,10 @@ class Reader:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path)
-            sizes = [file.stat().st_size for file in self.files]
-            self._total = sum(sizes)
-            for file, size in zip(self.files, sizes, strict=True):
+            self._total = sum(file.stat().st_size for file in self.files)
+            for file in self.files:
                 yield from self._messages_of(file)
-                self._before += size
+                self._before += file.stat().st_size
         except OSError as error:
             raise InputError(f'{error.filename or self.path}: cannot be read: '
                              f'{error.strerror or error}') from error
@@ -110,11 +109,8 @@ class Reader:
             for record in _up_to_damage(stream, start):
                 if complete := isinstance(record, DataEnd):
                     break
-                try:
-                    records = _expanded(record)
-                except Exception:  # noqa: BLE001 - of decompressors, and of the parser
-                    damaged += 1
-                    records = []
+                records = _expanded(record)
+                damaged += not records
                 for index, one in enumerate(records):
                     if isinstance(one, Schema):
                         schemas[one.id] = one.name
@@ -200,12 +196,13 @@ def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
 
 
 def _expanded(record: McapRecord) -> list[Any]:
-    """Return a record, or those in a chunk; raises any kind of error for a damaged one."""
+    """Return a record, or those in a chunk: none of a damaged one."""
     if not isinstance(record, Chunk):
         return [record]
-    if record.uncompressed_size > LARGEST_RECORD:
-        raise ValueError(f'a chunk of {record.uncompressed_size} bytes')
-    return breakup_chunk(record, validate_crc=True)
+    with suppress(Exception):  # of all kinds, in decompressors and in the parser
+        if record.uncompressed_size <= LARGEST_RECORD:
+            return breakup_chunk(record, validate_crc=True)
+    return []
 
 
 def _again(find: Callable[..., bytes], *place: Any) -> bytes:
