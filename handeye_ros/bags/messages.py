@@ -269,23 +269,21 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     spread = np.ptp(points, axis=0)
     slope, off = _slope_across(points)
     thin = THIN_SHARE * spread[2]
-    if abs(slope) > LEAST_SLOPE and off < thin < min(spread[:2]):
+    is_flat = min(spread[:2]) < thin
+    if abs(slope) > LEAST_SLOPE and off < thin and not is_flat:
         raise _unusable(f'the points lie in a plane that is tilted by '
                         f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
                         f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
                         f'a frame of the light plane, where {axes[2]} is 0; a static transform '
                         'can hold the tilt')
-    if not spread[2] > LARGEST_THICKNESS:
-        return
-    text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
-            f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
-    if min(spread[:2]) < thin:
+    if spread[2] > LARGEST_THICKNESS:
         flat = axes[int(np.argmin(spread[:2]))]
-        others = [axes[2] if axis == flat else axis for axis in axes[:2]]
-        raise _unusable(f'{text}, their {flat} nothing: set profile.axes to '
-                        f'[{others[0]}, {others[1]}]')
-    raise _unusable(f'{text}; a line profiler measures in one plane: let its driver publish '
-                    'single profiles in its own frame')
+        first, second = (axes[2] if axis == flat else axis for axis in axes[:2])
+        advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
+                  else '; a line profiler measures in one plane: let its driver publish single '
+                  'profiles in its own frame')
+        raise _unusable(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
+                        f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
 
 
 def _slope_across(points: Array) -> tuple[float, float]:
@@ -300,15 +298,13 @@ def _require_axes(points: Array, config: ProfileConfig) -> None:
     """Raise for returns (n, 2) whose order shows that the two axes are exchanged."""
     along, across, _ = _axes(config)
     steps = np.diff(points, axis=0)
-    if (len(steps) >= FEWEST_RETURNS and _back(steps[:, 0]) > RANGE_BACK
-            and _back(steps[:, 1]) < LINE_BACK):
+    if len(steps) < FEWEST_RETURNS:
+        return
+    # the share of steps against the direction of the majority, by axis
+    back = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
+    if back[0] > RANGE_BACK and back[1] < LINE_BACK:
         raise _unusable(f'the points follow each other along {across}, not along {along}: set '
                         f'profile.axes to [{across}, {along}]')
-
-
-def _back(steps: Array) -> float:
-    """Return the share of steps against the direction of the majority."""
-    return 1.0 - max(np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)) / len(steps)
 
 
 class ProfileReader:

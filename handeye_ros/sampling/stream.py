@@ -11,7 +11,7 @@ time.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from operator import attrgetter
@@ -43,10 +43,7 @@ class Copyable:
         """Return an independent copy; messages, which never change, are shared."""
         other = copy(self)
         for name, value in vars(self).items():
-            if isinstance(value, Copyable):
-                setattr(other, name, value.copied())
-            elif isinstance(value, list | set | dict | deque):
-                setattr(other, name, copy(value))
+            setattr(other, name, value.copied() if isinstance(value, Copyable) else copy(value))
         return other
 
 
