@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,11 +42,10 @@ def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
     tracker: follows the transforms, where they are read; arm: gives the poses from joint values,
     as with the key kinematics. Raises InputError for a file of an arm that is none.
     """
-    if config.kinematics and not arm:
-        arm = read_arm(Path(config.kinematics))
-    if arm:
+    robot = read_arm(Path(config.kinematics)) if config.kinematics and not arm else arm
+    if robot:
         return [PoseTopic(config.joint_topic, 'joint_topic', JOINTS_TYPE,
-                          partial(_at_joints, arm))]
+                          lambda data: [pose_from_joints(robot, data)])]
     if config.pose_source == 'topic':
         return [PoseTopic(config.pose_topic, 'pose_topic', POSE_TYPE,
                           lambda data: [pose_from_cdr(data)])]
@@ -62,10 +60,6 @@ class ArmPose(TimedPose):
     """A pose of the flange that follows from the values (joints,) of all joints of an arm."""
 
     joints: Array = field(default_factory=lambda: np.empty(0))
-
-
-def _at_joints(arm: Arm, data: bytes) -> list[ArmPose]:
-    return [pose_from_joints(arm, data)]
 
 
 def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:

@@ -104,16 +104,19 @@ class StoredSession:
     A session on the disk.
 
     config: the last settings
-    stops: by number, without removed ones
-    sample_count: how many of them gave a sample
+    stops: by number, without removed ones; NOT_EVALUATED is the result of those that gave a sample
     last_number: the largest so far
     """
 
     path: Path
     config: Config
     stops: dict[int, Stop]
-    sample_count: int
     last_number: int
+
+    @property
+    def sample_count(self) -> int:
+        """Return how many of the stops gave a sample."""
+        return sum(stop.result is NOT_EVALUATED for stop in self.stops.values())
 
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
@@ -269,12 +272,10 @@ def files_of(folder: Path) -> list[Path]:
 
 def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
-    try:
-        files = files_of(path) if path.is_dir() else []
-        return bool(files) and any(channel.topic == OUTCOME_TOPIC
-                                   for channel in contents_of(files[0]).channels.values())
-    except (OSError, InputError):
-        return False
+    with suppress(OSError, InputError, IndexError):  # no folder, none that can be read, no file
+        channels = contents_of(files_of(path)[0]).channels
+        return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
+    return False
 
 
 def sessions_in(folder: Path) -> Iterator[Path]:
@@ -291,17 +292,16 @@ def read_session(path: Path) -> StoredSession:
     """
     if not is_session(path):
         raise InputError(f'{path} is no session: expected a folder that the node made')
-    stops: dict[int, tuple[Stop, bool]] = {}  # and whether it gave a sample
+    stops: dict[int, Stop] = {}
     last_number, config = 0, Config()
     for file in files_of(path):
-        kind, config, stop, gave_a_sample = _event_of(file)
+        kind, config, stop = _event_of(file)
         last_number = max(last_number, stop.number)
         if kind == STOP:
-            stops[stop.number] = stop, gave_a_sample
+            stops[stop.number] = stop
         elif kind == REMOVED:
             stops.pop(stop.number, None)
-    return StoredSession(path, config, {number: stop for number, (stop, _) in stops.items()},
-                         sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
+    return StoredSession(path, config, stops, last_number)
 
 
 def load_stop(file: Path, stamp: int, config: Config) -> Stop:
@@ -328,8 +328,8 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
     return messages
 
 
-def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
-    """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
+def _event_of(file: Path) -> tuple[str, Config, Stop]:
+    """Return kind, settings and stop of an event; raises InputError."""
     texts = {raw.topic: text_from_cdr(raw.data)
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:
@@ -340,9 +340,9 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
         settings = {key: value for key, value in content['config'].items() if key in known}
         stamp, refused = int(values['began']), str(values['refused'])
         stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(values['number']),
-                    result=Reject(stamp, refused, final=True) if refused else NOT_EVALUATED)
-        return (str(values['event']), with_values(Config(), settings, str(file)), stop,
-                bool(values['taken']))
+                    result=NOT_EVALUATED if values['taken'] else
+                    Reject(stamp, refused, final=bool(refused)))
+        return str(values['event']), with_values(Config(), settings, str(file)), stop
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
 
