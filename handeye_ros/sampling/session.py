@@ -169,10 +169,7 @@ class Session(Copyable):
         self._waiting = [stop for stop in self._waiting if stop.stamp not in stamps]
         new = [stop for stop in stops if not self.is_done(stop)]
         self._done |= stamps
-        return [self._with_profiles(stop) for stop in new]
-
-    def _with_profiles(self, stop: Stop) -> Stop:
-        return stop.with_profiles(self._profiles.items, self.config)
+        return [stop.with_profiles(self._profiles.items, self.config) for stop in new]
 
     def is_done(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
@@ -191,25 +188,20 @@ class Session(Copyable):
         """
         if self.conflict:
             raise self.conflict
-        self._require_poses_now()
-        stop = self._finder.current()
-        if stop is None:
-            how = self.motion.sentence if self.motion else 'too few poses have come'
-            raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
-                            f's, and {how}: wait, and take the sample again', reason='moving')
-        self._profiles.add(self._profile_stream.released(stop.start, stop.end))
-        return self._with_profiles(stop)
-
-    def _require_poses_now(self) -> None:
-        """Raise an error where no current poses arrive: the position of the robot is unknown."""
         self._require_usable_poses()
-        poses = self._pose_stream
+        poses, stop, motion = self._pose_stream, self._finder.current(), self.motion
         if poses.late:
             raise DataError('the robot position is not known: its poses have older stamps than '
                             'those before', reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses(silence)
+        if stop is None:
+            how = motion.sentence if motion else 'too few poses have come'
+            raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
+                            f's, and {how}: wait, and take the sample again', reason='moving')
+        self._profiles.add(self._profile_stream.released(stop.start, stop.end))
+        return stop.with_profiles(self._profiles.items, self.config)
 
     @property
     def unusable_poses(self) -> DataError | None:
@@ -414,7 +406,7 @@ class Session(Copyable):
         stop, known = self._finder.current(), self._stops.get(self._finder.stamp)
         if stop is None or self.is_done(stop) or (known and known.sample):
             return None
-        stop = self._with_profiles(stop)
+        stop = stop.with_profiles(self._profiles.items, self.config)
         return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
     def evaluated(self, stop: Stop, result: Sample | Reject) -> Stop:

@@ -119,10 +119,9 @@ class Stream(Copyable, Generic[Stamped]):
         if item.stamp <= newest:
             self._dropped['whose stamp is not later than the one before'] += 1
             self._look_for_set_back(item.stamp)
-        elif item.stamp - self.latest > REORDER_TIME:
-            self._held = item
         else:
-            passed.append(self._passed(item))
+            self._held = item
+            passed += self.released(0, self.latest + REORDER_TIME)
         return passed
 
     def _count_stray(self, frame: str, stamp: int) -> None:
@@ -158,15 +157,11 @@ class Stream(Copyable, Generic[Stamped]):
         held = self._held
         if held is None or not first <= held.stamp <= last:
             return []
-        self._held = None
-        return [self._passed(held)]
-
-    def _passed(self, item: Stamped) -> Stamped:
-        self._late = []
-        self._first = self._first if self.count else item.stamp
-        self.latest = item.stamp
+        self._held, self._late = None, []
+        self._first = self._first if self.count else held.stamp
+        self.latest = held.stamp
         self.count += 1
-        return item
+        return [held]
 
 
 def two_frames(kind: str, first: str, second: str) -> InputError:
