@@ -165,10 +165,9 @@ class Session(Copyable):
 
     def _take_out(self, stops: Sequence[Stop]) -> list[Stop]:
         """Let stops wait no longer; return those that were not returned before, with profiles."""
-        stamps = {stop.stamp for stop in stops}
-        self._waiting = [stop for stop in self._waiting if stop.stamp not in stamps]
         new = [stop for stop in stops if not self.is_done(stop)]
-        self._done |= stamps
+        self._done.update(stop.stamp for stop in stops)
+        self._waiting = [stop for stop in self._waiting if not self.is_done(stop)]
         return [stop.with_profiles(self._profiles.items, self.config) for stop in new]
 
     def is_done(self, stop: Stop) -> bool:

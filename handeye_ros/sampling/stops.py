@@ -201,7 +201,12 @@ class StopFinder(Copyable):
         # a rest is one pass, too: a robot at rest shows nothing new
         if seen and (self.sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
                      or self._is_near(self._poses[0], pose)):
-            self._extend(pose)
+            # a long one keeps its first seconds, on request its last
+            forget = self._poses.pop if self.sampling.by_itself else self._poses.popleft
+            self._poses.append(pose)
+            while (self._poses[-1].stamp - self._poses[0].stamp > LONGEST_STOP
+                   or len(self._poses) > MOST_POSES):
+                forget()
             return None
         ended = self.current()
         if self._poses:
@@ -239,17 +244,6 @@ class StopFinder(Copyable):
         limits = self.sampling
         return (math.dist(pose.translation, first.translation) <= limits.still_translation
                 and _angle_between(first, pose) <= limits.still_rotation)
-
-    def _extend(self, pose: TimedPose) -> None:
-        """Add a pose to a stop; a long one keeps its first seconds, on request its last."""
-        if self._is_full(pose) and self.sampling.by_itself:
-            return
-        self._poses.append(pose)
-        while self._is_full(pose):
-            self._poses.popleft()
-
-    def _is_full(self, pose: TimedPose) -> bool:
-        return pose.stamp - self._poses[0].stamp > LONGEST_STOP or len(self._poses) > MOST_POSES
 
 
 def _angle_between(a: TimedPose, b: TimedPose) -> float:
