@@ -280,8 +280,7 @@ def is_session(path: Path) -> bool:
 
 def sessions_in(folder: Path) -> Iterator[Path]:
     """Yield the sessions in the folder of a name, the newest first."""
-    paths = sorted(folder.iterdir(), reverse=True) if folder.is_dir() else []
-    return filter(is_session, paths)
+    return filter(is_session, sorted(folder.glob('*'), reverse=True))
 
 
 def read_session(path: Path) -> StoredSession:

@@ -293,10 +293,9 @@ class Session(Copyable):
             along, across = self.config.profile.axes
             return InputError(
                 f'the profiles lie between {between[0] * 1e3:.1f} and {between[1] * 1e3:.1f} mm '
-                f'beside the plane of {along} and '
-                f'{across} in their frame, as in a light plane that is tilted against it: let the '
-                'driver publish them in a frame of the light plane; a static transform can hold '
-                'the tilt', reason='tilted_plane')
+                f'beside the plane of {along} and {across} in their frame, as in a light plane '
+                'that is tilted against it: let the driver publish them in a frame of the light '
+                'plane; a static transform can hold the tilt', reason='tilted_plane')
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property

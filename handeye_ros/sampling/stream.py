@@ -145,9 +145,8 @@ class Stream(Copyable, Generic[Stamped]):
             self.set_back = self.latest - self._late[0]
 
     def restart(self) -> None:
-        """Continue in the time of the next message."""
-        if self.set_back:
-            self._set_backs.append(self.set_back)
+        """Continue in the time of the next message: the clock was set back."""
+        self._set_backs.append(self.set_back)
         self._held, self.latest, self.late, self.count = None, -1, False, 0
         self._last_stray = -1  # strays before are of the past
         self.set_back, self._late = 0, []
