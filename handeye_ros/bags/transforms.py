@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
+from functools import reduce
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
@@ -124,9 +125,6 @@ class FlangeTracker:
 
 def _product(chain: list[_Link], stamp: int) -> Array | None:
     """Return the pose of the chain's first frame in its last parent; None if unknown."""
-    product = np.eye(4)
-    for link in chain:
-        if (T := link.at(stamp)) is None:
-            return None
-        product = T @ product
-    return product
+    known = [T for link in chain if (T := link.at(stamp)) is not None]
+    return reduce(lambda product, T: T @ product, known, np.eye(4)) if (
+        len(known) == len(chain)) else None
