@@ -16,7 +16,7 @@ from functools import cache, lru_cache, partial
 import math
 from typing import Any
 
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, STRING_TYPE, TF_TYPE
+from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose, without_order
 from handeye_ros.errors import UnusableMessageError
@@ -61,7 +61,7 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _message(kind: str, data: bytes) -> Any:
+def message_of(kind: str, data: bytes) -> Any:
     """Return a serialised message of a type; raises UnusableMessageError if it is damaged."""
     try:
         return typestore().deserialize_cdr(data, kind)
@@ -70,7 +70,7 @@ def _message(kind: str, data: bytes) -> Any:
         raise UnusableMessageError(f'{name} message not used: damaged message: {error}') from error
 
 
-def _stamp_and_frame(message: Any) -> tuple[int, str]:
+def stamp_and_frame(message: Any) -> tuple[int, str]:
     """Return the stamp (ns) and the frame in the header of a message."""
     header = message.header
     return header.stamp.sec * NS + header.stamp.nanosec, frame_name(header.frame_id)
@@ -82,14 +82,9 @@ def frame_name(frame_id: str) -> str:
     return ''.join(filter(str.isprintable, frame_id.removeprefix('/')))
 
 
-def text_from_cdr(data: bytes) -> str:
-    """Return the text of a std_msgs/String; raises UnusableMessageError."""
-    return str(_message(STRING_TYPE, data).data)
-
-
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises UnusableMessageError."""
-    message = _message(POSE_TYPE, data)
+    message = message_of(POSE_TYPE, data)
     return _pose('PoseStamped', message, message.pose.position, message.pose.orientation)
 
 
@@ -105,7 +100,7 @@ def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose
     elif abs(length - 1.0) > LENGTH_TOLERANCE:
         problem = f'quaternion of length {length:.4g}, expected 1'
     else:
-        stamp, frame = _stamp_and_frame(message)
+        stamp, frame = stamp_and_frame(message)
         sign = -1.0 if orientation.w < 0 else 1.0
         return TimedPose(stamp, np.array(translation), quaternion * (sign / length), frame)
     raise UnusableMessageError(f'{kind} message not used: {problem}')
@@ -119,7 +114,7 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     others.
     """
     good, malformed = [], None
-    for one in _message(TF_TYPE, data).transforms:
+    for one in message_of(TF_TYPE, data).transforms:
         placed = one.transform
         try:
             good.append((frame_name(one.child_frame_id), _pose(
@@ -129,16 +124,6 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     if malformed and not good:
         raise malformed
     return good
-
-
-def joints_from_cdr(data: bytes) -> tuple[int, dict[str, float]]:
-    """Return stamp (ns) and positions by name in a JointState; raises UnusableMessageError."""
-    message = _message(JOINTS_TYPE, data)
-    names, positions = message.name, message.position.tolist()
-    if len(positions) != len(names):
-        raise UnusableMessageError(f'JointState message not used: it names {len(names)} '
-                                   f'joints and holds {len(positions)} positions')
-    return _stamp_and_frame(message)[0], dict(zip(names, positions, strict=True))
 
 
 def _unusable(reason: str) -> UnusableMessageError:
@@ -192,7 +177,7 @@ def _row(cloud: Any, index: int) -> Any:
 
 def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
     """Return the profile in a sensor_msgs/PointCloud2; raises UnusableMessageError."""
-    return profile_from_cloud(_message(CLOUD_TYPE, data), config)
+    return profile_from_cloud(message_of(CLOUD_TYPE, data), config)
 
 
 def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
@@ -210,7 +195,7 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
         order = placed[np.argsort(points[placed, 0], kind='stable')]
         points, good = points[order], good[order]
     out_of_plane = np.nan_to_num(points[good, 2].mean()) if good.any() else 0.0
-    return Profile(*_stamp_and_frame(cloud), np.where(good[:, None], points[:, :2], np.nan),
+    return Profile(*stamp_and_frame(cloud), np.where(good[:, None], points[:, :2], np.nan),
                    (config.axes[0], config.axes[1]), float(out_of_plane))
 
 
@@ -329,8 +314,8 @@ class ProfileReader:
         fetch: returns the message again; without it the message is kept. Raises
         UnusableMessageError.
         """
-        cloud = _message(CLOUD_TYPE, data)
-        (stamp, frame), rows = _stamp_and_frame(cloud), row_count(cloud, self.config)
+        cloud = message_of(CLOUD_TYPE, data)
+        (stamp, frame), rows = stamp_and_frame(cloud), row_count(cloud, self.config)
         if cloud.height * cloud.width:
             for axis in self.config.axes:
                 view(cloud, axis[-1])
@@ -386,7 +371,7 @@ def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) ->
 
 def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
     """Return one row of a message as a message with its own stamp; UnusableMessageError."""
-    row = _row(_message(CLOUD_TYPE, fetch()), index)
+    row = _row(message_of(CLOUD_TYPE, fetch()), index)
     row.header.stamp.sec, row.header.stamp.nanosec = divmod(stamp, NS)
     return bytes(typestore().serialize_cdr(row, CLOUD_TYPE))
 
@@ -401,7 +386,7 @@ def returns_of(raw: RawProfile) -> Profile:
     if raw.reach != (0, 0):
         raise _unusable('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
-    cloud, config = _message(CLOUD_TYPE, raw.fetch()), raw.config
+    cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config
     points, good = _points(cloud, config)
     intensity = (column(cloud, INTENSITY)[good]
                  if good.any() and INTENSITY in [field.name for field in cloud.fields] else None)

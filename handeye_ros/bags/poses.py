@@ -10,7 +10,12 @@ from typing import NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, read_arm
-from handeye_ros.bags.messages import joints_from_cdr, pose_from_cdr, transforms_from_cdr
+from handeye_ros.bags.messages import (
+    message_of,
+    pose_from_cdr,
+    stamp_and_frame,
+    transforms_from_cdr,
+)
 from handeye_ros.bags.reader import JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
@@ -64,13 +69,18 @@ class ArmPose(TimedPose):
 
 def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
     """Return the flange pose of an arm at a serialised JointState; UnusableMessageError."""
-    stamp, positions = joints_from_cdr(data)
+    message = message_of(JOINTS_TYPE, data)
+    names, positions = message.name, message.position.tolist()
+    if len(positions) != len(names):
+        raise UnusableMessageError(f'JointState message not used: it names {len(names)} '
+                                   f'joints and holds {len(positions)} positions')
     try:
-        joints = arm.positions(positions, 'JointState message not used')
+        joints = arm.positions(dict(zip(names, positions, strict=True)),
+                               'JointState message not used')
     except InputError as cause:
         raise UnusableMessageError(str(cause)) from cause
     if not np.isfinite(joints).all():
         raise UnusableMessageError('JointState message not used: it holds positions that are not '
                                    'finite')
     T, = arm.forward(joints[None])
-    return ArmPose(stamp, T[:3, 3], se3.quaternion(T), arm.base, joints)
+    return ArmPose(stamp_and_frame(message)[0], T[:3, 3], se3.quaternion(T), arm.base, joints)

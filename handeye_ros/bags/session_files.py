@@ -34,7 +34,7 @@ from handeye_ros.bags.bag_write import (
     write_mcap,
     write_metadata,
 )
-from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
+from handeye_ros.bags.messages import message_of, pose_from_cdr, ProfileReader
 from handeye_ros.bags.reader import (
     CLOUD_TYPE,
     full_name,
@@ -329,7 +329,7 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
 
 def _event_of(file: Path) -> tuple[str, Config, Stop]:
     """Return kind, settings and stop of an event; raises InputError."""
-    texts = {raw.topic: text_from_cdr(raw.data)
+    texts = {raw.topic: message_of(STRING_TYPE, raw.data).data
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:
         values, content = json.loads(texts[OUTCOME_TOPIC]), json.loads(texts[CONFIGURATION_TOPIC])

@@ -269,14 +269,13 @@ class ProfileBuffer(Copyable):
         self.items: list[AnyProfile] = []
         self.dropped = 0
 
-    def add(self, profiles: Iterable[AnyProfile]) -> None:
+    def add(self, profiles: Sequence[AnyProfile]) -> None:
         """Add the next profiles."""
-        for profile in profiles:
-            self.items.append(profile)
-            self._bytes += _bytes_of(profile)
-            while self._bytes > self.most_bytes and len(self.items) > 1:
-                self.dropped += 1
-                self._forget(slice(0, 1))
+        self.items += profiles
+        self._bytes += sum(map(_bytes_of, profiles))
+        while self._bytes > self.most_bytes and len(self.items) > 1:
+            self.dropped += 1
+            self._forget(slice(0, 1))
 
     def keep(self, first: int, last: int, now: int) -> None:
         """Forget all profiles outside two stamps but those after a third one."""
