@@ -79,6 +79,7 @@ class Session(Copyable):
         self._done: set[int] = set()  # stamps of stops that are not returned (again)
         self._early_after = 0.0  # ns in the current stop, after which it may be returned early
         self._unasked_stops = 0  # stops in manual mode
+        self._expired_stops = 0  # stops dropped while waiting for profiles
         self._reach = 0.0  # of the last pose (m)
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
@@ -118,7 +119,8 @@ class Session(Copyable):
         self._profiles.add(self._profile_stream.add(profile, profile.frame_id))
 
     def keep_waiting(self, most: int) -> None:
-        """Limit the number of stops that wait for profiles: the oldest get none any more."""
+        """Limit the number of stops that wait for profiles; the oldest are dropped and counted."""
+        self._expired_stops += max(len(self._waiting) - most, 0)
         del self._waiting[:-most]
 
     def completed(self) -> list[Stop]:
@@ -269,9 +271,13 @@ class Session(Copyable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
-        kept = self._profiles
-        dropped = [f'dropped {kept.dropped} profiles, the oldest of those that wait: together '
-                   f'these may take {kept.most_bytes / 1e6:.0f} MB'] if kept.dropped else []
+        kept, dropped = self._profiles, []
+        if kept.dropped:
+            dropped.append(f'dropped {kept.dropped} profiles, the oldest of those that wait: '
+                           f'together these may take {kept.most_bytes / 1e6:.0f} MB')
+        if self._expired_stops:
+            dropped.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
+                           'profiles')
         out_of_plane = max((abs(float(across)) for across, *_ in self._centroids), default=0.0)
         return (*self._pose_stream.warnings, *self._profile_stream.warnings, *dropped,
                 *frame_notes(self._profile_stream.frame, out_of_plane, self.config))
