@@ -175,7 +175,8 @@ class StopFinder(Copyable):
     Cuts a stream of poses into stops, or into passes where sampling.mode is moving.
 
     stamp: of the first pose of the current stop or pass (ns), -1 before any pose
-    longest_rest: the longest time that the robot stood near one pose (ns); in a pass, too
+    longest_rest: the longest time that the robot stood near one pose, of those that are over (ns);
+        in a pass, too
     short_rests: number of stops or passes that lasted SHORT_REST, but not sampling.still_time
     """
 
@@ -192,12 +193,14 @@ class StopFinder(Copyable):
         """Add the next pose; return the stop that it ends, or None."""
         seen = bool(self._recent) and (
             pose.stamp - self._recent[-1].stamp <= self.sampling.max_pose_gap * NS)
+        if not (seen and self._rest and self._is_near(self._rest, pose)):
+            if self._rest:
+                stood = self._recent[-1].stamp - self._rest.stamp
+                self.longest_rest = max(self.longest_rest, stood)
+            self._rest = pose
         self._recent.append(pose)
         while pose.stamp - self._recent[0].stamp > MOTION_TIME:
             self._recent.popleft()
-        if not (seen and self._rest and self._is_near(self._rest, pose)):
-            self._rest = pose
-        self.longest_rest = max(self.longest_rest, pose.stamp - self._rest.stamp)
         # a rest is one pass, too: a robot at rest shows nothing new
         if seen and (self.sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
                      or self._is_near(self._poses[0], pose)):
