@@ -9,9 +9,9 @@ file, from which it is read again when a stop uses it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -109,30 +109,35 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
     require_type('progress', progress, Callable)  # type: ignore[arg-type]
     converter = ProfileReader(config.profile)
     tracker = FlangeTracker(config.base_frame, config.robot_effector_frame)
-    clouds = _RecordedTopic(config.profile_topic, 'profile_topic', CLOUD_TYPE,
-                            lambda raw: [converter.take(raw.data, raw.fetch)])
-    pose_sources = [_RecordedTopic(topic.name, topic.key, topic.kind,
-                                   partial(_read_data, topic.read))
-                    for topic in pose_topics(config, tracker, arm)]
-    # if two settings name one topic, the first gets its messages; its type refuses the second
-    by_name = {topic.name: topic for topic in reversed((clouds, *pose_sources))}
-    reader, transforms = Reader(path, by_name, progress), []
-    for raw in reader.messages():
-        if raw.topic == '/tf':  # after the static ones, which a node that starts late sends late
-            transforms.append(raw)
+    sources = pose_topics(config, tracker, arm)
+    read_poses = {full_name(source.name): source.read for source in sources}
+    last = sources[-1]
+    clouds = _Topic(config.profile_topic, 'profile_topic', CLOUD_TYPE)
+    posed = _Topic(last.name, last.key or 'pose_source', last.kind)
+    reader = Reader(path, (clouds.name, *read_poses), progress)
+    for raw in _moving_last(reader.messages()):
+        # if two settings name one topic, that is the profiles'; its type refuses the poses
+        topic = clouds if raw.topic == clouds.name else posed
+        try:
+            items = ([converter.take(raw.data, raw.fetch)] if topic is clouds
+                     else read_poses[raw.topic](raw.data))
+        except UnusableMessageError as error:
+            topic.malformed.append(str(error))
         else:
-            by_name[raw.topic].add(raw)
-    for raw in transforms:
-        by_name[raw.topic].add(raw)
-    profiles: list[RawProfile] = []
-    previous = None
-    for message in _of_one_frame('profile', clouds.ordered(reader), 'frame_id', reader):
-        profiles += split(message, previous, config.profile)
-        previous = message.stamp
+            topic.add(items, raw.log_time)
+    messages = _of_one_frame('profile', clouds.ordered(reader), 'frame_id', reader)
+    profiles = [profile for message, before in zip(messages, [None, *messages], strict=False)
+                for profile in split(message, before and before.stamp, config.profile)]
     if not profiles:
         raise InputError(f'{path}: the only message on {clouds.name} holds several profiles, and '
                          'does not say when each was taken: set profile.period')
-    poses = _poses(pose_sources, tracker, reader)
+    poses = posed.ordered(reader)
+    reader.warnings += tracker.warnings
+    if not poses:
+        raise InputError(f'{path}: no flange poses in its transforms: '
+                         f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
+                         'robot_effector_frame')
+    poses = _of_one_frame('pose', poses, 'parent_frame', reader)
     joints = np.array([pose.joints for pose in poses if isinstance(pose, ArmPose)])
     if config.time_offset:
         offset = config.offset_ns
@@ -146,36 +151,36 @@ def read(path: Path | str, config: Config, progress: Callable[[float], None] = l
                      reader.files)
 
 
-def _read_data(read: Callable[[bytes], Sequence[TimedPose]], raw: Raw) -> Sequence[TimedPose]:
-    return read(raw.data)
+def _moving_last(messages: Iterable[Raw]) -> Iterator[Raw]:
+    """Yield moving transforms after static ones, which a node that starts late sends late."""
+    moving = []
+    for raw in messages:
+        if raw.topic == '/tf':
+            moving.append(raw)
+        else:
+            yield raw
+    yield from moving
 
 
-class _RecordedTopic:
-    """What can be used of the messages of a topic, in recording order."""
+class _Topic:
+    """
+    What can be used of the messages of a topic, in recording order.
 
-    def __init__(self, name: str, key: str, kind: str, read: Callable[[Raw], Sequence[Any]]
-                 ) -> None:
-        """
-        Start with none.
+    malformed: why others cannot
+    """
 
-        key: of the configuration, that names the topic; kind: the type it must have; read: makes
-        profiles or poses of a message, or raises UnusableMessageError.
-        """
+    def __init__(self, name: str, key: str, kind: str) -> None:
+        """Start with none; key: of the configuration, that names it; kind: type it must have."""
         self.name = full_name(name)
-        self._key, self._kind, self._read = key or 'pose_source', kind, read
-        self.items: list[Any] = []
+        self._key, self._kind = key, kind
+        self._items: list[Any] = []
         self._usable = self._unstamped = 0
-        self._malformed: list[str] = []
+        self.malformed: list[str] = []
 
-    def add(self, raw: Raw) -> None:
-        """Add the next message; one without a stamp has the time at which it was recorded."""
-        try:
-            items = self._read(raw)
-        except UnusableMessageError as error:
-            self._malformed.append(str(error))
-            return
-        time = min(raw.log_time, LAST_STAMP)
-        self.items += [item if item.stamp else replace(item, stamp=time) for item in items]
+    def add(self, items: Sequence[Any], log_time: int) -> None:
+        """Add what a message holds; without a stamp it has the time at which it was recorded."""
+        time = min(log_time, LAST_STAMP)
+        self._items += [item if item.stamp else replace(item, stamp=time) for item in items]
         self._usable += 1
         self._unstamped += not all(item.stamp for item in items)
 
@@ -200,15 +205,15 @@ class _RecordedTopic:
         """
         if reader.types.get(self.name) != self._kind:
             raise self._missing(reader)
-        total = self._usable + len(self._malformed)
+        total = self._usable + len(self.malformed)
         if not total:
             raise InputError(f'{reader.path}: no messages on {self.name} ({self._kind}): check '
                              f'that it was published while recording, or set {self._key}')
-        reader.warnings += _unusable(self._malformed, total, f'messages on {self.name}')
+        reader.warnings += _unusable(self.malformed, total, f'messages on {self.name}')
         if self._unstamped:
             reader.warnings.append(f'{self._unstamped} messages on {self.name} have no stamps; '
                                    'the times at which they were recorded are used')
-        stamps = np.array([item.stamp for item in self.items], np.int64)
+        stamps = np.array([item.stamp for item in self._items], np.int64)
         fits = fitting(stamps, f'on {self.name}')
         wrong = np.flatnonzero(~fits)
         if len(wrong):
@@ -216,21 +221,7 @@ class _RecordedTopic:
                 f'{len(wrong)} of {len(stamps)} messages on {self.name} were left out: their '
                 f'stamps are far from those around them (first message {wrong[0] + 1}, of '
                 f'{stamps[wrong[0]] * 1e-9:.3f} s)')
-        return sorted(compress(self.items, fits), key=by_stamp)
-
-
-def _poses(sources: Sequence[_RecordedTopic], tracker: FlangeTracker, reader: Reader
-           ) -> list[TimedPose]:
-    """Return the poses of topics, of which the last must be there; InputError, DataError."""
-    last = sources[-1]
-    last.items = [pose for source in sources for pose in source.items]
-    poses = last.ordered(reader)
-    reader.warnings += tracker.warnings
-    if not poses:
-        raise InputError(f'{reader.path}: no flange poses in its transforms: '
-                         f'{tracker.missing() or "they share no time"}; set robot_base_frame and '
-                         'robot_effector_frame')
-    return _of_one_frame('pose', poses, 'parent_frame', reader)
+        return sorted(compress(self._items, fits), key=by_stamp)
 
 
 def _of_one_frame(kind: str, items: list[Any], frame: str, reader: Reader) -> list[Any]:

@@ -22,7 +22,7 @@ from handeye_ros import se3
 from handeye_ros.bags.messages import DATATYPES, typestore, UNITS
 from handeye_ros.bags.reader import CLOUD_TYPE, full_name, JOINTS_TYPE, POSE_TYPE, Raw, STRING_TYPE
 from handeye_ros.config import Config
-from handeye_ros.data import Array, NS, Profile, TimedPose
+from handeye_ros.data import AnyProfile, Array, NS, Profile, RawProfile, TimedPose
 from handeye_ros.errors import InputError
 from handeye_ros.output import write_atomically, write_errors_for, yaml_text
 from handeye_ros.results.calibration_file import TRUTH_NAME
@@ -53,20 +53,24 @@ def write(path: Path, profiles: Iterable[Profile], poses: Iterable[TimedPose],
     if truth is not None:
         texts[TRUTH_NAME] = yaml_text(truth)
     config = config or Config()
-    profile_topic, pose_topic, joint_topic = map(full_name, (
-        config.profile_topic, config.pose_topic, config.joint_topic))
 
     def messages() -> Iterator[Raw]:
-        items: list[Profile | TimedPose] = [*profiles, *poses]
+        items: list[AnyProfile | TimedPose] = [*profiles, *poses]
         for item in sorted(items, key=attrgetter('stamp')):
-            yield (Raw(profile_topic, CLOUD_TYPE, item.stamp,
-                       cloud_cdr(item, config.profile.unit, number))
-                   if isinstance(item, Profile) else
-                   Raw(pose_topic, POSE_TYPE, item.stamp, pose_cdr(item)))
+            yield raw_of(item, config, number)
         for stamp, values in joints:
-            yield Raw(joint_topic, JOINTS_TYPE, stamp, joints_cdr(stamp, values))
+            yield Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, joints_cdr(stamp, values))
 
     write_folder(path, texts, lambda folder: _write_bag(folder, messages()), force)
+
+
+def raw_of(item: AnyProfile | TimedPose, config: Config, number: str = 'f4') -> Raw:
+    """Return a profile or pose as it is recorded; number: of its coordinates, f4 or f8."""
+    if isinstance(item, TimedPose):
+        return Raw(full_name(config.pose_topic), POSE_TYPE, item.stamp, pose_cdr(item))
+    data = (bytes(item.fetch()) if isinstance(item, RawProfile)
+            else cloud_cdr(item, config.profile.unit, number))
+    return Raw(full_name(config.profile_topic), CLOUD_TYPE, item.stamp, data)
 
 
 def _write_bag(path: Path, messages: Iterable[Raw]) -> None:
@@ -98,11 +102,11 @@ def contents_of(file: Path) -> Summary:
     """Return the summary of a whole .mcap file, with statistics; raises InputError."""
     try:
         summary = _contents(file, file.stat().st_mtime_ns)
+        if summary and summary.statistics:
+            return summary
     except Exception as error:  # damaged bytes cause all kinds of errors in parsers
         raise InputError(f'{file}: is damaged, or cannot be read: {error}') from error
-    if summary is None or summary.statistics is None:
-        raise InputError(f'{file}: is cut off')
-    return summary
+    raise InputError(f'{file}: is cut off')
 
 
 @lru_cache(10_000)

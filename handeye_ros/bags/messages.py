@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 import math
-import sys
 from typing import Any
 
-from handeye_ros.bags.reader import CLOUD_TYPE, JOINTS_TYPE, POSE_TYPE, STRING_TYPE, TF_TYPE
+from handeye_ros.bags.reader import CLOUD_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.config import ProfileConfig
 from handeye_ros.data import Array, NS, Profile, RawProfile, TimedPose, without_order
 from handeye_ros.errors import UnusableMessageError
@@ -62,7 +61,7 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _message(kind: str, data: bytes) -> Any:
+def message_of(kind: str, data: bytes) -> Any:
     """Return a serialised message of a type; raises UnusableMessageError if it is damaged."""
     try:
         return typestore().deserialize_cdr(data, kind)
@@ -71,28 +70,21 @@ def _message(kind: str, data: bytes) -> Any:
         raise UnusableMessageError(f'{name} message not used: damaged message: {error}') from error
 
 
-def _stamp_and_frame(message: Any) -> tuple[int, str]:
+def stamp_and_frame(message: Any) -> tuple[int, str]:
     """Return the stamp (ns) and the frame in the header of a message."""
     header = message.header
     return header.stamp.sec * NS + header.stamp.nanosec, frame_name(header.frame_id)
 
 
+@lru_cache(100)  # it is in thousands of messages
 def frame_name(frame_id: str) -> str:
     """Return a frame name as in tf2, without the leading slash of ROS 1; one line of text."""
-    name = str(frame_id).removeprefix('/')
-    if not name.isprintable():
-        name = ''.join(filter(str.isprintable, name))
-    return sys.intern(name)  # it is in thousands of messages
-
-
-def text_from_cdr(data: bytes) -> str:
-    """Return the text of a std_msgs/String; raises UnusableMessageError."""
-    return str(_message(STRING_TYPE, data).data)
+    return ''.join(filter(str.isprintable, frame_id.removeprefix('/')))
 
 
 def pose_from_cdr(data: bytes) -> TimedPose:
     """Return the pose in a geometry_msgs/PoseStamped; raises UnusableMessageError."""
-    message = _message(POSE_TYPE, data)
+    message = message_of(POSE_TYPE, data)
     return _pose('PoseStamped', message, message.pose.position, message.pose.orientation)
 
 
@@ -108,7 +100,7 @@ def _pose(kind: str, message: Any, position: Any, orientation: Any) -> TimedPose
     elif abs(length - 1.0) > LENGTH_TOLERANCE:
         problem = f'quaternion of length {length:.4g}, expected 1'
     else:
-        stamp, frame = _stamp_and_frame(message)
+        stamp, frame = stamp_and_frame(message)
         sign = -1.0 if orientation.w < 0 else 1.0
         return TimedPose(stamp, np.array(translation), quaternion * (sign / length), frame)
     raise UnusableMessageError(f'{kind} message not used: {problem}')
@@ -122,27 +114,16 @@ def transforms_from_cdr(data: bytes) -> list[tuple[str, TimedPose]]:
     others.
     """
     good, malformed = [], None
-    for one in _message(TF_TYPE, data).transforms:
+    for one in message_of(TF_TYPE, data).transforms:
+        placed = one.transform
         try:
-            pose = _pose('TransformStamped', one, one.transform.translation,
-                         one.transform.rotation)
+            good.append((frame_name(one.child_frame_id), _pose(
+                'TransformStamped', one, placed.translation, placed.rotation)))
         except UnusableMessageError as error:
             malformed = error
-        else:
-            good.append((frame_name(one.child_frame_id), pose))
     if malformed and not good:
         raise malformed
     return good
-
-
-def joints_from_cdr(data: bytes) -> tuple[int, dict[str, float]]:
-    """Return stamp (ns) and positions by name in a JointState; raises UnusableMessageError."""
-    message = _message(JOINTS_TYPE, data)
-    if len(message.position) != len(message.name):
-        raise UnusableMessageError(f'JointState message not used: it names {len(message.name)} '
-                                   f'joints and holds {len(message.position)} positions')
-    return (_stamp_and_frame(message)[0],
-            dict(zip(message.name, message.position.tolist(), strict=True)))
 
 
 def _unusable(reason: str) -> UnusableMessageError:
@@ -196,7 +177,7 @@ def _row(cloud: Any, index: int) -> Any:
 
 def profile_from_cdr(data: bytes, config: ProfileConfig) -> Profile:
     """Return the profile in a sensor_msgs/PointCloud2; raises UnusableMessageError."""
-    return profile_from_cloud(_message(CLOUD_TYPE, data), config)
+    return profile_from_cloud(message_of(CLOUD_TYPE, data), config)
 
 
 def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
@@ -214,7 +195,7 @@ def profile_from_cloud(cloud: Any, config: ProfileConfig) -> Profile:
         order = placed[np.argsort(points[placed, 0], kind='stable')]
         points, good = points[order], good[order]
     out_of_plane = np.nan_to_num(points[good, 2].mean()) if good.any() else 0.0
-    return Profile(*_stamp_and_frame(cloud), np.where(good[:, None], points[:, :2], np.nan),
+    return Profile(*stamp_and_frame(cloud), np.where(good[:, None], points[:, :2], np.nan),
                    (config.axes[0], config.axes[1]), float(out_of_plane))
 
 
@@ -273,23 +254,21 @@ def _require_one_plane(points: Array, axes: tuple[str, str, str]) -> None:
     spread = np.ptp(points, axis=0)
     slope, off = _slope_across(points)
     thin = THIN_SHARE * spread[2]
-    if abs(slope) > LEAST_SLOPE and off < thin < min(spread[:2]):
+    is_flat = min(spread[:2]) < thin
+    if abs(slope) > LEAST_SLOPE and off < thin and not is_flat:
         raise _unusable(f'the points lie in a plane that is tilted by '
                         f'{math.degrees(math.atan(abs(slope))):.1f} degrees about {axes[0]} '
                         f'against that of {axes[0]} and {axes[1]}: let the driver publish them in '
                         f'a frame of the light plane, where {axes[2]} is 0; a static transform '
                         'can hold the tilt')
-    if not spread[2] > LARGEST_THICKNESS:
-        return
-    text = (f'the points do not lie in the plane of {axes[0]} and {axes[1]}: '
-            f'their {axes[2]} spans {spread[2] * 1e3:.1f} mm')
-    if min(spread[:2]) < thin:
+    if spread[2] > LARGEST_THICKNESS:
         flat = axes[int(np.argmin(spread[:2]))]
-        others = [axes[2] if axis == flat else axis for axis in axes[:2]]
-        raise _unusable(f'{text}, their {flat} nothing: set profile.axes to '
-                        f'[{others[0]}, {others[1]}]')
-    raise _unusable(f'{text}; a line profiler measures in one plane: let its driver publish '
-                    'single profiles in its own frame')
+        first, second = (axes[2] if axis == flat else axis for axis in axes[:2])
+        advice = (f', their {flat} nothing: set profile.axes to [{first}, {second}]' if is_flat
+                  else '; a line profiler measures in one plane: let its driver publish single '
+                  'profiles in its own frame')
+        raise _unusable(f'the points do not lie in the plane of {axes[0]} and {axes[1]}: their '
+                        f'{axes[2]} spans {spread[2] * 1e3:.1f} mm{advice}')
 
 
 def _slope_across(points: Array) -> tuple[float, float]:
@@ -304,15 +283,13 @@ def _require_axes(points: Array, config: ProfileConfig) -> None:
     """Raise for returns (n, 2) whose order shows that the two axes are exchanged."""
     along, across, _ = _axes(config)
     steps = np.diff(points, axis=0)
-    if (len(steps) >= FEWEST_RETURNS and _back(steps[:, 0]) > RANGE_BACK
-            and _back(steps[:, 1]) < LINE_BACK):
+    if len(steps) < FEWEST_RETURNS:
+        return
+    # the share of steps against the direction of the majority, by axis
+    back = 1.0 - np.maximum((steps > 0).sum(axis=0), (steps < 0).sum(axis=0)) / len(steps)
+    if back[0] > RANGE_BACK and back[1] < LINE_BACK:
         raise _unusable(f'the points follow each other along {across}, not along {along}: set '
                         f'profile.axes to [{across}, {along}]')
-
-
-def _back(steps: Array) -> float:
-    """Return the share of steps against the direction of the majority."""
-    return 1.0 - max(np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)) / len(steps)
 
 
 class ProfileReader:
@@ -337,8 +314,8 @@ class ProfileReader:
         fetch: returns the message again; without it the message is kept. Raises
         UnusableMessageError.
         """
-        cloud = _message(CLOUD_TYPE, data)
-        (stamp, frame), rows = _stamp_and_frame(cloud), row_count(cloud, self.config)
+        cloud = message_of(CLOUD_TYPE, data)
+        (stamp, frame), rows = stamp_and_frame(cloud), row_count(cloud, self.config)
         if cloud.height * cloud.width:
             for axis in self.config.axes:
                 view(cloud, axis[-1])
@@ -394,7 +371,7 @@ def split(raw: RawProfile, previous_stamp: int | None, config: ProfileConfig) ->
 
 def _row_message(fetch: Callable[[], bytes], index: int, stamp: int) -> bytes:
     """Return one row of a message as a message with its own stamp; UnusableMessageError."""
-    row = _row(_message(CLOUD_TYPE, fetch()), index)
+    row = _row(message_of(CLOUD_TYPE, fetch()), index)
     row.header.stamp.sec, row.header.stamp.nanosec = divmod(stamp, NS)
     return bytes(typestore().serialize_cdr(row, CLOUD_TYPE))
 
@@ -409,7 +386,7 @@ def returns_of(raw: RawProfile) -> Profile:
     if raw.reach != (0, 0):
         raise _unusable('it holds several profiles, and does not say when each was taken: set '
                         'profile.period')
-    cloud, config = _message(CLOUD_TYPE, raw.fetch()), raw.config
+    cloud, config = message_of(CLOUD_TYPE, raw.fetch()), raw.config
     points, good = _points(cloud, config)
     intensity = (column(cloud, INTENSITY)[good]
                  if good.any() and INTENSITY in [field.name for field in cloud.fields] else None)

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from handeye_ros import se3
 from handeye_ros.arm import Arm, read_arm
-from handeye_ros.bags.messages import joints_from_cdr, pose_from_cdr, transforms_from_cdr
+from handeye_ros.bags.messages import (
+    message_of,
+    pose_from_cdr,
+    stamp_and_frame,
+    transforms_from_cdr,
+)
 from handeye_ros.bags.reader import JOINTS_TYPE, POSE_TYPE, TF_TYPE
 from handeye_ros.bags.transforms import FlangeTracker
 from handeye_ros.config import Config
@@ -43,11 +47,10 @@ def pose_topics(config: Config, tracker: FlangeTracker, arm: Arm | None = None
     tracker: follows the transforms, where they are read; arm: gives the poses from joint values,
     as with the key kinematics. Raises InputError for a file of an arm that is none.
     """
-    if config.kinematics and not arm:
-        arm = read_arm(Path(config.kinematics))
-    if arm:
+    robot = read_arm(Path(config.kinematics)) if config.kinematics and not arm else arm
+    if robot:
         return [PoseTopic(config.joint_topic, 'joint_topic', JOINTS_TYPE,
-                          partial(_at_joints, arm))]
+                          lambda data: [pose_from_joints(robot, data)])]
     if config.pose_source == 'topic':
         return [PoseTopic(config.pose_topic, 'pose_topic', POSE_TYPE,
                           lambda data: [pose_from_cdr(data)])]
@@ -64,19 +67,20 @@ class ArmPose(TimedPose):
     joints: Array = field(default_factory=lambda: np.empty(0))
 
 
-def _at_joints(arm: Arm, data: bytes) -> list[ArmPose]:
-    return [pose_from_joints(arm, data)]
-
-
 def pose_from_joints(arm: Arm, data: bytes) -> ArmPose:
     """Return the flange pose of an arm at a serialised JointState; UnusableMessageError."""
-    stamp, positions = joints_from_cdr(data)
+    message = message_of(JOINTS_TYPE, data)
+    names, positions = message.name, message.position.tolist()
+    if len(positions) != len(names):
+        raise UnusableMessageError(f'JointState message not used: it names {len(names)} '
+                                   f'joints and holds {len(positions)} positions')
     try:
-        joints = arm.positions(positions, 'JointState message not used')
+        joints = arm.positions(dict(zip(names, positions, strict=True)),
+                               'JointState message not used')
     except InputError as cause:
         raise UnusableMessageError(str(cause)) from cause
     if not np.isfinite(joints).all():
         raise UnusableMessageError('JointState message not used: it holds positions that are not '
                                    'finite')
     T, = arm.forward(joints[None])
-    return ArmPose(stamp, T[:3, 3], se3.quaternion(T), arm.base, joints)
+    return ArmPose(stamp_and_frame(message)[0], T[:3, 3], se3.quaternion(T), arm.base, joints)

@@ -75,11 +75,10 @@ class Reader:
         """Yield the messages; raises InputError if there is nothing to read."""
         try:
             self.files = _files(self.path)
-            sizes = [file.stat().st_size for file in self.files]
-            self._total = sum(sizes)
-            for file, size in zip(self.files, sizes, strict=True):
+            self._total = sum(file.stat().st_size for file in self.files)
+            for file in self.files:
                 yield from self._messages_of(file)
-                self._before += size
+                self._before += file.stat().st_size
         except OSError as error:
             raise InputError(f'{error.filename or self.path}: cannot be read: '
                              f'{error.strerror or error}') from error
@@ -105,16 +104,13 @@ class Reader:
         schemas: dict[int, str] = {}
         channels: dict[int, str] = {}  # '': not requested
         count = damaged = start = 0
-        complete, records_at = False, lru_cache(CACHED_CHUNKS)(partial(_records_at, path))
+        complete, data_at = False, lru_cache(CACHED_CHUNKS)(partial(_in_chunk, path))
         with path.open('rb') as stream:
             for record in _up_to_damage(stream, start):
                 if complete := isinstance(record, DataEnd):
                     break
-                try:
-                    records = _expanded(record)
-                except Exception:  # noqa: BLE001 - of decompressors, and of the parser
-                    damaged += 1
-                    records = []
+                records = _expanded(record)
+                damaged += not records
                 for index, one in enumerate(records):
                     if isinstance(one, Schema):
                         schemas[one.id] = one.name
@@ -125,7 +121,7 @@ class Reader:
                         count += 1
                         if topic := channels.get(one.channel_id):
                             yield Raw(topic, self.types[topic], one.log_time, _unpacked(one.data),
-                                      partial(_again, _in_chunk, records_at, start, index))
+                                      partial(_again, data_at, start, index))
                 start = stream.tell()
                 self._progress((self._before + start) / self._total)
         if damaged or not complete:
@@ -144,7 +140,7 @@ class Reader:
                         'SELECT id, topic_id, timestamp, data FROM messages ORDER BY id'):
                     if name := names[topic]:
                         yield Raw(name, self.types[name], int(time), _unpacked(data),
-                                  partial(_again, _in_database, path, key))
+                                  partial(_again, partial(_in_database, path), key))
                     count += 1
         except Exception as error:  # noqa: BLE001 - of SQLite, and of what damaged rows hold
             self._warn_of_damage(path, f'{error}; read {count} messages up to there')
@@ -200,37 +196,35 @@ def _up_to_damage(stream: BinaryIO, start: int) -> Iterator[McapRecord]:
 
 
 def _expanded(record: McapRecord) -> list[Any]:
-    """Return a record, or those in a chunk; raises any kind of error for a damaged one."""
+    """Return a record, or those in a chunk: none of a damaged one."""
     if not isinstance(record, Chunk):
         return [record]
-    if record.uncompressed_size > LARGEST_RECORD:
-        raise ValueError(f'a chunk of {record.uncompressed_size} bytes')
-    return breakup_chunk(record, validate_crc=True)
+    with suppress(Exception):  # of all kinds, in decompressors and in the parser
+        if record.uncompressed_size <= LARGEST_RECORD:
+            return breakup_chunk(record, validate_crc=True)
+    return []
 
 
-def _again(find: Callable[..., bytes], *place: Any) -> bytes:
-    """Return a message of a file again, which find returns; empty if the file has changed."""
+def _again(find: Callable[[int], list[bytes]], place: int, index: int = 0) -> bytes:
+    """Return a message of a file again, of those at a place; empty if the file has changed."""
     try:
-        return _unpacked(find(*place))
+        return _unpacked(bytes(find(place)[index]))
     except Exception:  # noqa: BLE001 - of what other bytes there may cause
         return b''
 
 
-def _in_chunk(records_at: Callable[[int], list[Any]], start: int, index: int) -> bytes:
-    """Return a message of an .mcap file: one record in that at a position."""
-    return bytes(records_at(start)[index].data)
-
-
-def _records_at(path: Path, start: int) -> list[Any]:
+def _in_chunk(path: Path, start: int) -> list[bytes]:
+    """Return the data of the records in that at a position of an .mcap file."""
     with path.open('rb') as stream:
-        return _expanded(next(_up_to_damage(stream, start)))
+        records = _expanded(next(_up_to_damage(stream, start)))
+    return [getattr(record, 'data', b'') for record in records]
 
 
-def _in_database(path: Path, key: int) -> bytes:
+def _in_database(path: Path, key: int) -> list[bytes]:
     """Return the message of a row of a .db3 file."""
     with closing(_connected(path)) as database:
-        (data,), = database.execute('SELECT data FROM messages WHERE id = ?', (key,))
-    return bytes(data)
+        return [data for data, in database.execute('SELECT data FROM messages WHERE id = ?',
+                                                   (key,))]
 
 
 def _connected(path: Path) -> sqlite3.Connection:

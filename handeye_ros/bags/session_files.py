@@ -27,15 +27,14 @@ import time
 from typing import Any
 
 from handeye_ros.bags.bag_write import (
-    cloud_cdr,
     contents_of,
-    pose_cdr,
+    raw_of,
     string_cdr,
     sync,
     write_mcap,
     write_metadata,
 )
-from handeye_ros.bags.messages import pose_from_cdr, ProfileReader, text_from_cdr
+from handeye_ros.bags.messages import message_of, pose_from_cdr, ProfileReader
 from handeye_ros.bags.reader import (
     CLOUD_TYPE,
     full_name,
@@ -46,7 +45,7 @@ from handeye_ros.bags.reader import (
     STRING_TYPE,
 )
 from handeye_ros.config import Config, flatten, with_values
-from handeye_ros.data import RawProfile, Reject
+from handeye_ros.data import Reject
 from handeye_ros.errors import InputError, UnusableMessageError
 from handeye_ros.output import atomic_file, folder_name, write_errors_for
 from handeye_ros.results.calibration_file import NEWEST, require_format
@@ -105,16 +104,19 @@ class StoredSession:
     A session on the disk.
 
     config: the last settings
-    stops: by number, without removed ones
-    sample_count: how many of them gave a sample
+    stops: by number, without removed ones; NOT_EVALUATED is the result of those that gave a sample
     last_number: the largest so far
     """
 
     path: Path
     config: Config
     stops: dict[int, Stop]
-    sample_count: int
     last_number: int
+
+    @property
+    def sample_count(self) -> int:
+        """Return how many of the stops gave a sample."""
+        return sum(stop.result is NOT_EVALUATED for stop in self.stops.values())
 
     def session(self, config: Config) -> Session:
         """Return the session, its stops evaluated with a configuration."""
@@ -244,16 +246,10 @@ def _locked(folder: Path, taken: str) -> int:
 def _messages(kind: str, config: Config, stop: Stop, joints: Sequence[tuple[int, bytes]]
               ) -> list[Raw]:
     """Return the messages of an event, in the order of their times."""
-    pose_topic = full_name(config.pose_topic if config.pose_source == 'topic' else 'flange_pose')
-    messages = [Raw(pose_topic, POSE_TYPE, pose.stamp, pose_cdr(pose)) for pose in stop.poses]
-    # a driver may publish no stamp: log_time holds it
-    messages += [
-        Raw(full_name(config.profile_topic), CLOUD_TYPE, profile.stamp - config.offset_ns,
-            bytes(profile.fetch()) if isinstance(profile, RawProfile)
-            else cloud_cdr(profile, config.profile.unit, 'f8'))
-        for profile in stop.profiles]
-    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, stamp, data)
-                 for stamp, data in joints]
+    # a driver may publish no stamp: the time of the record holds it
+    seen = [replace(profile, stamp=profile.stamp - config.offset_ns) for profile in stop.profiles]
+    messages = [raw_of(item, config, 'f8') for item in (*stop.poses, *seen)]
+    messages += [Raw(full_name(config.joint_topic), JOINTS_TYPE, *joint) for joint in joints]
     values = {'event': kind, 'number': stop.number, 'began': stop.stamp,
               'taken': stop.sample is not None, 'refused': stop.final_reason}
     end = stop.end if stop.poses else time.time_ns()
@@ -277,18 +273,15 @@ def files_of(folder: Path) -> list[Path]:
 
 def is_session(path: Path) -> bool:
     """Return whether a folder holds a session."""
-    try:
-        files = files_of(path) if path.is_dir() else []
-        return bool(files) and any(channel.topic == OUTCOME_TOPIC
-                                   for channel in contents_of(files[0]).channels.values())
-    except (OSError, InputError):
-        return False
+    with suppress(OSError, InputError, IndexError):  # no folder, none that can be read, no file
+        channels = contents_of(files_of(path)[0]).channels
+        return any(channel.topic == OUTCOME_TOPIC for channel in channels.values())
+    return False
 
 
 def sessions_in(folder: Path) -> Iterator[Path]:
     """Yield the sessions in the folder of a name, the newest first."""
-    paths = sorted(folder.iterdir(), reverse=True) if folder.is_dir() else []
-    return filter(is_session, paths)
+    return filter(is_session, sorted(folder.glob('*'), reverse=True))
 
 
 def read_session(path: Path) -> StoredSession:
@@ -299,17 +292,16 @@ def read_session(path: Path) -> StoredSession:
     """
     if not is_session(path):
         raise InputError(f'{path} is no session: expected a folder that the node made')
-    stops: dict[int, tuple[Stop, bool]] = {}  # and whether it gave a sample
+    stops: dict[int, Stop] = {}
     last_number, config = 0, Config()
     for file in files_of(path):
-        kind, config, stop, gave_a_sample = _event_of(file)
+        kind, config, stop = _event_of(file)
         last_number = max(last_number, stop.number)
-        if kind != CONFIGURED:
-            stops.pop(stop.number, None)
         if kind == STOP:
-            stops[stop.number] = stop, gave_a_sample
-    return StoredSession(path, config, {number: stop for number, (stop, _) in stops.items()},
-                         sum(gave_a_sample for _, gave_a_sample in stops.values()), last_number)
+            stops[stop.number] = stop
+        elif kind == REMOVED:
+            stops.pop(stop.number, None)
+    return StoredSession(path, config, stops, last_number)
 
 
 def load_stop(file: Path, stamp: int, config: Config) -> Stop:
@@ -336,9 +328,9 @@ def _read_file(file: Path, topics: Collection[str] | None = None) -> list[Raw]:
     return messages
 
 
-def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
-    """Return kind, settings and stop of an event, and whether this gave a sample; InputError."""
-    texts = {raw.topic: text_from_cdr(raw.data)
+def _event_of(file: Path) -> tuple[str, Config, Stop]:
+    """Return kind, settings and stop of an event; raises InputError."""
+    texts = {raw.topic: message_of(STRING_TYPE, raw.data).data
              for raw in _read_file(file, (CONFIGURATION_TOPIC, OUTCOME_TOPIC))}
     try:
         values, content = json.loads(texts[OUTCOME_TOPIC]), json.loads(texts[CONFIGURATION_TOPIC])
@@ -348,9 +340,9 @@ def _event_of(file: Path) -> tuple[str, Config, Stop, bool]:
         settings = {key: value for key, value in content['config'].items() if key in known}
         stamp, refused = int(values['began']), str(values['refused'])
         stop = Stop(stamp, reader=partial(load_stop, file, stamp), number=int(values['number']),
-                    result=Reject(stamp, refused, final=True) if refused else NOT_EVALUATED)
-        return (str(values['event']), with_values(Config(), settings, str(file)), stop,
-                bool(values['taken']))
+                    result=NOT_EVALUATED if values['taken'] else
+                    Reject(stamp, refused, final=bool(refused)))
+        return str(values['event']), with_values(Config(), settings, str(file)), stop
     except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f'{file} holds an event that is not understood ({error!r})') from error
 
@@ -363,16 +355,10 @@ def settings_and_session(overrides: Mapping[str, Any], folders: OutputFolders
     overrides: settings of the user by key; all others are those of the session. Raises InputError.
     """
     config = with_values(Config(), overrides, PARAMETERS)
-    if not config.session:
-        return config, None
-    if config.session != LAST_SESSION:
-        path: Path | None = Path(config.session).expanduser().absolute()
-    else:
-        parent = folders.parent(config)
-        if 'name' in overrides or 'target.type' in overrides:
-            named = [folders.folder(config)]
-        else:
-            named = list(parent.iterdir()) if parent.is_dir() else []
+    path = Path(config.session).expanduser().absolute() if config.session else None
+    if config.session == LAST_SESSION:
+        is_named = 'name' in overrides or 'target.type' in overrides
+        named = [folders.folder(config)] if is_named else folders.parent(config).glob('*')
         newest = [session for folder in named for session in islice(sessions_in(folder), 1)]
         path = max(newest, key=lambda session: session.name, default=None)
     if path is None:

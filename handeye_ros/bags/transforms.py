@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
+from functools import reduce
 
 from handeye_ros import se3
 from handeye_ros.data import Array, TimedPose
@@ -105,15 +106,14 @@ class FlangeTracker:
         return ''
 
     def _chains(self) -> tuple[list[_Link], list[_Link]] | None:
-        """Return the links from flange and base up to their common ancestor."""
-        from_flange, from_base = self._ancestors(self._flange), self._ancestors(self._base)
-        for ancestor in from_flange:
-            if ancestor in from_base:
-                flange_chain, base_chain = (
-                    [self._links[frame] for frame in frames[:frames.index(ancestor)]]
-                    for frames in (from_flange, from_base))
-                return flange_chain, base_chain
-        return None
+        """Return the links from flange and base up to their common ancestor, None without one."""
+        chains = self._ancestors(self._flange), self._ancestors(self._base)
+        if chains[0][-1] != chains[1][-1]:
+            return None
+        while all(chains) and chains[0][-1] == chains[1][-1]:
+            chains = chains[0][:-1], chains[1][:-1]
+        to_flange, to_base = ([self._links[frame] for frame in chain] for chain in chains)
+        return to_flange, to_base
 
     def _ancestors(self, frame: str) -> list[str]:
         """Return a frame and its ancestors; stops at a loop."""
@@ -125,9 +125,6 @@ class FlangeTracker:
 
 def _product(chain: list[_Link], stamp: int) -> Array | None:
     """Return the pose of the chain's first frame in its last parent; None if unknown."""
-    product = np.eye(4)
-    for link in chain:
-        if (T := link.at(stamp)) is None:
-            return None
-        product = T @ product
-    return product
+    known = [T for link in chain if (T := link.at(stamp)) is not None]
+    return reduce(lambda product, T: T @ product, known, np.eye(4)) if (
+        len(known) == len(chain)) else None

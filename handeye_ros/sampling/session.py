@@ -84,6 +84,10 @@ class Session(Copyable):
         self._pose_stream: Stream[TimedPose] = Stream('pose', frames[0])
         self._profile_stream: Stream[AnyProfile] = Stream('profile', frames[1])
 
+    @property
+    def _streams(self) -> tuple[Stream[TimedPose], Stream[AnyProfile]]:
+        return self._pose_stream, self._profile_stream
+
     def configure(self, config: Config) -> None:
         """Apply another configuration to what comes from now on, the current stop too."""
         if config.sampling.moving != self.config.sampling.moving:
@@ -116,23 +120,21 @@ class Session(Copyable):
 
     def keep_waiting(self, most: int) -> None:
         """Limit the number of stops that wait for profiles; the oldest are dropped and counted."""
-        excess = max(len(self._waiting) - most, 0)
-        self._expired_stops += excess
-        del self._waiting[:excess]
+        self._expired_stops += max(len(self._waiting) - most, 0)
+        del self._waiting[:-most]
 
     def completed(self) -> list[Stop]:
         """Return the stops that are over in both streams, each once, with their profiles."""
-        if self._pose_stream.set_back or self._profile_stream.set_back:
+        if any(stream.set_back for stream in self._streams):
             return self._before_setting_back()
         # a sensor that is triggered once at each stop does not send the next profile soon
         now = self._pose_stream.latest
         self._profiles.add(self._profile_stream.released(now - REORDER_TIME, now + REORDER_TIME))
         stops = self._take_out([stop for stop in self._waiting
                                 if stop.end < self._profile_stream.latest])
-        # only what the current stop, those that wait, and those to come can use is kept
+        # only what those that wait, the current stop, and those to come can use is kept
         first, last = self._finder.window()
-        self._profiles.keep(min([first, *(stop.start for stop in self._waiting)]),
-                            max([last, *(stop.end for stop in self._waiting)]), now)
+        self._profiles.keep(self._waiting[0].start if self._waiting else first, last, now)
         return stops
 
     def _before_setting_back(self) -> list[Stop]:
@@ -141,7 +143,7 @@ class Session(Copyable):
         self._finder = StopFinder(self.config.sampling)
         if self._profile_stream.set_back:
             self._profiles = ProfileBuffer()
-        for stream in (self._pose_stream, self._profile_stream):
+        for stream in self._streams:
             if stream.set_back:
                 stream.restart()
         return stops
@@ -165,14 +167,10 @@ class Session(Copyable):
 
     def _take_out(self, stops: Sequence[Stop]) -> list[Stop]:
         """Let stops wait no longer; return those that were not returned before, with profiles."""
-        stamps = {stop.stamp for stop in stops}
-        self._waiting = [stop for stop in self._waiting if stop.stamp not in stamps]
         new = [stop for stop in stops if not self.is_done(stop)]
-        self._done |= stamps
-        return [self._with_profiles(stop) for stop in new]
-
-    def _with_profiles(self, stop: Stop) -> Stop:
-        return stop.with_profiles(self._profiles.items, self.config)
+        self._done.update(stop.stamp for stop in stops)
+        self._waiting = [stop for stop in self._waiting if not self.is_done(stop)]
+        return [stop.with_profiles(self._profiles.items, self.config) for stop in new]
 
     def is_done(self, stop: Stop) -> bool:
         """Return whether a stop was already sampled, or is to be ignored."""
@@ -191,28 +189,20 @@ class Session(Copyable):
         """
         if self.conflict:
             raise self.conflict
-        self._require_poses_now()
-        stop = self._finder.current()
-        if stop is None:
-            how = self.motion.sentence if self.motion else 'too few poses have come'
-            raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
-                            f's, and {how}: wait, and take the sample again', reason='moving')
-        self._profiles.add(self._profile_stream.released(stop.start, stop.end))
-        return self._with_profiles(stop)
-
-    def _require_poses_now(self) -> None:
-        """Raise an error where no current poses arrive: the position of the robot is unknown."""
-        poses = self._pose_stream
-        if poses.frame is None:
-            raise self._no_poses()
-        if self.unusable_poses:
-            raise self.unusable_poses
-        if poses.late or poses.latest < 0:
+        self._require_usable_poses()
+        poses, stop, motion = self._pose_stream, self._finder.current(), self.motion
+        if poses.late:
             raise DataError('the robot position is not known: its poses have older stamps than '
                             'those before', reason='late_poses')
         silence = (self._profile_stream.latest - poses.latest) / NS
         if max(POSES_MISSING_TIME, 5 * poses.period) < silence < REORDER_TIME / NS:
             raise silent_poses(silence)
+        if stop is None:
+            how = motion.sentence if motion else 'too few poses have come'
+            raise DataError(f'the robot must stand still for {self.config.sampling.still_time:g} '
+                            f's, and {how}: wait, and take the sample again', reason='moving')
+        self._profiles.add(self._profile_stream.released(stop.start, stop.end))
+        return stop.with_profiles(self._profiles.items, self.config)
 
     @property
     def unusable_poses(self) -> DataError | None:
@@ -227,10 +217,13 @@ class Session(Copyable):
                              reason='position_unit')
         return None
 
-    def _no_poses(self) -> DataError:
-        topic, keys = self.config.pose_origin
-        return DataError(f'no flange pose was received on {topic}: start the robot driver, or set '
-                         f'{keys}', reason='no_poses')
+    def _require_usable_poses(self) -> None:
+        if self.unusable_poses:
+            raise self.unusable_poses
+        if not self._pose_stream.count:
+            topic, keys = self.config.pose_origin
+            raise DataError(f'no flange pose was received on {topic}: start the robot driver, or '
+                            f'set {keys}', reason='no_poses')
 
     def _require_samples_of_one_frame(self) -> None:
         """Raise the conflict of the streams, but of two frames only before the first sample."""
@@ -258,12 +251,9 @@ class Session(Copyable):
                             'at each stop, or lower sampling.still_time', reason='no_stops')
         if count or self.last_number:
             return
-        if not poses.count:
-            raise self._no_poses()
         if self.unasked:
             raise DataError(self.unasked, reason='not_asked')
-        if self.unusable_poses:
-            raise self.unusable_poses
+        self._require_usable_poses()
         if poses.period > sampling.max_pose_gap:
             raise DataError(
                 'the flange poses, or the joint values that give them, come only every '
@@ -281,7 +271,10 @@ class Session(Copyable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each kind of message that was dropped."""
-        dropped = [self._profiles.warning] if self._profiles.warning else []
+        kept, dropped = self._profiles, []
+        if kept.dropped:
+            dropped.append(f'dropped {kept.dropped} profiles, the oldest of those that wait: '
+                           f'together these may take {kept.most_bytes / 1e6:.0f} MB')
         if self._expired_stops:
             dropped.append(f'gave up {self._expired_stops} stops, the oldest that waited for '
                            'profiles')
@@ -306,10 +299,9 @@ class Session(Copyable):
             along, across = self.config.profile.axes
             return InputError(
                 f'the profiles lie between {between[0] * 1e3:.1f} and {between[1] * 1e3:.1f} mm '
-                f'beside the plane of {along} and '
-                f'{across} in their frame, as in a light plane that is tilted against it: let the '
-                'driver publish them in a frame of the light plane; a static transform can hold '
-                'the tilt', reason='tilted_plane')
+                f'beside the plane of {along} and {across} in their frame, as in a light plane '
+                'that is tilted against it: let the driver publish them in a frame of the light '
+                'plane; a static transform can hold the tilt', reason='tilted_plane')
         return self._pose_stream.conflict or self._profile_stream.conflict
 
     @property
@@ -320,9 +312,9 @@ class Session(Copyable):
     @property
     def frame_change(self) -> str:
         """Return in words that another frame replaced the first, which gave no sample; or ''."""
-        for kind, stream in (('pose', self._pose_stream), ('profile', self._profile_stream)):
+        for stream in self._streams:
             if stream.successor and not self._has_samples:
-                return (f'only {kind}s of frame "{stream.successor}" come now, and none of '
+                return (f'only {stream.kind}s of frame "{stream.successor}" come now, and none of '
                         f'"{stream.frame}" gave a sample: the session begins anew')
         return ''
 
@@ -340,8 +332,7 @@ class Session(Copyable):
     @property
     def late(self) -> tuple[str, ...]:
         """Return which streams (poses, profiles) are dropped because their stamps are too old."""
-        late = {'poses': self._pose_stream.late, 'profiles': self._profile_stream.late}
-        return tuple(kind for kind, is_late in late.items() if is_late)
+        return tuple(f'{stream.kind}s' for stream in self._streams if stream.late)
 
     @property
     def motion(self) -> Motion | None:
@@ -407,7 +398,7 @@ class Session(Copyable):
         At first it needs MOST_PROFILES. A stop without a sample is returned a few more times,
         later and later, as the cause may be gone. completed() returns it again when it is over.
         """
-        sampling, stood = self.config.sampling, self._finder.stood
+        sampling, stood = self.config.sampling, self._pose_stream.latest - self._finder.stamp
         first = (sampling.still_time + 2 * sampling.settle_time) * NS
         if stood < first:  # it has just begun
             self._early_after = first
@@ -419,7 +410,7 @@ class Session(Copyable):
         stop, known = self._finder.current(), self._stops.get(self._finder.stamp)
         if stop is None or self.is_done(stop) or (known and known.sample):
             return None
-        stop = self._with_profiles(stop)
+        stop = stop.with_profiles(self._profiles.items, self.config)
         return stop if len(stop.settled_profiles(self.config)) >= fewest else None
 
     def evaluated(self, stop: Stop, result: Sample | Reject) -> Stop:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import math
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from handeye_ros import se3
 from handeye_ros.config import Config, SamplingConfig
@@ -161,26 +161,15 @@ def decoded(profiles: Iterable[AnyProfile], config: Config) -> list[Profile]:
     return usable
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """
-    How the robot moves.
+    How the robot moves, in words.
 
-    speed (m/s), turning (rad/s): over the last MOTION_TIME
     still: how long it has stood near where it is (s); in a pass, too, it may stand
     """
 
-    speed: float
-    turning: float
     still: float
-
-    @property
-    def sentence(self) -> str:
-        """Return the motion in words."""
-        if self.still > MOTION_TIME / NS:
-            return f'it has stood still for {self.still:.1f} s'
-        return (f'it moves by {self.speed * 1e3:.1f} mm/s and '
-                f'{np.degrees(self.turning):.1f} degrees/s')
+    sentence: str
 
 
 class StopFinder(Copyable):
@@ -197,25 +186,32 @@ class StopFinder(Copyable):
         """Start with no poses."""
         self.sampling = sampling
         self._poses: deque[TimedPose] = deque()  # of the current stop
-        self._recent: deque[TimedPose] = deque()  # poses of the last MOTION_TIME
+        self._recent: deque[TimedPose] = deque(maxlen=MOST_POSES)  # of the last MOTION_TIME
         self._rest: TimedPose | None = None  # first pose near which the robot still is
-        self.stamp = self._latest = -1
+        self.stamp = -1
         self.longest_rest = self.short_rests = 0
 
     def add(self, pose: TimedPose) -> Stop | None:
         """Add the next pose; return the stop that it ends, or None."""
-        self._recent.append(pose)
-        while (pose.stamp - self._recent[0].stamp > MOTION_TIME
-               or len(self._recent) > MOST_POSES):
-            self._recent.popleft()
-        continues = bool(self._poses) and self._continues(pose)
-        if not self._rest or not self._rests(self._rest, pose):
+        seen = bool(self._recent) and (
+            pose.stamp - self._recent[-1].stamp <= self.sampling.max_pose_gap * NS)
+        if not (seen and self._rest and self._is_near(self._rest, pose)):
             if self._rest:
-                self.longest_rest = max(self.longest_rest, self._latest - self._rest.stamp)
+                stood = self._recent[-1].stamp - self._rest.stamp
+                self.longest_rest = max(self.longest_rest, stood)
             self._rest = pose
-        self._latest = pose.stamp
-        if continues:
-            self._extend(pose)
+        self._recent.append(pose)
+        while pose.stamp - self._recent[0].stamp > MOTION_TIME:
+            self._recent.popleft()
+        # a rest is one pass, too: a robot at rest shows nothing new
+        if seen and (self.sampling.moving and pose.stamp - self._poses[0].stamp <= PASS_TIME
+                     or self._is_near(self._poses[0], pose)):
+            # a long one keeps its first seconds, on request its last
+            forget = self._poses.pop if self.sampling.by_itself else self._poses.popleft
+            self._poses.append(pose)
+            while (self._poses[-1].stamp - self._poses[0].stamp > LONGEST_STOP
+                   or len(self._poses) > MOST_POSES):
+                forget()
             return None
         ended = self.current()
         if self._poses:
@@ -230,56 +226,29 @@ class StopFinder(Copyable):
         still = bool(poses) and poses[-1].stamp - poses[0].stamp >= self.sampling.still_time * NS
         return Stop(self.stamp, tuple(poses)) if still else None
 
-    @property
-    def stood(self) -> int:
-        """Return the duration of the current stop (ns)."""
-        return self._latest - self._poses[0].stamp if self._poses else 0
-
     def motion(self) -> Motion | None:
         """Return the current motion of the robot, None with fewer than two poses."""
         if len(self._recent) < 2 or not self._rest:
             return None
         first, last = self._recent[0], self._recent[-1]
-        seconds = (last.stamp - first.stamp) / NS
-        return Motion(float(np.linalg.norm(last.translation - first.translation)) / seconds,
-                      _angle_between(first, last) / seconds,
-                      (last.stamp - self._rest.stamp) / NS)
+        still, seconds = (last.stamp - self._rest.stamp) / NS, (last.stamp - first.stamp) / NS
+        speed = np.linalg.norm(last.translation - first.translation) / seconds
+        turning = np.degrees(_angle_between(first, last)) / seconds
+        return Motion(still, f'it has stood still for {still:.1f} s' if still > MOTION_TIME / NS
+                      else f'it moves by {speed * 1e3:.1f} mm/s and {turning:.1f} degrees/s')
 
     def window(self) -> tuple[int, int]:
         """Return the first and last stamp of profiles that the current stop can use."""
         if not self._poses:
             return 0, FOREVER
-        limited = self.sampling.by_itself
-        return self._poses[0].stamp, self._poses[0].stamp + LONGEST_STOP if limited else FOREVER
+        first = self._poses[0].stamp
+        return first, first + LONGEST_STOP if self.sampling.by_itself else FOREVER
 
-    def _continues(self, pose: TimedPose) -> bool:
-        first = self._poses[0]
-        if (self.sampling.moving and pose.stamp - first.stamp <= PASS_TIME
-                and not self._is_gap(pose)):
-            return True
-        # a rest is one pass, too: a robot at rest shows nothing new
-        return self._rests(first, pose)
-
-    def _rests(self, first: TimedPose, pose: TimedPose) -> bool:
-        """Return whether the robot still is where it was, seen without a gap."""
+    def _is_near(self, first: TimedPose, pose: TimedPose) -> bool:
+        """Return whether the robot still is where it was."""
         limits = self.sampling
-        return (not self._is_gap(pose)
-                and math.dist(pose.translation, first.translation) <= limits.still_translation
+        return (math.dist(pose.translation, first.translation) <= limits.still_translation
                 and _angle_between(first, pose) <= limits.still_rotation)
-
-    def _is_gap(self, pose: TimedPose) -> bool:
-        return pose.stamp - self._latest > self.sampling.max_pose_gap * NS
-
-    def _extend(self, pose: TimedPose) -> None:
-        """Add a pose to a stop; a long one keeps its first seconds, on request its last."""
-        if self._is_full(pose) and self.sampling.by_itself:
-            return
-        self._poses.append(pose)
-        while self._is_full(pose):
-            self._poses.popleft()
-
-    def _is_full(self, pose: TimedPose) -> bool:
-        return pose.stamp - self._poses[0].stamp > LONGEST_STOP or len(self._poses) > MOST_POSES
 
 
 def _angle_between(a: TimedPose, b: TimedPose) -> float:
@@ -292,29 +261,26 @@ class ProfileBuffer(Copyable):
     """
     The profiles that the current stop and those that wait for profiles can use, in order.
 
-    If it is full, the oldest are dropped and counted. items: the profiles; dropped: their number.
+    If it is full, the oldest are dropped and counted.
+
+    items: the profiles
+    dropped: the number of dropped ones
+    most_bytes: that may be kept
     """
 
     def __init__(self, most_bytes: int = 256_000_000) -> None:
         """Start with none; by default 8 s of 2000 profiles a second of 1280 points fit in."""
-        self._most, self._bytes = most_bytes, 0
+        self.most_bytes, self._bytes = most_bytes, 0
         self.items: list[AnyProfile] = []
         self.dropped = 0
 
-    @property
-    def warning(self) -> str:
-        """Return a sentence with the number of dropped profiles, '' without any."""
-        return (f'dropped {self.dropped} profiles, the oldest of those that wait: together these '
-                f'may take {self._most / 1e6:.0f} MB') if self.dropped else ''
-
-    def add(self, profiles: Iterable[AnyProfile]) -> None:
+    def add(self, profiles: Sequence[AnyProfile]) -> None:
         """Add the next profiles."""
-        for profile in profiles:
-            self.items.append(profile)
-            self._bytes += _bytes_of(profile)
-            while self._bytes > self._most and len(self.items) > 1:
-                self.dropped += 1
-                self._forget(slice(0, 1))
+        self.items += profiles
+        self._bytes += sum(map(_bytes_of, profiles))
+        while self._bytes > self.most_bytes and len(self.items) > 1:
+            self.dropped += 1
+            self._forget(slice(0, 1))
 
     def keep(self, first: int, last: int, now: int) -> None:
         """Forget all profiles outside two stamps but those after a third one."""

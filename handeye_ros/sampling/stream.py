@@ -11,7 +11,7 @@ time.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from operator import attrgetter
@@ -43,10 +43,7 @@ class Copyable:
         """Return an independent copy; messages, which never change, are shared."""
         other = copy(self)
         for name, value in vars(self).items():
-            if isinstance(value, Copyable):
-                setattr(other, name, value.copied())
-            elif isinstance(value, list | set | dict | deque):
-                setattr(other, name, copy(value))
+            setattr(other, name, value.copied() if isinstance(value, Copyable) else copy(value))
         return other
 
 
@@ -54,6 +51,7 @@ class Stream(Copyable, Generic[Stamped]):
     """
     Passes on the messages of one topic, or drops them with a warning.
 
+    kind: what they are, for the warnings
     latest: stamp of the last message passed on, -1 before the first
     count: number passed on since the start, or since the clock was set back
     late: whether the last received message was dropped because it is older than `latest`
@@ -64,8 +62,8 @@ class Stream(Copyable, Generic[Stamped]):
     """
 
     def __init__(self, kind: str, frame: str | None = None) -> None:
-        """Start with none; kind: what they are, for the warnings; frame: if it is known before."""
-        self._kind = kind
+        """Start with none; frame: if it is known before."""
+        self.kind = kind
         self._held: Stamped | None = None  # far ahead of the one before it
         self._dropped: Counter[str] = Counter()  # by reason
         self._first = 0  # stamp of the first message that was counted
@@ -87,15 +85,15 @@ class Stream(Copyable, Generic[Stamped]):
         """Return the error of a topic with two frames, None for a few strays or if they ended."""
         if self._strays <= FEW_STRAYS or self.latest - self._last_stray > UNMIXED_TIME:
             return None
-        return two_frames(self._kind, str(self.frame), self._other)
+        return two_frames(self.kind, str(self.frame), self._other)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return one sentence for each reason for which messages were dropped."""
-        dropped = [f'dropped a {self._kind} {reason} ({count} times)'
+        dropped = [f'dropped a {self.kind} {reason} ({count} times)'
                    for reason, count in self._dropped.items()]
         steps = self._set_backs
-        return (*([f'the clock of the {self._kind}s was set back by {steps[-1] * 1e-9:.1f} s '
+        return (*([f'the clock of the {self.kind}s was set back by {steps[-1] * 1e-9:.1f} s '
                    f'({len(steps)} times): sampling continues in the new time'] if steps else []),
                 *dropped)
 
@@ -121,10 +119,9 @@ class Stream(Copyable, Generic[Stamped]):
         if item.stamp <= newest:
             self._dropped['whose stamp is not later than the one before'] += 1
             self._look_for_set_back(item.stamp)
-        elif item.stamp - self.latest > REORDER_TIME:
-            self._held = item
         else:
-            passed.append(self._passed(item))
+            self._held = item
+            passed += self.released(0, self.latest + REORDER_TIME)
         return passed
 
     def _count_stray(self, frame: str, stamp: int) -> None:
@@ -148,9 +145,8 @@ class Stream(Copyable, Generic[Stamped]):
             self.set_back = self.latest - self._late[0]
 
     def restart(self) -> None:
-        """Continue in the time of the next message."""
-        if self.set_back:
-            self._set_backs.append(self.set_back)
+        """Continue in the time of the next message: the clock was set back."""
+        self._set_backs.append(self.set_back)
         self._held, self.latest, self.late, self.count = None, -1, False, 0
         self._last_stray = -1  # strays before are of the past
         self.set_back, self._late = 0, []
@@ -160,15 +156,11 @@ class Stream(Copyable, Generic[Stamped]):
         held = self._held
         if held is None or not first <= held.stamp <= last:
             return []
-        self._held = None
-        return [self._passed(held)]
-
-    def _passed(self, item: Stamped) -> Stamped:
-        self._late = []
-        self._first = self._first if self.count else item.stamp
-        self.latest = item.stamp
+        self._held, self._late = None, []
+        self._first = self._first if self.count else held.stamp
+        self.latest = held.stamp
         self.count += 1
-        return item
+        return [held]
 
 
 def two_frames(kind: str, first: str, second: str) -> InputError:
@@ -236,8 +228,6 @@ def interpolate(poses: Sequence[TimedPose], stamps: Sequence[int]) -> Array:
     poses = around(poses, stamps)
     times = np.array([p.stamp - poses[0].stamp for p in poses], dtype=float)
     at = np.array([s - poses[0].stamp for s in stamps], dtype=float)
-    if at.min() < times[0] or at.max() > times[-1]:
-        raise ValueError('a stamp lies outside the time of the poses')
     translations, quaternions = (np.array([getattr(p, name) for p in poses])
                                  for name in ('translation', 'quaternion'))
     return se3.transform(Slerp(times, Rotation.from_quat(quaternions))(at).as_matrix(),
