@@ -9,10 +9,8 @@ plane on which the centre lies need not be given.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
-from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
@@ -23,77 +21,43 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.estimation.target import Conditions
 from handeye_ros.profiles.arcs import arc_features, fit_circle
-from handeye_ros.targets.starts import with_few_stations
+from handeye_ros.targets.starts import (
+    frames_along,
+    hemisphere,
+    linear_solutions,
+    with_few_stations,
+)
 from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-ROTATION_COUNT = 600
+DIRECTION_COUNT = 200  # of the normal of the sensor plane
 CANDIDATE_COUNT = 16
-MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
+LARGER = 1.05  # an unknown radius over that of the largest circle
 
 
 def _candidates(problem: Problem, radius: float) -> list[Estimate]:
-    """Return the best linear solutions over a sweep of rotations of the sensor."""
-    obs = problem.observations
-    bounds = np.searchsorted(obs.station, np.arange(1, len(problem.poses)))
+    """
+    Return the best linear solutions over a sweep of the normal of the sensor plane.
+
+    The centre of the sphere is at one place across it from the centres of all circles.
+    """
+    obs, poses = problem.observations, problem.poses
+    bounds = np.searchsorted(obs.station, np.arange(1, len(poses)))
     circles = np.array([fit_circle(p, steps=1) for p in np.split(obs.points, bounds)])
-    radius = radius or 1.05 * float(circles[:, 2].max())
+    radius = radius or LARGER * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
-    a_mean = problem.poses[:, :3, 3].mean(axis=0)
-    R_sensor = rotations(ROTATION_COUNT)
-    centre, t, rms, y = _centres(R_sensor, problem.poses[:, :3, :3],
-                                 problem.poses[:, :3, 3] - a_mean, circles)
-    t[:, 1], rms_y = _side(y, height)
-    best = np.argsort(np.hypot(rms, rms_y))[:CANDIDATE_COUNT]
-    X = se3.transform(R_sensor[best], (R_sensor[best] @ t[best, :, None])[..., 0])
-    return [Estimate(*both) for both in zip(X, np.column_stack(
-        [a_mean + centre[best], np.full(CANDIDATE_COUNT, radius)]), strict=True)]
-
-
-def _centres(R_sensor: Array, R: Array, a: Array, circles: Array
-             ) -> tuple[Array, Array, Array, Array]:
-    """
-    Return the linear solutions from circles (n, 3) for k rotations of the sensor.
-
-    R (n, 3, 3), a (n, 3): of the poses, about their mean position. Returned: centre in the base
-    (k, 3); sensor position (k, 3), 0 across its plane; RMS (k,) of the residuals in the plane;
-    coordinates (k, n) of the centre across it (m).
-    """
-    axes = np.einsum('nij,kja->kani', R, R_sensor)  # of the sensor in the base
-    flange = np.einsum('kani,ni->kan', axes, a)
-    # axis . (centre - flange) - offset is the centre of the circle, in x and in z
-    A, b = axes[:, ::2], flange[:, ::2] + circles[:, :2].T
-    A_free, b_free = A - A.mean(axis=2, keepdims=True), b - b.mean(axis=2, keepdims=True)
-    normal = np.einsum('kani,kanj->kij', A_free, A_free) + MIDDLE_WEIGHT * len(R) * np.eye(3)
-    centre = np.linalg.solve(normal, np.einsum('kani,kan->ki', A_free, b_free)[..., None])[..., 0]
-    left = (A @ centre[:, None, :, None])[..., 0] - b
-    t = np.zeros((len(centre), 3))
-    t[:, ::2] = left.mean(axis=2)
-    rms = np.sqrt(left.var(axis=2).mean(axis=1))
-    return centre, t, rms, (axes[:, 1] @ centre[..., None])[..., 0] - flange[:, 1]
-
-
-def _side(y: Array, height: Array) -> tuple[Array, Array]:
-    """Return offsets (k,) with |y - offset| nearest to height (n,), and RMS; y: (k, n)."""
+    in_plane = frames_along(hemisphere(DIRECTION_COUNT))[:, None, :, 1:]
+    X, centre, _ = linear_solutions(poses, circles[:, :2], poses[:, :3, :3] @ in_plane,
+                                    CANDIDATE_COUNT)
+    # along the normal it is at the height of each circle, on either side
+    T = poses @ X[:, None]
+    y = ((centre[:, None] - T[..., :3, 3]) * T[..., :3, 1]).sum(axis=-1)
     offsets = np.concatenate([y - height, y + height], axis=1)
-    misfit = np.abs(np.abs(y[:, None, :] - offsets[:, :, None]) - height)
-    total = (misfit ** 2).mean(axis=2)
-    best = np.argmin(total, axis=1)
-    rows = np.arange(len(y))
-    return offsets[rows, best], np.sqrt(total[rows, best])
-
-
-@cache
-def rotations(count: int) -> Array:
-    """Return (count, 3, 3) rotations, evenly distributed (super-Fibonacci spiral)."""
-    s = np.arange(count) + 0.5
-    r, big_r = np.sqrt(s / count), np.sqrt(1 - s / count)
-    alpha, beta = 2 * np.pi * s / 2 ** 0.5, 2 * np.pi * s / 1.533751168755204288118041
-    q = np.column_stack([r * np.sin(alpha), r * np.cos(alpha),
-                         big_r * np.sin(beta), big_r * np.cos(beta)])
-    return np.asarray(Rotation.from_quat(q).as_matrix())
+    misfit = np.abs(np.abs(y[:, None] - offsets[:, :, None]) - height)
+    best = (misfit ** 2).sum(axis=2).argmin(axis=1)
+    X[:, :3, 3] += offsets[np.arange(len(X)), best, None] * X[:, :3, 1]
+    return [Estimate(*both) for both in zip(X, np.insert(centre, 3, radius, axis=1), strict=True)]
 
 
 class Sphere(ProfileTarget):
@@ -127,12 +91,7 @@ class Sphere(ProfileTarget):
         return points, np.zeros(len(points), dtype=np.intp)
 
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """
-        Yield starts, best first, from a sweep of rotations of the sensor.
-
-        For a given rotation, the centre's coordinates in the sensor plane are linear in the other
-        unknowns, on whichever side of the plane the centre lies.
-        """
+        """Yield starts, best first, from a sweep of the normal of the sensor plane."""
         problem = with_few_stations(whole, rng)
         yield from shortlisted(problem, _candidates(problem, problem.config.target.radius))
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 from handeye_ros import se3
@@ -21,8 +21,9 @@ from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint, ENDINGS, FaceLine, Feature, Sample
 from handeye_ros.estimation.basis import bent_surface
 from handeye_ros.estimation.blocks import Blocks, ParameterBlock
-from handeye_ros.estimation.problem import Linear, Observations
+from handeye_ros.estimation.problem import Linear, Observations, UNUSED
 from handeye_ros.estimation.target import Conditions, Target
+from handeye_ros.targets.starts import nearest_piece
 import numpy as np
 from numpy.typing import NDArray
 
@@ -114,12 +115,14 @@ class FaceTarget(ProfileTarget):
 
     moves: which of x y z rx ry rz, along and about its own axes, are parameters; the others leave
         it the same. The measures are parameters after them.
+    normals: (kinds, 3) of the surfaces through the origin that the conditions of each kind are of
     edge_kinds: of the conditions of one edge point
     several_in_view: whether a profile may show several surfaces, or pairs of them, of which one is
         the target
     """
 
     moves: ClassVar[Sequence[int]]
+    normals: ClassVar[Array]
     edge_kinds: tuple[int, ...] = ()
     face_count = 1
     several_in_view = False
@@ -145,14 +148,17 @@ class FaceTarget(ProfileTarget):
         """Return whether a station shows several surfaces or pairs of them."""
         return self.several_in_view and bool(self.pieces(observations).any())
 
-    @abstractmethod
     def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
                          ) -> tuple[Array, Array, Array]:
         """
         Return the conditions g (..., m) of points (..., m, 3) in the target's frame.
 
-        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j).
+        And their derivatives by the points, (..., m, 3), and by the measures, (..., m, j). Here
+        the distances from its surfaces, of a target without measures.
         """
+        normals = self.normals[kind]
+        g = (local * normals).sum(axis=-1)
+        return g, np.broadcast_to(normals, local.shape), np.empty((*g.shape, 0))
 
     def axes(self, R: Array) -> Array:
         """Return the axes (..., 3, 3), in the columns, of the moves of a target turned by R."""
@@ -178,6 +184,15 @@ class FaceTarget(ProfileTarget):
                                for part in (moves[..., :3], moves[..., 3:])], axis=-1)
         pose = se3.perturb(T, step).reshape(*state.shape[:-1], 16)
         return np.concatenate([pose, state[..., 16:] + delta[..., len(self.moves):]], axis=-1)
+
+    def reassign(self, observations: Observations, p: Array, state: Array, config: Config
+                 ) -> Observations:
+        """Return the observations with one piece per station: the first of the near ones."""
+        if not self.ambiguous(observations):
+            return observations
+        squares = self.conditions(p, observations.kind, state, config).g ** 2
+        chosen = nearest_piece(observations, self.pieces(observations), squares)
+        return replace(observations, kind=np.where(chosen, observations.kind, UNUSED))
 
     def blocks(self, linear: Linear) -> Blocks:
         """Yield the blocks of the ends of faces, of their flatness, and of grazing light."""
