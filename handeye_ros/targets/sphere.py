@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from handeye_ros import se3
 from handeye_ros.config import Config
 from handeye_ros.data import Arc, Array, Feature, Sample
 from handeye_ros.estimation.problem import (
@@ -21,42 +22,48 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.estimation.search import shortlisted
 from handeye_ros.estimation.target import Conditions
 from handeye_ros.profiles.arcs import arc_features, fit_circle
-from handeye_ros.targets.starts import (
-    frames_along,
-    hemisphere,
-    linear_solutions,
-    with_few_stations,
-)
+from handeye_ros.targets.starts import with_few_stations
 from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-DIRECTION_COUNT = 200  # of the normal of the sensor plane
+ROTATION_COUNT = 1200
 CANDIDATE_COUNT = 16
 LARGER = 1.05  # an unknown radius over that of the largest circle
+MIDDLE_WEIGHT = 1e-9  # weight of a centre at the middle of the poses (regularisation)
 
 
-def _candidates(problem: Problem, radius: float) -> list[Estimate]:
+def _candidates(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     """
-    Return the best linear solutions over a sweep of the normal of the sensor plane.
+    Return the best linear solutions over a sweep of rotations of the sensor.
 
-    The centre of the sphere is at one place across it from the centres of all circles.
+    For a given one the places of the sphere's centre c and of the sensor t are linear in the
+    centres of the circles: axis . (c - a) - t, along the line and in range. Across the sensor
+    plane c is at the height of each circle above it, on either side.
     """
-    obs, poses = problem.observations, problem.poses
-    bounds = np.searchsorted(obs.station, np.arange(1, len(poses)))
+    obs, a = problem.observations, problem.poses[:, :3, 3]
+    bounds = np.searchsorted(obs.station, np.arange(1, len(a)))
     circles = np.array([fit_circle(p, steps=1) for p in np.split(obs.points, bounds)])
-    radius = radius or LARGER * float(circles[:, 2].max())
+    radius = problem.config.target.radius or LARGER * float(circles[:, 2].max())
     height = np.sqrt(np.maximum(radius ** 2 - circles[:, 2] ** 2, 0.0))
-    in_plane = frames_along(hemisphere(DIRECTION_COUNT))[:, None, :, 1:]
-    X, centre, _ = linear_solutions(poses, circles[:, :2], poses[:, :3, :3] @ in_plane,
-                                    CANDIDATE_COUNT)
-    # along the normal it is at the height of each circle, on either side
-    T = poses @ X[:, None]
-    y = ((centre[:, None] - T[..., :3, 3]) * T[..., :3, 1]).sum(axis=-1)
+    R_sensor = Rotation.from_quat(rng.normal(size=(ROTATION_COUNT, 4))).as_matrix()
+    axes = np.swapaxes(problem.poses[:, :3, :3] @ R_sensor[:, None], -1, -2)  # in the base
+    flange = axes @ (a - a.mean(axis=0))[:, :, None]
+    A = np.concatenate([axes[:, :, ::2], np.broadcast_to(-np.eye(2), (*axes.shape[:2], 2, 2))],
+                       axis=-1).reshape(ROTATION_COUNT, -1, 5)
+    b = (flange[:, :, ::2, 0] + circles[:, :2]).reshape(ROTATION_COUNT, -1, 1)
+    transposed = np.swapaxes(A, 1, 2)
+    normal = transposed @ A + MIDDLE_WEIGHT * len(a) * np.eye(5)
+    solved = np.linalg.solve(normal, transposed @ b)
+    y = (axes[:, :, 1] @ solved[:, :3] - flange[:, :, 1])[..., 0]
     offsets = np.concatenate([y - height, y + height], axis=1)
-    misfit = np.abs(np.abs(y[:, None] - offsets[:, :, None]) - height)
-    best = (misfit ** 2).sum(axis=2).argmin(axis=1)
-    X[:, :3, 3] += offsets[np.arange(len(X)), best, None] * X[:, :3, 1]
+    misfit = ((np.abs(y[:, None] - offsets[:, :, None]) - height) ** 2).mean(axis=2)
+    total = misfit.min(axis=1) + ((A @ solved - b) ** 2).mean(axis=(1, 2))
+    best = np.argsort(total)[:CANDIDATE_COUNT]
+    t = np.insert(solved[best, 3:, 0], 1, offsets[best, misfit[best].argmin(axis=1)], axis=1)
+    X = se3.transform(R_sensor[best], (R_sensor[best] @ t[:, :, None])[..., 0])
+    centre = a.mean(axis=0) + solved[best, :3, 0]
     return [Estimate(*both) for both in zip(X, np.insert(centre, 3, radius, axis=1), strict=True)]
 
 
@@ -91,9 +98,9 @@ class Sphere(ProfileTarget):
         return points, np.zeros(len(points), dtype=np.intp)
 
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:
-        """Yield starts, best first, from a sweep of the normal of the sensor plane."""
+        """Yield starts, best first, from a sweep of rotations of the sensor."""
         problem = with_few_stations(whole, rng)
-        yield from shortlisted(problem, _candidates(problem, problem.config.target.radius))
+        yield from shortlisted(problem, _candidates(problem, rng))
 
     def half_turn_misfit(self, linear: Linear) -> tuple[str, float]:
         """

@@ -129,36 +129,21 @@ def frames_along(x: Array) -> Array:
 
 def swept(problem: Problem, axes: list[int], across: slice, count: int) -> list[Estimate]:
     """
-    Return the best estimates of a line or a plane, from a sweep of its direction.
+    Return the best linear solutions for a line or a plane, over a sweep of its direction.
 
-    axes: order of the axes of a frame whose first one is along the direction; across: the axes
-    along which its points have one coordinate.
+    axes: order of the axes of a frame whose first one is along the direction; across: the axes W
+    along which its points have one coordinate. Then W' (R (x r1 + z r3 + t) + a - c) = 0 is linear
+    in r1, r3, t and the place c. Solutions with small residuals, and with r1 and r3 near
+    orthonormal, come first.
     """
     frames = frames_along(hemisphere(DIRECTION_COUNT))[:, :, axes]
-    obs = problem.observations
-    X, place, tried = linear_solutions(problem.poses[obs.station], obs.points,
-                                       frames[:, None, :, across], count)
-    states = se3.transform(frames[tried], place).reshape(-1, 16)
-    return [Estimate(*each) for each in zip(X, states, strict=True)]
-
-
-def linear_solutions(poses: Array, points: Array, across: Array, count: int
-                     ) -> tuple[Array, Array, NDArray[np.intp]]:
-    """
-    Return the best solutions for points that lie at one place across given directions.
-
-    poses: (m, 4, 4) of the mount at each of the points (m, 2); across: (k, m, 3, q) or (k, 1, 3,
-    q) the directions W in the base, k of which are tried. W' (R (x r1 + z r3 + t) + a - c) = 0 is
-    linear in r1, r3, t and the place c. Solutions with small residuals, and with r1 and r3 near
-    orthonormal, come first: X (count, 4, 4), places (count, 3) in the base, and which of the k.
-    """
-    R, a = poses[:, :3, :3], poses[:, :3, 3]
-    middle = a.mean(axis=0)
-    x, z = points.T[:, :, None, None]
+    T = problem.poses[problem.observations.station]
+    R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
+    x, z = problem.observations.points.T[:, :, None, None]
     # in the base: derivatives (m, 3, 12) of the points by r1, r3, t, c, and what they must add to
     known = np.concatenate([x * R, z * R, R, np.broadcast_to(-np.eye(3), R.shape),
                             (middle - a)[:, :, None]], axis=2)
-    rows = (np.swapaxes(across, -1, -2) @ known).reshape(len(across), -1, 13)
+    rows = (np.swapaxes(frames[:, None, :, across], -1, -2) @ known).reshape(len(frames), -1, 13)
     A, b = rows[..., :12], rows[..., 12:]
     # least squares of each; what the points do not show, such as r3 of one height, is 0
     transposed = np.swapaxes(A, 1, 2)
@@ -167,11 +152,12 @@ def linear_solutions(poses: Array, points: Array, across: Array, count: int
     scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(12)
     solved = np.linalg.solve(scaled, transposed @ b / scale) / scale
     rms = np.sqrt(((A @ solved - b) ** 2).mean(axis=(1, 2)))
-    r1, r3, t, c = np.split(solved[..., 0], 4, axis=1)
+    r1, r3, t, c = np.moveaxis(solved.reshape(-1, 4, 3), 1, 0)
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
     best = np.argsort(rms / 1e-3 + defect)[:count]
     U, _, Vt = np.linalg.svd(np.stack([r1, r3], axis=1)[best], full_matrices=False)
     r1, r3 = np.moveaxis(U @ Vt, 1, 0)
     X = se3.transform(np.stack([r1, np.cross(r3, r1), r3], axis=-1), t[best])
-    return X, middle + c[best], best
+    states = se3.transform(frames[best], middle + c[best]).reshape(-1, 16)
+    return [Estimate(*each) for each in zip(X, states, strict=True)]
