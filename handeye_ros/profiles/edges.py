@@ -59,6 +59,7 @@ RIM_SHARE, LONGEST_RIM = 4, 3  # last points of a bent end that are not used: 1 
 LOST_STD = 0.17  # 1 sigma of an edge due to lost points, in columns
 LAST_POINTS = 3  # last points that give the depth of an end
 MIXED_POINTS = 2  # most points between two levels that are only mixed at the edge
+BOW_SIGMAS = 3.0  # least bow of a face that counts
 BOW_REACH = 2.5  # spreads of its points up to which the bow of a face goes on (1.7: its ends)
 LONGEST_RAMP = 16  # points between two levels: a wider transition is a surface
 RAMP_STD = 0.1  # 1 sigma of the edge within a wide transition, over its width
@@ -134,7 +135,14 @@ class FaceEnd:
 
     @cached_property
     def _parabola(self) -> tuple[float, float, float]:
-        return self.segment.parabola(self.points)
+        """Return middle, spread (along x) and RMS height of the bow of the face, 0 if not sure."""
+        x, z = self.points.take(self.segment.straight, axis=0).T
+        middle, spread = float(x.mean()), float(x.std())
+        shape = bent((x - middle) / spread)
+        square = float(shape @ shape)
+        height = float((z - self.segment.height(x)) @ shape) / square
+        return middle, spread, height * (
+            height ** 2 * square > (BOW_SIGMAS * self.segment.noise) ** 2)
 
     def edge(self, place: float, std: float, ending: str) -> EdgePoint:
         """Return the edge point on the face, at a place (m) outwards from the origin."""
@@ -255,15 +263,12 @@ def _corner(end: FaceEnd, other: Segment, end_columns: NDArray[np.intp]) -> Edge
         raise NoEdgeError('at something nearer')
     # offset errors of both lines, extrapolated to their crossing; a steep surface that is noisier
     # than the face has an additional error of that size
-    steep = max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5
-    std = math.hypot(_std_at(a, x, end.points), _std_at(b, x, end.points), steep)
-    return end.edge(place, std / abs(a.slope - b.slope) * math.hypot(1.0, a.slope), 'roof')
-
-
-def _std_at(segment: Segment, x: float, points: Array) -> float:
-    """Return 1 sigma of the range of a segment's line at x."""
-    xs = points[segment.columns, 0]
-    return float(segment.noise * np.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
+    stds = [max(b.noise ** 2 - a.noise ** 2, 0.0) ** 0.5]
+    for line in (a, b):
+        xs = end.points[line.columns, 0]
+        stds.append(line.noise * math.sqrt((1 + ((x - xs.mean()) / xs.std()) ** 2) / len(xs)))
+    std = math.hypot(*stds) / abs(a.slope - b.slope) * math.hypot(1.0, a.slope)
+    return end.edge(place, std, 'roof')
 
 
 def _end_columns(end: FaceEnd) -> NDArray[np.intp]:
@@ -369,12 +374,11 @@ def _with_bent_end(edge: EdgePoint, place: float, length: float, end: FaceEnd,
     before = end.segment.columns[-max(2 * len(end_columns), SHORTEST_ROUNDING):]
     inner = end_columns[:len(end_columns) - min(len(end_columns) // RIM_SHARE, LONGEST_RIM)]
     u, v = end.outwards_and_below(np.concatenate([before, inner]))
-    bend = rounding_of(u, v, place, end.pitch, noise)
+    depth, shapes, (out, below), arc_std = rounding_of(u, v, place, end.pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
-    depth = min(bend.depth, STEEPEST_ROUNDING * length + FLAT_SIGMAS * noise)
-    (out, below), (_, outwards, downwards) = bend.middle, end.frame
-    return replace(edge, drop=depth * downwards, shape_log_odds=bend.shape_log_odds,
-                   arc_std=bend.middle_std,
+    depth = min(depth, STEEPEST_ROUNDING * length + FLAT_SIGMAS * noise)
+    _, outwards, downwards = end.frame
+    return replace(edge, drop=depth * downwards, shape_log_odds=shapes, arc_std=arc_std,
                    arc_offset=(out - place) * outwards + below * downwards)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -30,7 +31,7 @@ from handeye_ros.data import (
 )
 from handeye_ros.errors import FeatureError, mm, UnusableMessageError
 from handeye_ros.profiles.arcs import normal_points, off_circle
-from handeye_ros.profiles.lines import combined_line, on_line
+from handeye_ros.profiles.lines import line_of_bins, on_line
 from handeye_ros.sampling.stops import decoded, evenly, evenly_chosen, Stop
 from handeye_ros.sampling.stream import interpolate
 from handeye_ros.sampling.trajectory import trajectory_of
@@ -70,11 +71,10 @@ def _pass_of(stop: Stop, config: Config) -> Sample:
     """Return the middle sample of a pass, with those of its profiles; raises FeatureError."""
     # of a stored pass some may lie beyond its poses, with another time_offset
     profiles = [p for p in stop.profiles if stop.start <= p.stamp <= stop.end]
-    chosen = decoded(evenly(profiles, MOST_OF_PASS), config)
-    shown, reasons = _features_of_each(chosen, config)
-    if 2 * len(shown) < MOST_OF_PASS < len(profiles):
-        chosen = decoded(evenly(profiles, 2 * MOST_OF_PASS), config)
-        shown, reasons = _features_of_each(chosen, config)
+    for most in (MOST_OF_PASS, 2 * MOST_OF_PASS):
+        shown, reasons = _features_of_each(decoded(evenly(profiles, most), config), config)
+        if 2 * len(shown) >= MOST_OF_PASS or most >= len(profiles):
+            break
     if not shown:
         raise FeatureError(reasons[-1]) if reasons else _no_profiles(stop, config)
     T = interpolate(stop.poses, [profile.stamp for profile, _ in shown])
@@ -115,12 +115,10 @@ def _centroid(profile: Profile) -> Array:
 
 def _flipped(profile: Profile, config: Config) -> tuple[Feature, ...]:
     """Return the features of a target with edges, with the opposite profile.range_sign."""
-    if not targets.target_for(config).essential:
-        return ()
-    try:
-        return features_of(profile, flipped_range(config))
-    except FeatureError:
-        return ()
+    if targets.target_for(config).essential:
+        with suppress(FeatureError):
+            return features_of(profile, flipped_range(config))
+    return ()
 
 
 def _features_of_each(profiles: Sequence[Profile], config: Config
@@ -212,7 +210,7 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     """
     Return one line from those of the profiles of a stop; its std includes their scatter.
 
-    Raises FeatureError.
+    Errors that repeat in every profile, such as speckle, do not average out. Raises FeatureError.
     """
     centres = np.array([line.centre for line in lines])
     slopes = np.array([line.direction[1] / line.direction[0] for line in lines])
@@ -220,10 +218,20 @@ def _combined_line(lines: Sequence[FaceLine]) -> FaceLine:
     heights = centres[:, 1] + slopes * (x - centres[:, 0])
     good = _near_median(heights, 6.0, 6 * float(np.mean([line.std for line in lines])),
                         'how high the face is')
-    slope = float(slopes[good].mean())
-    scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if good.sum() > 1 else 0.0
-    return combined_line([line for line, g in zip(lines, good, strict=True) if g],
-                         np.array([x, heights[good].mean()]), slope, float(scatter))
+    lines = [line for line, g in zip(lines, good, strict=True) if g]
+    slope, centre = float(slopes[good].mean()), np.array([x, heights[good].mean()])
+    size = min(len(line.bins) for line in lines)
+    same = [line for line in lines if len(line.bins) == size]
+    each, n = np.array([line.bins for line in same]), len(same)
+    across = (each - centre) @ np.array([-slope, 1.0]) / np.hypot(1.0, slope)
+    white_var = (float(across.var(axis=0, ddof=1).mean()) if n > 1 else same[0].std ** 2 * size)
+    spread = float(np.median([line.spread for line in lines]))
+    combined = line_of_bins(centre, slope, spread, each.mean(axis=0), white_var / n)
+    # a robot that shakes moves all points of a profile alike
+    scatter = heights[good].std(ddof=1) / np.hypot(1.0, slope) if len(lines) > 1 else 0.0
+    shared = max(float(scatter) ** 2 / n - combined.std ** 2, 0.0)
+    return replace(combined, std=float(np.sqrt(combined.std ** 2 + shared)),
+                   points_std=np.sqrt(combined.points_std ** 2 + shared))
 
 
 def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
