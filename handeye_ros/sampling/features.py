@@ -143,10 +143,8 @@ def combined_features(profiles: Sequence[Profile], config: Config
     shown, reasons = _features_of_each(profiles, config)
     if not shown or 2 * len(shown) < len(profiles):
         raise FeatureError(Counter(reasons).most_common(1)[0][0])
-    target = targets.target_for(config)
     return ([profile for profile, _ in shown],
-            combine([features for _, features in shown],
-                    1 if target.essential else len(target.kinds)))
+            combine([features for _, features in shown], targets.target_for(config).face_count))
 
 
 def combine(found: Sequence[tuple[Feature, ...]], lines_per_group: int = 1) -> tuple[Feature, ...]:
@@ -255,23 +253,17 @@ def _combined_edge(edges: Sequence[EdgePoint]) -> EdgePoint:
     # a robot that stands still repeats the rounding to a column, and mixed and lost points pull
     # the edge inwards in every profile: that does not average out
     std = np.hypot(single, scatter / min(n, MOST_INDEPENDENT) ** 0.5)
-    return EdgePoint(points[good].mean(axis=0), direction, float(std), expected, ending,
-                     np.median([e.drop for e in edges], axis=0),
-                     *_combined_ends(points, edges, good))
-
-
-def _combined_ends(points: Array, edges: Sequence[EdgePoint], good: NDArray[np.bool_]
-                   ) -> tuple[Array, Array, float]:
-    """Return shapes, arc and arc_std of edges at points (n, 2) if most of them are rounded."""
-    bent = good & [len(edge.shape_log_odds) > 0 for edge in edges]
-    if 2 * bent.sum() <= good.sum():
-        return np.empty(0), np.zeros(2), 0.0
-    used = [edge for edge, chosen in zip(edges, bent, strict=True) if chosen]
-    middles = points[bent] + [edge.arc_offset for edge in used]
-    times = min(len(used), MOST_INDEPENDENT)
-    shapes = np.mean([edge.shape_log_odds for edge in used], axis=0) * times
-    std = float(np.median([edge.arc_std for edge in used])) / times ** 0.5
-    return shapes - shapes.max(), middles.mean(axis=0) - points[good].mean(axis=0), std
+    combined = EdgePoint(points[good].mean(axis=0), direction, float(std), expected, ending,
+                         np.median([e.drop for e in edges], axis=0))
+    bent = [e for e, g in zip(edges, good, strict=True) if g and len(e.shape_log_odds)]
+    if 2 * len(bent) <= good.sum():
+        return combined
+    times = min(len(bent), MOST_INDEPENDENT)
+    shapes = np.mean([e.shape_log_odds for e in bent], axis=0) * times
+    middle = np.mean([e.point + e.arc_offset for e in bent], axis=0)
+    return replace(combined, shape_log_odds=shapes - shapes.max(),
+                   arc_offset=middle - combined.point,
+                   arc_std=float(np.median([e.arc_std for e in bent])) / times ** 0.5)
 
 
 def _near_median(values: Array, times: float, least: float, what: str) -> NDArray[np.bool_]:
@@ -294,8 +286,8 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     centres = np.array([a.centre for a in arcs])
     middle = np.median([a.circle for a in arcs], axis=0)
     # a short arc determines its centre worse than the position of its points
-    away = np.array([_scatter(a, middle) for a in arcs])
-    scatter = float(np.median([_scatter(a, a.circle) for a in arcs]))
+    away = np.array([rms(off_circle(a.raw, middle)) for a in arcs])
+    scatter = float(np.median([rms(off_circle(a.raw, a.circle)) for a in arcs]))
     good = away < min(LARGEST_DISAGREEMENT, scatter + max(3.0 * scatter, SMALLEST_DISAGREEMENT))
     if good.sum() < LEAST_AGREEING * len(arcs):
         raise _disagreeing('where the sphere is',
@@ -304,11 +296,6 @@ def _combined_arc(arcs: Sequence[Arc]) -> Arc:
     arc = normal_points(np.concatenate(used))
     # for the residuals: 0.8 MB of a sample at most
     return replace(arc, raw=arc.raw[evenly_chosen(len(arc.raw), 50_000)])
-
-
-def _scatter(arc: Arc, circle: Array) -> float:
-    """Return the RMS distance of the points of an arc from a circle."""
-    return rms(off_circle(arc.raw, circle))
 
 
 def _disagreeing(what: str, apart: float) -> FeatureError:

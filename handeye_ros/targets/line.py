@@ -60,16 +60,13 @@ def line_starts(problem: Problem) -> list[Estimate]:
 
 def _with_face(problem: Problem, estimate: Estimate) -> Estimate:
     """Return the estimate with the target's z along the normal of the most frequent face."""
-    T = estimate.state.reshape(4, 4)
     p = problem.points_in_base(estimate.X)
-    angle = 2 * _face_angles(problem.observations, p, estimate.state)
-    near = np.cos(angle[:, None] - angle) > np.cos(2 * SAME_FACE)
-    middle = angle[np.argmax(near.sum(axis=1))]
-    chosen = angle[np.cos(angle - middle) > np.cos(2 * SAME_FACE)]
-    middle = np.angle(np.exp(1j * chosen).sum()) / 2
-    y, z = np.cos(middle), np.sin(middle)
-    turn = np.array([[1.0, 0, 0], [0, y, -z], [0, z, y]])
-    return replace(estimate, state=se3.transform(T[:3, :3] @ turn, T[:3, 3]).ravel())
+    # a face is the same after half a turn
+    faces = np.exp(2j * _face_angles(problem.observations, p, estimate.state))
+    near = (faces[:, None] * faces.conj()).real > np.cos(2 * SAME_FACE)
+    turn = np.angle(faces[near[near.sum(axis=1).argmax()]].sum()) / 2
+    T_turn = se3.transform(se3.exp_rotation(np.array([turn, 0.0, 0.0])), np.zeros(3))
+    return replace(estimate, state=(estimate.state.reshape(4, 4) @ T_turn).ravel())
 
 
 def one_end(problem: Problem) -> Iterator[list[Problem]]:

@@ -71,7 +71,10 @@ def _gate(distance: Array) -> float:
 
 def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> Estimate:
     """Return an estimate of the plate in an estimated plane."""
-    T = _facing_sensor(problem, plane)
+    T = plane.state.reshape(4, 4)
+    looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
+    if T[:3, 2] @ looking * problem.config.profile.range_sign > 0:  # z towards the sensor
+        T = T @ np.diag([1.0, -1.0, -1.0, 1.0])
     _, points, outward = _edge_points(
         problem.observations, problem.points_in_base(plane.X), T.ravel())
     corner, turn = _two_lines(points, outward, rng)
@@ -87,15 +90,6 @@ def _turned_around_corner(estimate: Estimate) -> Estimate:
     turned = se3.transform(np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
                            np.array([0.0, length, 0.0]))
     return Estimate(estimate.X, np.append((T @ turned).ravel(), estimate.state[16:]))
-
-
-def _facing_sensor(problem: Problem, plane: Estimate) -> Array:
-    """Return the plane's frame with z towards the sensor."""
-    T = plane.state.reshape(4, 4)
-    looking = (problem.poses[:, :3, :3] @ plane.X[:3, 2]).mean(axis=0)
-    looking *= problem.config.profile.range_sign
-    flip = np.diag([1.0, -1.0, -1.0, 1.0]) if T[:3, 2] @ looking > 0 else np.eye(4)
-    return T @ flip
 
 
 def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple[Array, float]:

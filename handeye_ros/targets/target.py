@@ -180,9 +180,8 @@ class FaceTarget(ProfileTarget):
         T = state[..., :16].reshape(*state.shape[:-1], 4, 4)
         moves, axes = np.zeros((*delta.shape[:-1], 6)), self.axes(T[..., :3, :3])
         moves[..., list(self.moves)] = delta[..., :len(self.moves)]
-        step = np.concatenate([np.einsum('...ij,...j->...i', axes, part)
-                               for part in (moves[..., :3], moves[..., 3:])], axis=-1)
-        pose = se3.perturb(T, step).reshape(*state.shape[:-1], 16)
+        step = axes[..., None, :, :] @ moves.reshape(*delta.shape[:-1], 2, 3, 1)
+        pose = se3.perturb(T, step.reshape(moves.shape)).reshape(*state.shape[:-1], 16)
         return np.concatenate([pose, state[..., 16:] + delta[..., len(self.moves):]], axis=-1)
 
     def reassign(self, observations: Observations, p: Array, state: Array, config: Config
