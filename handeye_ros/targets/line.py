@@ -32,7 +32,7 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.target import FACE, FaceTarget, xyz
+from handeye_ros.targets.target import FACE, ProfileTarget, xyz
 import numpy as np
 
 EDGE_Y, EDGE_Z = 1, 2
@@ -90,7 +90,7 @@ def one_end(problem: Problem) -> Iterator[list[Problem]]:
                                           for chosen in choices for rank in (side, -side)])
 
 
-class Line(FaceTarget):
+class Line(ProfileTarget):
     """One straight edge: every edge point lies on one line of the base frame."""
 
     name = 'line'

@@ -26,7 +26,7 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.target import FaceTarget
+from handeye_ros.targets.target import ProfileTarget
 import numpy as np
 
 CANDIDATE_COUNT = 10
@@ -45,7 +45,7 @@ def one_surface(problem: Problem) -> list[Problem]:
     return with_one_piece(problem, surface, (depth, order, -depth))
 
 
-class Plane(FaceTarget):
+class Plane(ProfileTarget):
     """A plane: one straight piece of each profile lies on it; its border is not used."""
 
     name = 'plane'

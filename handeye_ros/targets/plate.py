@@ -26,7 +26,7 @@ from handeye_ros.estimation.problem import (
 from handeye_ros.profiles.faces import face_features
 from handeye_ros.targets.plane import PLANE
 from handeye_ros.targets.starts import some_stations
-from handeye_ros.targets.target import FACE, FaceTarget
+from handeye_ros.targets.target import FACE, ProfileTarget
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,7 +119,7 @@ def _rotation(turn: Any) -> Array:
     return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
 
 
-class Plate(FaceTarget):
+class Plate(ProfileTarget):
     """A plate: two straight edges with a common corner, and the face between them."""
 
     name = 'plate'

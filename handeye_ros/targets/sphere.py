@@ -13,17 +13,16 @@ from typing import Any
 
 from handeye_ros import se3
 from handeye_ros.config import Config
-from handeye_ros.data import Arc, Array, Feature, Sample
+from handeye_ros.data import Arc, Array, Sample
 from handeye_ros.estimation.problem import (
     Estimate,
     Linear,
     Problem,
 )
 from handeye_ros.estimation.search import shortlisted
-from handeye_ros.estimation.target import Conditions
 from handeye_ros.profiles.arcs import arc_features, fit_circle
 from handeye_ros.targets.starts import with_few_stations
-from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
+from handeye_ros.targets.target import ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -63,8 +62,8 @@ def _candidates(problem: Problem, rng: np.random.Generator) -> list[Estimate]:
     best = np.argsort(total)[:CANDIDATE_COUNT]
     t = np.insert(solved[best, 3:, 0], 1, offsets[best, misfit[best].argmin(axis=1)], axis=1)
     X = se3.transform(R_sensor[best], (R_sensor[best] @ t[:, :, None])[..., 0])
-    centre = a.mean(axis=0) + solved[best, :3, 0]
-    return [Estimate(*both) for both in zip(X, np.insert(centre, 3, radius, axis=1), strict=True)]
+    T = se3.transform(np.eye(3), a.mean(axis=0) + solved[best, :3, 0]).reshape(-1, 16)
+    return [Estimate(*each) for each in zip(X, np.insert(T, 16, radius, axis=1), strict=True)]
 
 
 class Sphere(ProfileTarget):
@@ -72,18 +71,10 @@ class Sphere(ProfileTarget):
 
     name = 'sphere'
     kinds = ('arc',)
-    labels = ('x', 'y', 'z', 'radius')
+    labels, moves = ('x', 'y', 'z', 'radius'), (0, 1, 2)
     free_shape = {'radius': 0.0}
+    face_count = 0
     extract = staticmethod(arc_features)
-
-    def add(self, rows: ObservationRows, station: int, feature: Feature, number: int) -> None:
-        """Append the conditions of the normal points of an arc."""
-        if isinstance(feature, Arc):
-            outward = feature.points - feature.centre
-            outward /= np.linalg.norm(outward, axis=1)[:, None]
-            noise = np.zeros((len(outward), 2, 2))
-            noise[:, :, 0] = outward * feature.std[:, None]
-            rows.add(station, feature.points, 0, noise)
 
     def stated_values(self, config: Config) -> dict[str, tuple[float, float]]:
         """Return the radius if it is given."""
@@ -108,29 +99,23 @@ class Sphere(ProfileTarget):
 
         An arc does not tell on which side of the sensor plane its centre lies.
         """
-        poses = linear.problem.poses @ linear.estimate.X
-        centres = (linear.estimate.state[:3] - poses[:, :3, 3])[:, None] @ poses[:, :3, [0, 2]]
+        poses, T = linear.problem.poses @ linear.estimate.X, linear.estimate.state[:16]
+        away = T.reshape(4, 4)[:3, 3] - poses[:, :3, 3]
+        centres = away[:, None] @ poses[:, :3, [0, 2]]
         across = np.linalg.svd(centres[:, 0] - centres[:, 0].mean(axis=0))[1][-1]
         return 'on one line', float(across) / len(poses) ** 0.5
 
-    def conditions(self, p: Array, kind: NDArray[np.intp], state: Array, config: Config
-                   ) -> Conditions:
-        """Return the distances from the sphere of points p (..., m, 3) in base."""
-        outward = p - state[..., None, :3]
-        x, y, z = outward[..., 0], outward[..., 1], outward[..., 2]
-        distance = np.sqrt(x * x + y * y + z * z)
-        outward /= distance[..., None]
-        wrt_target = np.full((*p.shape[:-1], 4), -1.0)
-        np.negative(outward, out=wrt_target[..., :3])
-        return Conditions(distance - state[..., 3:], outward, wrt_target)
-
-    def retract(self, state: Array, delta: Array) -> Array:
-        """Return centres and radii (..., 4) after a step delta."""
-        return state + delta
+    def local_conditions(self, local: Array, kind: NDArray[np.intp], measures: Array
+                         ) -> tuple[Array, Array, Array]:
+        """Return the distances of points from the sphere."""
+        distance = np.sqrt((local * local).sum(axis=-1))
+        return (distance - measures, local / distance[..., None],
+                np.full((*distance.shape, 1), -1.0))
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the sphere's centre and radius as plain values."""
-        return {'centre': xyz(state[:3]), 'radius': float(state[3]), 'radius_std': float(std[3])}
+        return {'centre': xyz(state[:16].reshape(4, 4)[:3, 3]), 'radius': float(state[16]),
+                'radius_std': float(std[3])}
 
 
 SPHERE = Sphere()

@@ -26,7 +26,7 @@ from handeye_ros.targets.starts import (
     with_few_stations,
     with_one_piece,
 )
-from handeye_ros.targets.target import FaceTarget, ObservationRows, xyz
+from handeye_ros.targets.target import ObservationRows, ProfileTarget, xyz
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,7 +90,7 @@ def _with_faces(problem: Problem, edge: Estimate) -> Estimate:
     return Estimate(edge.X, np.append(T.ravel(), turns))
 
 
-class Wedge(FaceTarget):
+class Wedge(ProfileTarget):
     """The edge of a block, or a groove: two faces, both visible in every profile."""
 
     name = 'wedge'
