@@ -87,12 +87,7 @@ class FaceEnd:
     @cached_property
     def beyond(self) -> list[Segment]:
         """Return the pieces that reach beyond the end, whether they overlap it or not."""
-        return [other for other in self.segments if other.last > self.column]
-
-    @property
-    def column(self) -> int:
-        """Return the last column of the segment."""
-        return self.segment.last
+        return [other for other in self.segments if other.last > self.segment.last]
 
     def lost(self, first: int, last: int) -> int:
         """Return the number of columns without a return, from the first to before the last."""
@@ -114,7 +109,7 @@ class FaceEnd:
         The origin is the point of the face line at the segment's last point.
         """
         segment, near = self.segment, self.near_sign
-        x, first = self.points.item(self.column, 0), self.points.item(segment.first, 0)
+        x, first = (self.points.item(column, 0) for column in (segment.last, segment.first))
         along = np.array([1.0, segment.slope]) / math.hypot(1.0, segment.slope)
         below = near * np.array([along[1], -along[0]])
         return np.array([[x, segment.height(x)], math.copysign(1.0, x - first) * along, below])
@@ -191,11 +186,11 @@ def edge_at(end: FaceEnd) -> EdgePoint:
         ending = 'roof' if corner else _ending_before(end, next_surface, end_columns)
     elif not marks_lost:
         ending = 'open'
-    elif end.lost(end.column + 1, size) >= GAP_COLUMNS:
+    elif end.lost(end.segment.last + 1, size) >= GAP_COLUMNS:
         ending = 'gap'
     else:
         raise NoEdgeError('at the border of the field of view')
-    room = min(end.column, size - 1 - end.column) * end.pitch
+    room = min(end.segment.last, size - 1 - end.segment.last) * end.pitch
     if marks_lost and room < VIEW_MARGIN:
         raise NoEdgeError(
             f'{room * 1e3:.1f} mm from the end of the view, where its edge may be cut off (move '
@@ -218,11 +213,11 @@ def _ending_before(end: FaceEnd, next_surface: Segment, end_columns: NDArray[np.
     start, least = next_surface.first, smallest_step(end, next_surface)
     rise = end.rise_of(start)
     if rise < -least:
-        last = int(end_columns[-1]) if len(end_columns) else end.column
+        last = int(end_columns[-1]) if len(end_columns) else end.segment.last
         return 'shadow' if end.lost(last, start) >= GAP_COLUMNS else 'step'
     if rise <= least:
         raise NoEdgeError('where its surface goes on at nearly the same height')
-    if abs(end.points[start, 0] - end.points[end.column, 0]) > SHADOW_SLOPE * rise:
+    if abs(end.points[start, 0] - end.points[end.segment.last, 0]) > SHADOW_SLOPE * rise:
         return 'gap'
     raise NoEdgeError('at something nearer')
 
@@ -278,11 +273,11 @@ def _end_columns(end: FaceEnd) -> NDArray[np.intp]:
     The surface may turn away from the sensor, up to the slope from which light returns. One wrong
     point does not end it.
     """
-    at = int(end.returns.searchsorted(end.column))
+    at = int(end.returns.searchsorted(end.segment.last))
     ahead = end.returns[at:at + FURTHER_COLUMNS + 2].tolist()
-    columns, skipped = [end.column], False
-    for column, after in pairwise([*ahead[1:], end.column]):
-        if column - end.column > FURTHER_COLUMNS:
+    columns, skipped = [end.segment.last], False
+    for column, after in pairwise([*ahead[1:], end.segment.last]):
+        if column - end.segment.last > FURTHER_COLUMNS:
             break
         if _follows(end, columns[-1], column):
             columns.append(column)

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 P, Q, P_FAR, Q_FAR = range(1, 5)
 OUTWARD = np.array([[0, 0], [0, -1.0], [-1.0, 0], [0, 1.0], [1.0, 0]])  # by kind, in the face
 KINDS = ('face', 'p', 'q', 'p_far', 'q_far')
-LABELS = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
 SIZE, ANGLE = slice(16, 18), 18  # of the target's state, after its pose
 GATE_RATIO = 10.0  # an edge point this many times further from its edge than most is not used
 SMALLEST_GATE = 1e-3
@@ -42,11 +41,6 @@ SURE_SHARE = 0.3  # of the edge points are surely on an edge of the plate
 
 DIRECTION_COUNT = 240  # tried, over a whole turn
 VOTER_COUNT = 24  # points that this search uses
-
-
-def state_of_plate(T_base_target: Array, config: Config) -> Array:
-    """Return the values (19,) that describe a plate as configured, at a pose (4, 4)."""
-    return np.concatenate([T_base_target.ravel(), config.target.size or (0.0, 0.0), [np.pi / 2]])
 
 
 def _edge_points(observations: Observations, p: Array, state: Array
@@ -81,7 +75,8 @@ def _with_edges(problem: Problem, plane: Estimate, rng: np.random.Generator) -> 
     R = np.eye(3)
     R[:2, :2] = _rotation(turn)
     T_base_target = T @ se3.transform(R, np.append(corner, 0.0))
-    return Estimate(plane.X, state_of_plate(T_base_target, problem.config))
+    return Estimate(plane.X, np.concatenate([
+        T_base_target.ravel(), problem.config.target.size or (0.0, 0.0), [np.pi / 2]]))
 
 
 def _turned_around_corner(estimate: Estimate) -> Estimate:
@@ -124,7 +119,7 @@ class Plate(ProfileTarget):
 
     name = 'plate'
     kinds = KINDS
-    labels = LABELS
+    labels = ('x', 'y', 'z', 'rx', 'ry', 'rz', 'size_p', 'size_q', 'edge_angle')
     moves = range(6)
     extract = staticmethod(face_features)
     essential = KINDS[1:]

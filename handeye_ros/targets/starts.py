@@ -54,9 +54,9 @@ def _typical_distance(problem: Problem, estimate: Estimate) -> float:
     kind = target.reassign(problem.observations, p, estimate.state, problem.config).kind
     used, n = kind != UNUSED, len(problem.poses)
     squares = target.conditions(p[used], kind[used], estimate.state, problem.config).g ** 2
-    total, count = (np.bincount(problem.observations.station[used], values, n)
-                    for values in (squares, np.ones(len(squares))))
-    return float(np.quantile(total / np.maximum(count, 1), NEAR_SHARE) ** 0.5)
+    station = problem.observations.station[used]
+    mean = np.bincount(station, squares, n) / np.maximum(np.bincount(station, minlength=n), 1)
+    return float(np.quantile(mean, NEAR_SHARE) ** 0.5)
 
 
 def with_one_piece(problem: Problem, piece: NDArray[np.intp], choices: Iterable[Array]
@@ -88,8 +88,7 @@ def nearest_piece(observations: Observations, piece: NDArray[np.intp], squares: 
     """
     number, total = (sums_by_piece(observations, piece, values)
                      for values in (np.ones(len(piece)), squares))
-    mean = np.divide(total, number, out=np.full(total.shape, np.inf), where=number > 0)
-    away = np.sqrt(mean)
+    away = np.sqrt(np.where(number > 0, total / np.maximum(number, 1), np.inf))
     near = away <= away.min(axis=1, keepdims=True) + SAME_SURFACE
     return np.asarray(near.argmax(axis=1)[observations.station] == piece)
 
