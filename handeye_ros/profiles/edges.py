@@ -33,7 +33,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edge_rounding import rounding_of
+from handeye_ros.profiles.edge_shapes import rounding_of
 from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
@@ -362,7 +362,7 @@ def _with_bent_end(edge: EdgePoint, place: float, length: float, end: FaceEnd,
     Return the edge of a bent end, with its depth and its arc.
 
     How far the end is from the edge is determined later, from all samples (see
-    sampling/edge_shapes.py). place: of the edge, length: of what is not flat (m).
+    profiles/edge_shapes.py). place: of the edge, length: of what is not flat (m).
     """
     # the last points of a bent end are the worst
     noise = end.segment.noise
