@@ -336,8 +336,8 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     Return the end of a plate before a drop, the end columns included.
 
     It lies between the last point of the plate and the next one that is not mixed of both sides,
-    or, where a sensor makes a ramp of the drop, where that is half way down. ground: the surface
-    seen below, or None.
+    or, where a sensor makes a ramp of the drop, where that is half way down. A bent end has a
+    depth, an arc and odds of its shapes. ground: the surface seen below, or None.
     """
     plate = np.concatenate([end.segment.columns[-LAST_POINTS:], end_columns])
     u, v = end.outwards_and_below(plate)
@@ -353,25 +353,14 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     edge = end.edge(place, std, ending)
     if v[-LAST_POINTS:].mean() < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
-    return _with_bent_end(edge, place, last - flat, end, end_columns)
-
-
-def _with_bent_end(edge: EdgePoint, place: float, length: float, end: FaceEnd,
-                   end_columns: NDArray[np.intp]) -> EdgePoint:
-    """
-    Return the edge of a bent end, with its depth and its arc.
-
-    How far the end is from the edge is determined later, from all samples (see
-    profiles/edge_shapes.py). place: of the edge, length: of what is not flat (m).
-    """
-    # the last points of a bent end are the worst
-    noise = end.segment.noise
+    # how far a bent end is from the edge is determined later, from all samples (edge_shapes.py);
+    # its last points are the worst
     before = end.segment.columns[-max(2 * len(end_columns), SHORTEST_ROUNDING):]
     inner = end_columns[:len(end_columns) - min(len(end_columns) // RIM_SHARE, LONGEST_RIM)]
     u, v = end.outwards_and_below(np.concatenate([before, inner]))
-    depth, shapes, (out, below), arc_std = rounding_of(u, v, place, end.pitch, noise)
+    depth, shapes, (out, below), arc_std = rounding_of(u, v, place, pitch, noise)
     # an end that goes down but not outwards is no bend, but a hardly visible wall
-    depth = min(depth, STEEPEST_ROUNDING * length + FLAT_SIGMAS * noise)
+    depth = min(depth, STEEPEST_ROUNDING * (last - flat) + FLAT_SIGMAS * noise)
     _, outwards, downwards = end.frame
     return replace(edge, drop=depth * downwards, shape_log_odds=shapes, arc_std=arc_std,
                    arc_offset=(out - place) * outwards + below * downwards)

@@ -84,8 +84,7 @@ class Sphere(ProfileTarget):
     def measured(self, sample: Sample, points: Array, kind: NDArray[np.intp]
                  ) -> tuple[Array, NDArray[np.intp]]:
         """Return all raw points of the arcs of a sample."""
-        arcs = [f.raw for f in sample.features if isinstance(f, Arc)]
-        points = np.concatenate(arcs) if len(arcs) > 1 else arcs[0]
+        points = np.concatenate([f.raw for f in sample.features if isinstance(f, Arc)])
         return points, np.zeros(len(points), dtype=np.intp)
 
     def starts(self, whole: Problem, rng: np.random.Generator) -> Iterator[Estimate]:

@@ -131,13 +131,12 @@ class Wedge(ProfileTarget):
 
     def describe(self, state: Array, std: Array) -> dict[str, Any]:
         """Return the edge's point and direction, the faces' normals and their angle (rad)."""
-        T, (first, second) = state[:16].reshape(4, 4), state[16:]
-        between = float(np.arccos(np.clip(np.cos(second - first), -1.0, 1.0)))
-        return {'point': xyz(T[:3, 3]),
-                'direction': T[:3, 0].tolist(),
-                **{f'normal_{k}': (np.cos(turn) * T[:3, 1] + np.sin(turn) * T[:3, 2]).tolist()
-                   for k, turn in enumerate((first, second), 1)}, 'face_angle': between,
-                'face_angle_std': float(std[5])}
+        T, turns = state[:16].reshape(4, 4), state[16:]
+        normals = np.outer(np.cos(turns), T[:3, 1]) + np.outer(np.sin(turns), T[:3, 2])
+        between = float(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)))
+        return {'point': xyz(T[:3, 3]), 'direction': T[:3, 0].tolist(),
+                'normal_1': normals[0].tolist(), 'normal_2': normals[1].tolist(),
+                'face_angle': between, 'face_angle_std': float(std[5])}
 
 
 WEDGE = Wedge()
