@@ -52,7 +52,7 @@ from handeye_ros.estimation.least_squares import single_threaded
 from handeye_ros.estimation.search import robust_solution, with_systematic_errors
 from handeye_ros.estimation.solve import Solution
 from handeye_ros.frames import mount_frame, mount_poses_of
-from handeye_ros.profiles.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_with_clocks, with_estimated_clocks
 import numpy as np

@@ -31,7 +31,7 @@ from handeye_ros.errors import DataError, mm
 from handeye_ros.estimation.problem import Problem
 from handeye_ros.estimation.search import CONVINCING_SQUARE, quick_solution, robust_solution
 from handeye_ros.estimation.solve import Solution
-from handeye_ros.profiles.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
 from handeye_ros.targets import target_for
 import numpy as np

@@ -24,7 +24,7 @@ from handeye_ros.checks.refusals import UnexplainedError
 from handeye_ros.config import Config, flatten, flipped_range, with_assignments
 from handeye_ros.data import EdgePoint, Sample
 from handeye_ros.errors import DataError
-from handeye_ros.profiles.edge_shapes import with_common_shape
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.features import result_of
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.stops import evenly, Stop

@@ -33,7 +33,7 @@ import math
 from handeye_ros.config import Config
 from handeye_ros.data import Array, EdgePoint
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edge_shapes import rounding_of
+from handeye_ros.profiles.edge_rounding import rounding_of
 from handeye_ros.profiles.segment import bent, returned, Segment, STEEPEST_SURFACE
 import numpy as np
 from numpy.typing import NDArray
@@ -353,8 +353,8 @@ def _edge_before_drop(end: FaceEnd, end_columns: NDArray[np.intp], ground: Segme
     edge = end.edge(place, std, ending)
     if v[-LAST_POINTS:].mean() < BENT_END_SIGMAS * noise / LAST_POINTS ** 0.5:
         return edge
-    # how far a bent end is from the edge is determined later, from all samples (edge_shapes.py);
-    # its last points are the worst
+    # how far a bent end is from the edge is determined later, from all samples (see
+    # sampling/edge_shapes.py); its last points are the worst
     before = end.segment.columns[-max(2 * len(end_columns), SHORTEST_ROUNDING):]
     inner = end_columns[:len(end_columns) - min(len(end_columns) // RIM_SHARE, LONGEST_RIM)]
     u, v = end.outwards_and_below(np.concatenate([before, inner]))

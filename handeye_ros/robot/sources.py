@@ -17,10 +17,10 @@ from handeye_ros.estimation.problem import linearise, Problem
 from handeye_ros.estimation.search import robust_solution
 from handeye_ros.estimation.solve import cover
 from handeye_ros.frames import mount_poses, T_sensor_plane
-from handeye_ros.profiles.edge_shapes import with_common_shape
 from handeye_ros.robot.arm_answer import ArmAnswer
 from handeye_ros.robot.estimate import ArmProfiles, ArmState, ArmStops, first_fit, lengths
 from handeye_ros.robot.selection import ArmProblem, joint_notes, require_enough, solve, UNSOLVED
+from handeye_ros.sampling.edge_shapes import with_common_shape
 from handeye_ros.sampling.session import Session
 from handeye_ros.sampling.sweep import problem_of_known_poses, with_estimated_clocks
 import numpy as np

@@ -13,8 +13,8 @@ from handeye_ros import pipeline, se3
 from handeye_ros.config import Config, with_values
 from handeye_ros.data import Array, EdgePoint, FaceLine, Feature, Sample
 from handeye_ros.errors import FeatureError
-from handeye_ros.profiles.edge_shapes import common_shape, with_common_shape
 from handeye_ros.profiles.faces import face_features
+from handeye_ros.sampling.edge_shapes import common_shape, with_common_shape
 from handeye_ros.sampling.features import combine
 from handeye_ros.simulate.scenario import BASELINE
 from hypothesis import given

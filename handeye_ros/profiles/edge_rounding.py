@@ -1,20 +1,16 @@
 # Copyright 2026 The handeye_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The rounded or bevelled ends of a plate: their shape, and the position of the edges.
+The rounded or bevelled end of a plate: its shape, and the position of the edge.
 
 The edge is where the planes of face and wall meet. A rounding of radius r that is visible down to
 depth d ends r - sqrt(2 r d - d^2) before it. A bevel of 45 degrees and legs r is visible
 completely (d = r) or not at all (d = 0), and ends as far before it as a rounding of that radius.
-One profile shows the shape only roughly (`rounding_of`); all samples share it
-(`with_common_shape`).
+One profile shows the shape only roughly; all samples share it (sampling/edge_shapes.py).
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-from handeye_ros.data import Array, EdgePoint, Feature, Sample
+from handeye_ros.data import Array
 import numpy as np
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 5e-5, 4e-3  # radius of a rounding (m)
@@ -32,18 +28,6 @@ BEND_SIGMAS = 2.0  # sigmas below the face line from which points indicate a ben
 BEND_STEPS = 6  # iterations of the start of a bend
 LEAST_LIKELY = -100.0  # smallest log likelihood of a shape that matters
 TINY = 1e-30  # smallest information, for points that all lie on the face
-
-# of the shape that all ends share
-SHARP_DEPTH = 2.5e-5  # largest depth of ends that count as sharp (m)
-# depth of a rounding, over its radius, from which light may be lost (26 degrees); where ends bend
-# less, the sensor's field or the face is bent, or a driver that smooths bends a few by much more
-LEAST_SEEN = 0.1
-LARGEST_LOG_ODDS = 8.0  # largest log odds of one end against a shape
-SHAPE_STD = 0.2  # relative 1 sigma of a radius or a bevel's legs: it may be an ellipse
-SLANT_STD = 0.1  # 1 sigma of the log radius of one end: an oblique laser sees an ellipse
-OBLIQUE_STD = 0.03  # 1 sigma of an edge over the radius: an oblique laser sees an ellipse
-DEPTH_STD = 1.5e-5  # 1 sigma of the depth of an end (m)
-LEAST_DEPTH = 1e-6  # of the middle of an arc (m)
 
 
 def rounding_of(u: Array, v: Array, end: float, pitch: float, noise: float
@@ -126,103 +110,3 @@ def _shapes(away: Array) -> tuple[Array, Array]:
     depth = TRIED_RADII * (1 - cosine) + slope * beyond
     return (np.concatenate([depth, TRIED_SLOPES * along_bevel]),
             np.concatenate([slope, TRIED_SLOPES * (along_bevel > 0)]))
-
-
-@dataclass(frozen=True)
-class EdgeShape:
-    """
-    Shape of the target's edges.
-
-    size: radius, or legs of the bevel (m), 0 if sharp; relative_std: 1 sigma of size over size.
-    """
-
-    size: float = 0.0
-    relative_std: float = 0.0
-    is_round: bool = True
-
-
-def with_common_shape(samples: Sequence[Sample]) -> list[Sample]:
-    """
-    Return the samples with edge points where the planes of face and wall intersect.
-
-    All samples share the shape of rounded or bevelled ends, but one profile shows it only
-    roughly, or not at all if a bevel returns no light. So the shape that is likeliest for all ends
-    together is used. Edges with a visible wall need no correction.
-    """
-    shape = common_shape(samples)
-    return [replace(s, features=tuple(_moved(f, shape) for f in s.features)) for s in samples]
-
-
-def common_shape(samples: Sequence[Sample]) -> EdgeShape:
-    """Return the edge shape that all samples support, with one common radius where they agree."""
-    ends = [f for s in samples for f in s.features
-            if isinstance(f, EdgePoint) and f.ending != 'roof']
-    depth = np.array([end.drop_depth for end in ends])
-    if len(ends) < 3 or np.median(depth) <= SHARP_DEPTH:
-        return EdgeShape()
-    bent = [end.shape_log_odds for end in ends if len(end.shape_log_odds)]
-    log_odds = sum(map(_blurred, bent), np.zeros(len(TRIED_RADII) + 1))
-    if np.logaddexp.reduce(log_odds[:-1]) - np.log(len(TRIED_RADII)) > log_odds[-1]:
-        shape = EdgeShape(*_radius(log_odds[:-1]))
-    else:  # deeper ends say more about the shape
-        order = np.argsort(depth)
-        share = np.cumsum(depth[order] ** 2)
-        most = depth[order][np.searchsorted(share, share[-1] / 2)]
-        shape = EdgeShape(float(np.median(depth[depth > most / 2])), SHAPE_STD, is_round=False)
-    return shape if np.median(depth) > LEAST_SEEN * shape.size else EdgeShape()
-
-
-def _blurred(shapes: Array) -> Array:
-    """
-    Return the log likelihoods (k + 1,) of the shapes at one end, bounded against model error.
-
-    A laser that crosses at a slant sees an ellipse: other radii nearby are as likely.
-    """
-    logs = np.log(TRIED_RADII[:, 0])
-    kernel = -0.5 * ((logs[:, None] - logs) / SLANT_STD) ** 2
-    radii = np.logaddexp.reduce(kernel + shapes[:-1], axis=1)
-    radii += shapes[:-1].max() - radii.max()
-    return np.asarray(np.maximum(np.append(radii, shapes[-1]), -LARGEST_LOG_ODDS))
-
-
-def _radius(log_odds: Array) -> tuple[float, float]:
-    """Return the radius (m) and its relative 1 sigma from log likelihoods (k,) of TRIED_RADII."""
-    from scipy.interpolate import CubicSpline  # 0.09 s, only for round edges
-    tried = np.log(TRIED_RADII[:, 0])
-    logs = np.linspace(tried[0], tried[-1], 8 * len(log_odds))
-    likely = CubicSpline(tried, log_odds)(logs)
-    weights = np.exp(likely - likely.max())
-    mean = float(weights @ logs / weights.sum())
-    spread = float(weights @ (logs - mean) ** 2 / weights.sum()) ** 0.5
-    return float(np.exp(mean)), float(np.hypot(spread, SHAPE_STD))
-
-
-def _moved(feature: Feature, shape: EdgeShape) -> Feature:
-    """
-    Return a feature with its edge point moved to the intersection of face and wall.
-
-    Of a rounding the middle of the visible arc is extrapolated to the wall: it is measured, so the
-    result is on the wall for any crossing angle of the laser. Of a bevel, or a barely visible
-    rounding, the end is. A bevel returns light as a whole or not at all; it is as wide as deep.
-    """
-    if not isinstance(feature, EdgePoint) or feature.ending == 'roof':
-        return feature
-    edge, size = feature, shape.size
-    if not size:
-        return replace(edge, drop=np.zeros(2))
-    back, drop, least, std = 0.0, edge.drop, DEPTH_STD, 0.0
-    from_arc = shape.is_round and 0 < edge.arc_std < size
-    if from_arc:
-        back, least, std = float(edge.arc_offset @ edge.direction), LEAST_DEPTH, edge.arc_std
-        drop = edge.arc_offset - back * edge.direction
-    depth = min(max(float(np.hypot(*drop)), least), size)
-    if shape.is_round:
-        out = float(np.sqrt(depth * (2 * size - depth)))
-        share = 1 - depth / out
-        std = std if from_arc else (size - depth) / out * DEPTH_STD
-    else:
-        share = float(np.clip(1.5 - 2 * depth / size, 0.0, 1.0))
-        out = (1 - share) * size
-    return replace(edge, point=edge.point + (back + size - out) * edge.direction, drop=drop,
-                   std=float(np.sqrt(edge.std ** 2 + std ** 2 + (OBLIQUE_STD * size) ** 2)),
-                   shape_std=shape.relative_std * size * share)
