@@ -103,8 +103,8 @@ def _two_lines(points: Array, outward: Array, rng: np.random.Generator) -> tuple
     off = np.where(inside[:, None], np.abs(local[:, None] - local[:, :, None]), limit)
     off = np.minimum(off, limit).astype(np.float32)  # (direction, line through, point, axis)
     total = np.zeros(off.shape[:3], dtype=np.float32)
-    for to_q, to_p in np.moveaxis(off, 2, 0).transpose(0, 3, 1, 2):
-        total += np.minimum(to_q[:, :, None], to_p[:, None])
+    for point in range(len(some)):
+        total += np.minimum(off[:, :, None, point, 0], off[:, None, :, point, 1])
     k, i, j = np.unravel_index(int(np.argmin(total)), total.shape)
     return R[k] @ np.array([local[k, i, 0], local[k, j, 1]]), float(turns[k])
 

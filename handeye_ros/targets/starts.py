@@ -131,32 +131,34 @@ def swept(problem: Problem, axes: list[int], across: slice, count: int) -> list[
     Return the best linear solutions for a line or a plane, over a sweep of its direction.
 
     axes: order of the axes of a frame whose first one is along the direction; across: the axes W
-    along which its points have one coordinate. Then W' (R (x r1 + z r3 + t) + a - c) = 0 is linear
-    in r1, r3, t and the place c. Solutions with small residuals, and with r1 and r3 near
-    orthonormal, come first.
+    along which its points have the same coordinates c. Then W' (R (x r1 + z r3 + t) + a) = c is
+    linear in r1, r3, t and c. Solutions with small residuals, and with r1 and r3 near orthonormal,
+    come first.
     """
     frames = frames_along(hemisphere(DIRECTION_COUNT))[:, :, axes]
-    T = problem.poses[problem.observations.station]
+    T, W = problem.poses[problem.observations.station], frames[:, :, across]
     R, a, middle = T[:, :3, :3], T[:, :3, 3], problem.poses[:, :3, 3].mean(axis=0)
     x, z = problem.observations.points.T[:, :, None, None]
-    # in the base: derivatives (m, 3, 12) of the points by r1, r3, t, c, and what they must add to
-    known = np.concatenate([x * R, z * R, R, np.broadcast_to(-np.eye(3), R.shape),
-                            (middle - a)[:, :, None]], axis=2)
-    rows = (np.swapaxes(frames[:, None, :, across], -1, -2) @ known).reshape(len(frames), -1, 13)
-    A, b = rows[..., :12], rows[..., 12:]
+    # in the base: derivatives (m, 3, 9) of the points by r1, r3 and t, and what they must add to
+    known = np.concatenate([x * R, z * R, R, (middle - a)[:, :, None]], axis=2)
+    m, (k, _, q) = len(known), W.shape
+    along = (np.swapaxes(W, 1, 2)[:, None] @ known).reshape(k, m * q, 10)
+    A = np.concatenate([along[..., :9], np.tile(-np.eye(q), (k, m, 1))], axis=2)
+    b = along[..., 9:]
     # least squares of each; what the points do not show, such as r3 of one height, is 0
     transposed = np.swapaxes(A, 1, 2)
     N = transposed @ A
-    scale = np.sqrt(np.maximum(np.einsum('kii->ki', N), TINY))[..., None]
-    scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(12)
+    scale = np.sqrt(np.einsum('kii->ki', N))[..., None]
+    scaled = N / scale / np.swapaxes(scale, 1, 2) + 1e-12 * np.eye(9 + q)
     solved = np.linalg.solve(scaled, transposed @ b / scale) / scale
     rms = np.sqrt(((A @ solved - b) ** 2).mean(axis=(1, 2)))
-    r1, r3, t, c = np.moveaxis(solved.reshape(-1, 4, 3), 1, 0)
+    r1, r3, t, c = np.split(solved[..., 0], [3, 6, 9], axis=1)
     defect = (np.abs((r1 ** 2).sum(1) - 1) + np.abs((r3 ** 2).sum(1) - 1)
               + np.abs((r1 * r3).sum(1)))
     best = np.argsort(rms / 1e-3 + defect)[:count]
     U, _, Vt = np.linalg.svd(np.stack([r1, r3], axis=1)[best], full_matrices=False)
     r1, r3 = np.moveaxis(U @ Vt, 1, 0)
     X = se3.transform(np.stack([r1, np.cross(r3, r1), r3], axis=-1), t[best])
-    states = se3.transform(frames[best], middle + c[best]).reshape(-1, 16)
+    place = middle + (W[best] @ c[best, :, None])[..., 0]
+    states = se3.transform(frames[best], place).reshape(-1, 16)
     return [Estimate(*each) for each in zip(X, states, strict=True)]
